@@ -1,0 +1,49 @@
+# Everything from a fresh clone with nothing but python3 (3.11 or newer) and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+.PHONY: help demo test test-all check bench clean venv
+help:                  ## show the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+venv: $(VENV)/.dev     ## only set up .venv
+
+demo: $(VENV)/.user    ## eight robots drive, flock and meet (ARGS=--headless without the table)
+	$(BIN)/fullswarm demo $(ARGS)
+
+test: $(VENV)/.dev     ## all tests that belong to a change
+	$(BIN)/pytest -q -n 2 tests/unit $(ARGS)
+	$(BIN)/pytest -q -m "not slow" tests/emulated tests/system $(ARGS)
+
+test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
+	$(BIN)/pytest -q tests $(ARGS)
+
+check: $(VENV)/.dev    ## lint, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.dev    ## ratios against named references, in one run
+	$(BIN)/python -m benchmarks $(ARGS)
+
+clean:                 ## remove .venv and all caches
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "fullswarm needs Python 3.11 or newer; found $$($(PYTHON) -V). Set PYTHON=python3.x"; exit 2; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "this Python cannot make virtual environments; on Debian: apt install python3-venv"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.user: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[all]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@ $(VENV)/.user
