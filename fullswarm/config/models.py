@@ -1,0 +1,158 @@
+"""Settings of a swarm: TOML → typed, with every error at once and where it stands.
+
+`load_swarm` reads a fleet file. The models here are the schema; their defaults are what a file need not say.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
+
+from fullswarm.bus.endpoint import DEFAULT_HUB
+from fullswarm.messages import ROBOT_ID
+
+DEFAULT_WORLD = "127.0.0.1:7450"
+
+
+def _robot_id(text: str) -> str:
+    return _name(text, "robot")
+
+
+def _swarm_name(text: str) -> str:
+    return _name(text, "swarm")
+
+
+def _name(text: str, owner: str) -> str:
+    if not ROBOT_ID.match(text):
+        raise ValueError(f"'{text}' cannot name a {owner}: use letters, digits, '-' and '_', 64 at most")
+    return text
+
+
+RobotId = Annotated[str, AfterValidator(_robot_id)]
+SwarmName = Annotated[str, AfterValidator(_swarm_name)]
+Point = tuple[float, float]
+
+
+class Section(BaseModel):
+    """A table of a TOML file: unknown keys are errors, values cannot change afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class HubConfig(Section):
+    """Where the hub listens (a zenoh endpoint)."""
+
+    endpoint: str = DEFAULT_HUB
+
+
+class CoreConfig(Section):
+    """The base station's core."""
+
+    store: Path | None = None  # SQLite file of the local database; None: in memory
+    schedule_interval_s: float = Field(0.05, ge=0.0, le=10.0)  # rapid requests are spread over this
+    heartbeat_hz: PositiveFloat = 10.0
+    results: Path | None = None  # where the performance node writes JSON; None: nowhere
+
+
+class AgentConfig(Section):
+    """What every agent runs with."""
+
+    control_rate_hz: float = Field(50.0, ge=5.0, le=500.0)
+    state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
+    health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    sensing_radius_m: PositiveFloat = 3.0
+    state_cell_m: float = Field(0.0, ge=0.0)  # > 0: states are published by grid cell of this size
+    neighbour_timeout_s: PositiveFloat = 1.0
+    command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
+    core_silence_s: float = Field(1.0, gt=0.0, le=10.0)
+    reading_timeout_s: PositiveFloat = 0.5  # the driver's last reading is older: stop
+    speed_limit_m_s: PositiveFloat | None = None  # below the driver's own
+    turn_limit_rad_s: PositiveFloat | None = None
+    speed_gain: PositiveFloat = 1.0  # K_v of the paper
+    turn_gain_per_s: PositiveFloat = 3.0  # K_w of the paper
+    safety_margin_m: float = Field(0.03, ge=0.0)
+    barrier_gain_per_s: PositiveFloat = 2.0  # γ: share of the gap that may be closed per second
+    bounds_m: tuple[float, float, float, float] | None = None  # arena for real robots; None: the world's, or none
+    estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
+
+
+class NoiseConfig(Section):
+    """What the simulated sensors add; zero is perfect sensing."""
+
+    position_m: float = Field(0.0, ge=0.0)  # standard deviation
+    heading_rad: float = Field(0.0, ge=0.0)
+
+
+class WorldConfig(Section):
+    """The simulated world."""
+
+    engine: Literal["pybullet", "pybullet-wheels", "kinematic"] = "pybullet"
+    address: str = DEFAULT_WORLD  # UDP host:port of the world process
+    bounds_m: tuple[float, float, float, float] = (0.0, 0.0, 20.0, 20.0)  # x_min, y_min, x_max, y_max
+    walls: bool = True
+    boxes: tuple[tuple[float, float, float, float, float], ...] = ()  # centre x, y, size x, y (m), yaw (rad)
+    rate_hz: PositiveFloat = 50.0
+    substeps: int = Field(5, ge=1, le=100)  # physics steps per world step
+    speed_limit_m_s: PositiveFloat = 0.5
+    turn_limit_rad_s: PositiveFloat = 4.25
+    accel_limit_m_s2: PositiveFloat = 2.0
+    turn_accel_limit_rad_s2: PositiveFloat = 20.0
+    radius_m: PositiveFloat = 0.17  # Create footprint
+    mass_kg: PositiveFloat = 3.6
+    watchdog_s: PositiveFloat = 0.3  # a body whose driver is silent stops
+    noise: NoiseConfig = NoiseConfig()
+    seed: int = 0
+
+
+class PerformanceConfig(Section):
+    """Calculators, summarizers and when a trial is over."""
+
+    coverage_cell_m: PositiveFloat = 0.1
+    max_execution_s: PositiveFloat | None = None
+    coverage_at_least: float | None = Field(None, gt=0.0, le=1.0)
+    stop_on_collision: bool = False
+
+
+class RobotConfig(Section):
+    """One robot of the fleet."""
+
+    id: RobotId
+    driver: str = ""  # URL; empty: sim://<id>
+    pose: tuple[float, float, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
+
+    @property
+    def url(self) -> str:
+        """The driver's URL."""
+        return self.driver or f"sim://{self.id}"
+
+
+class SwarmConfig(Section):
+    """A fleet file."""
+
+    swarm: SwarmName = "swarm"
+    hub: HubConfig = HubConfig()
+    core: CoreConfig = CoreConfig()
+    agent: AgentConfig = AgentConfig()
+    world: WorldConfig | None = None
+    performance: PerformanceConfig = PerformanceConfig()
+    robot: tuple[RobotConfig, ...] = ()
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """The arena: x_min, y_min, x_max, y_max in metres; 100 m wide around the origin when nobody said."""
+        if self.agent.bounds_m is not None:
+            return self.agent.bounds_m
+        return self.world.bounds_m if self.world else (-50.0, -50.0, 50.0, 50.0)
+
+    @property
+    def world_or_default(self) -> WorldConfig:
+        """The simulated world; an empty one when the file has none."""
+        return self.world or WorldConfig()
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """Ids in the order of the file."""
+        return tuple(each.id for each in self.robot)

@@ -1,0 +1,100 @@
+"""The error tree. Every message says what happened, where, and what to do about it.
+
+::
+
+    FullswarmError
+    ├── ConfigError          a file or an option is wrong                        exit 2
+    │   └── RequestRefused   the core said no to a request, with its reason      exit 2
+    ├── Unreachable          no answer from the hub, the core or a robot         exit 3
+    ├── MessageError         bytes that are not one of our messages
+    ├── DriverError          a robot's link or firmware                          exit 3
+    │   ├── LinkLost         the other end went silent or the port vanished
+    │   └── DriverFault      the robot itself reports a fault
+    ├── MissingExtra         an optional package is not installed                exit 2
+    └── SafetyStop           motion was ended to stay safe                       exit 4
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class FullswarmError(Exception):
+    """Root of everything this package raises on purpose.
+
+    Parameters
+    ----------
+    what
+        What happened, in one sentence.
+    where
+        File and key, port, robot or address; empty when there is none.
+    hint
+        What the reader can do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str = "", hint: str = "") -> None:
+        super().__init__(what)
+        self.what, self.where, self.hint = what, where, hint
+
+    def __str__(self) -> str:
+        """One line: ``where: what (hint)``."""
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{text} ({self.hint})" if self.hint else text
+
+
+class ConfigError(FullswarmError):
+    """A file, a key or an option is wrong."""
+
+    exit_code = 2
+
+
+class RequestRefused(ConfigError):
+    """The core refused a request; ``what`` is its reason."""
+
+
+class Unreachable(FullswarmError):
+    """Nobody answered: hub, core or robot."""
+
+    exit_code = 3
+
+
+class MessageError(FullswarmError):
+    """Bytes on the bus that are not a message of this version."""
+
+
+class DriverError(FullswarmError):
+    """A robot's link or firmware failed."""
+
+    exit_code = 3
+
+
+class LinkLost(DriverError):
+    """The other end went silent or the port vanished."""
+
+
+class DriverFault(DriverError):
+    """The robot itself reports a fault."""
+
+
+class MissingExtra(FullswarmError):
+    """An optional package is not installed."""
+
+    exit_code = 2
+
+
+class SafetyStop(FullswarmError):
+    """Motion was ended to stay safe."""
+
+    exit_code = 4
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """``did you mean 'x'?`` for the nearest of `known`, or the whole choice when nothing is near."""
+    choices = sorted(known)
+    near = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return f"known: {', '.join(choices)}" if choices else "none is known yet"

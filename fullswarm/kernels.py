@@ -1,0 +1,100 @@
+"""Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep trial.
+
+One source, two speeds. A robot evaluates its laws for itself alone, where plain Python is fast enough and
+importing a compiler would cost it 100 MB. A trial evaluates them for the whole swarm thousands of times per
+second, so :func:`compile_all` compiles every kernel with numba (extra ``[sim]``), cached on disk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import platformdirs
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_ALL: list[Kernel[Any, Any]] = []
+_compiled = False
+
+
+class Kernel(Generic[P, R]):
+    """A function that numba can compile; calls go to the compiled form once there is one.
+
+    A kernel may call other kernels: name them as globals of its module. Arguments are numbers and arrays.
+    """
+
+    def __init__(self, function: Callable[P, R]) -> None:
+        self.plain = function
+        self.run: Callable[P, R] = function
+        self.__doc__ = function.__doc__
+        self.__name__ = getattr(function, "__name__", "kernel")
+        self.__wrapped__ = function
+        _ALL.append(self)
+        if _compiled:
+            self.compile()
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run the compiled form if there is one, else the plain one."""
+        return self.run(*args, **kwargs)
+
+    def compile(self) -> None:
+        """Replace the plain form by numba's; kernels it calls are compiled first."""
+        if self.run is not self.plain:
+            return
+        import numba
+
+        source = self.plain
+        if not isinstance(source, types.FunctionType):
+            return
+        names = dict(source.__globals__)
+        for name in source.__code__.co_names:
+            other = names.get(name)
+            if isinstance(other, Kernel):
+                other.compile()
+                names[name] = other.run
+        rebound = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__)
+        rebound.__module__, rebound.__qualname__ = source.__module__, source.__qualname__
+        self.run = numba.njit(cache=True, error_model="numpy")(rebound)
+
+
+def kernel(function: Callable[P, R]) -> Kernel[P, R]:
+    """Mark `function` as a kernel (see the module's docstring)."""
+    return Kernel(function)
+
+
+def _fingerprint() -> str:
+    """Hash the sources of all kernels: numba's cache notices a change of a kernel, not of one that it calls."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        source = path.read_bytes()
+        if b"@kernel" in source:
+            digest.update(source)
+    return digest.hexdigest()[:16]
+
+
+def compile_all() -> bool:
+    """Compile all kernels, those of modules imported later included.
+
+    Returns
+    -------
+    bool
+        False when numba is not installed: everything still runs, slower.
+    """
+    global _compiled
+    try:
+        import numba
+    except ImportError:
+        return False
+    if not _compiled:
+        numba.config.CACHE_DIR = str(  # type: ignore[attr-defined]  # set from the environment
+            platformdirs.user_cache_path("fullswarm") / f"kernels-{_fingerprint()}"
+        )
+    _compiled = True
+    for each in _ALL:
+        each.compile()
+    return True

@@ -1,0 +1,144 @@
+"""Every key expression of the bus. ``*`` stands for one chunk, ``**`` for any number of them.
+
+======================================================  =====================  ===========================
+key                                                     message                way
+======================================================  =====================  ===========================
+``<swarm>/behaviour/request``                           BehaviourRequest       operator → main controller
+``<swarm>/behaviour/status``                            RequestStatus          core → everybody
+``<swarm>/behaviour/<name>/control_request``            CentralisedRequest     main controller → its node
+``<swarm>/behaviour/<name>/commands``                   CentralisedCommands    its node → request handler
+``<swarm>/robot/<id>/behaviour/<name>/control_requests``  ControlRequest       request handler → agent
+``<swarm>/robot/<id>/ack``                              ControlAck             agent → request handler
+``<swarm>/robot/<id>/command``                          Command                request handler → agent
+``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
+``<swarm>/health/<host>``                               HealthReport           agent → everybody
+``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
+``<swarm>/stop``                                        StopRequest            anybody → agents, core
+``<swarm>/estop``                                       EStop                  anybody → agents, core
+``<swarm>/estop/receipt/<id>``                          EStopReceipt           agent → everybody
+``<swarm>/measurement/<metric>/<host>``                 …Measurement           calculator → summarizer
+``<swarm>/summary/<metric>``                            Summary                summarizer → performance node
+``<swarm>/params/<layer>/request``                      ParamRequest           anybody → a layer's database
+``<swarm>/params/<layer>/reply/<id>``                   ParamReply             the database → the asker
+``<swarm>/params/<layer>/changed``                      ParamChanged           the database → everybody
+======================================================  =====================  ===========================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from fullswarm.errors import ConfigError
+from fullswarm.messages import ROBOT_ID
+
+ANY = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one swarm; several swarms share a network without hearing each other."""
+
+    swarm: str = "swarm"
+
+    def __post_init__(self) -> None:
+        if not ROBOT_ID.match(self.swarm):
+            raise ConfigError(
+                f"'{self.swarm}' cannot name a swarm", hint="use letters, digits, '-' and '_', 64 at most"
+            )
+
+    @property
+    def behaviour_request(self) -> str:
+        """Requests of the operators."""
+        return f"{self.swarm}/behaviour/request"
+
+    @property
+    def behaviour_status(self) -> str:
+        """What became of them."""
+        return f"{self.swarm}/behaviour/status"
+
+    def centralised_request(self, behaviour: str = ANY) -> str:
+        """Requests for the node of a centralised behaviour."""
+        return f"{self.swarm}/behaviour/{behaviour}/control_request"
+
+    def centralised_commands(self, behaviour: str = ANY) -> str:
+        """Commands that such a node computed."""
+        return f"{self.swarm}/behaviour/{behaviour}/commands"
+
+    def control_requests(self, robot: str = ANY, behaviour: str = ANY) -> str:
+        """Enable or disable a behaviour of a robot."""
+        return f"{self.swarm}/robot/{robot}/behaviour/{behaviour}/control_requests"
+
+    def ack(self, robot: str = ANY) -> str:
+        """A robot's answers to control requests."""
+        return f"{self.swarm}/robot/{robot}/ack"
+
+    def command(self, robot: str = ANY) -> str:
+        """Explicit twists for a robot."""
+        return f"{self.swarm}/robot/{robot}/command"
+
+    def state(self, cell: str = ANY, host: str = ANY) -> str:
+        """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
+        return f"{self.swarm}/state/{cell}/{host}"
+
+    def health(self, host: str = ANY) -> str:
+        """How the robots of a host are."""
+        return f"{self.swarm}/health/{host}"
+
+    def heartbeat(self, node: str = ANY) -> str:
+        """Signs of life of the core's processes."""
+        return f"{self.swarm}/heartbeat/{node}"
+
+    @property
+    def stop(self) -> str:
+        """Stand still."""
+        return f"{self.swarm}/stop"
+
+    @property
+    def estop(self) -> str:
+        """Latched emergency stop and its release."""
+        return f"{self.swarm}/estop"
+
+    def estop_receipt(self, robot: str = ANY) -> str:
+        """Who has stopped."""
+        return f"{self.swarm}/estop/receipt/{robot}"
+
+    def measurement(self, metric: str = ANY, host: str = ANY) -> str:
+        """Results of the calculators."""
+        return f"{self.swarm}/measurement/{metric}/{host}"
+
+    def summary(self, metric: str = ANY) -> str:
+        """Results of the summarizers."""
+        return f"{self.swarm}/summary/{metric}"
+
+    def param_request(self, layer: str) -> str:
+        """Questions to a layer's local database."""
+        return f"{self.swarm}/params/{layer}/request"
+
+    def param_reply(self, layer: str, request_id: str = ANY) -> str:
+        """Its answers."""
+        return f"{self.swarm}/params/{layer}/reply/{request_id}"
+
+    def param_changed(self, layer: str = ANY) -> str:
+        """Its changes."""
+        return f"{self.swarm}/params/{layer}/changed"
+
+
+WHOLE_SWARM_CELL = "all"
+"""The one cell of a swarm whose states are not split by place (`cell_m` = 0)."""
+
+
+def cell_of(x_m: float, y_m: float, cell_m: float) -> str:
+    """Name the grid cell that holds a position; ``all`` when the grid is off (`cell_m` <= 0)."""
+    if cell_m <= 0.0:
+        return WHOLE_SWARM_CELL
+    return f"{math.floor(x_m / cell_m)}_{math.floor(y_m / cell_m)}"
+
+
+def cells_within(x_m: float, y_m: float, reach_m: float, cell_m: float) -> set[str]:
+    """Name all cells that a disc of radius `reach_m` touches (its bounding square)."""
+    if cell_m <= 0.0:
+        return {WHOLE_SWARM_CELL}
+    low_x, high_x = math.floor((x_m - reach_m) / cell_m), math.floor((x_m + reach_m) / cell_m)
+    low_y, high_y = math.floor((y_m - reach_m) / cell_m), math.floor((y_m + reach_m) / cell_m)
+    return {f"{column}_{row}" for column in range(low_x, high_x + 1) for row in range(low_y, high_y + 1)}

@@ -1,0 +1,356 @@
+"""Every message on the wire: typed, versioned, immutable. SI units, radians, ENU; stamps are monotonic seconds.
+
+Each struct carries its name and version in the field ``kind`` (``"Command/1"``). A reader refuses an unknown
+version or field instead of guessing. Stamps are read off the sender's monotonic clock: they order the messages
+of one sender; ages are measured by the receiver from the moment of arrival.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from typing import Literal, TypeVar
+
+import msgspec
+
+from fullswarm.errors import MessageError
+
+Value = bool | int | float | str | list[float | list[float]]
+"""A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points."""
+
+Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind",
+              tag=lambda name: f"{name}/1"):  # fmt: skip
+    """Base of all messages; a subclass with another version overrides ``tag``.
+
+    ``frozen`` and ``kw_only`` are repeated by each subclass: msgspec does not hand ``kw_only`` down.
+    """
+
+
+# ---------------------------------------------------------------- operator <-> core
+class BehaviourRequest(Message, frozen=True, kw_only=True):
+    """An operator asks for a behaviour (paper II.B). Sent again until answered; `id` makes it exactly-once."""
+
+    id: str
+    behaviour: str
+    robots: tuple[str, ...] = ()  # empty: the whole swarm
+    parameters: dict[str, Value] = {}
+    source: str = ""  # who asks: "cli@host:pid"
+    stamp_s: float = 0.0
+
+
+class RequestStatus(Message, frozen=True, kw_only=True):
+    """What became of a request; the newest one for an `id` holds."""
+
+    request_id: str
+    behaviour: str
+    phase: Phase
+    reason: str = ""  # why it was refused or superseded
+    robots: tuple[str, ...] = ()  # who shall run it
+    running: tuple[str, ...] = ()  # who confirmed
+    missing: tuple[str, ...] = ()  # addressed, but not present now; they get it when they join
+    refused_by: tuple[str, ...] = ()  # who said no, e.g. latched e-stop
+    stamp_s: float = 0.0
+
+
+class StopRequest(Message, frozen=True, kw_only=True):
+    """Stand still now. Goes to the robots directly and to the core; needs neither authority nor an answer."""
+
+    id: str
+    robots: tuple[str, ...] = ()  # empty: all
+    source: str = ""
+
+
+class EStop(Message, frozen=True, kw_only=True):
+    """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act."""
+
+    id: str
+    engaged: bool
+    robots: tuple[str, ...] = ()  # empty: all
+    source: str = ""
+    reason: str = ""
+
+
+class EStopReceipt(Message, frozen=True, kw_only=True):
+    """A robot confirms an e-stop."""
+
+    id: str
+    robot: str
+    engaged: bool
+    rolled_m: float = 0.0  # from the order's arrival until standing
+    standing: bool = False
+
+
+# ---------------------------------------------------------------- core -> agents
+class ControlRequest(Message, frozen=True, kw_only=True):
+    """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
+
+    request_id: str
+    robot: str
+    behaviour: str
+    enable: bool
+    parameters: dict[str, Value] = {}
+    filtered: bool = False  # run the law behind the safety filter (`_bc`)
+    law: str = ""  # name of the law; behaviours that differ only by the filter share it
+    centralised: bool = False  # no law on board: obey Command messages of `request_id`
+    survives_core: bool = False  # go on when the core's heartbeat is silent
+    expires_s: float = 0.0  # > 0: the request is an intent that lapses this long after its arrival
+    core: str = ""  # which core process; sequences of different processes do not compare
+    sequence: int = 0
+    stamp_s: float = 0.0
+
+
+class ControlAck(Message, frozen=True, kw_only=True):
+    """A robot's answer to a ControlRequest."""
+
+    request_id: str
+    robot: str
+    behaviour: str
+    enabled: bool
+    accepted: bool
+    reason: str = ""
+    core: str = ""
+    sequence: int = 0
+
+
+class CentralisedRequest(Message, frozen=True, kw_only=True):
+    """A request remapped to a centralised behaviour's node (paper II.C.1)."""
+
+    request_id: str
+    behaviour: str
+    law: str
+    enable: bool
+    robots: tuple[str, ...] = ()
+    parameters: dict[str, Value] = {}
+    filtered: bool = False
+    core: str = ""
+    sequence: int = 0
+
+
+class CentralisedCommands(Message, frozen=True, kw_only=True):
+    """A centralised node's commands for its robots; the request handler hands them out (paper II.C.2)."""
+
+    request_id: str
+    behaviour: str
+    robots: tuple[str, ...]
+    linear_m_s: tuple[float, ...]
+    angular_rad_s: tuple[float, ...]
+    sequence: int
+    stamp_s: float
+
+
+class Command(Message, frozen=True, kw_only=True):
+    """An explicit twist for one robot; valid for `ttl_s` after its arrival."""
+
+    robot: str
+    request_id: str
+    linear_m_s: float
+    angular_rad_s: float
+    ttl_s: float
+    sequence: int
+    stamp_s: float
+
+
+class Heartbeat(Message, frozen=True, kw_only=True):
+    """A process of the core or a centralised node is alive, and what it has in hand."""
+
+    node: str
+    process: str  # unique per process start
+    sequence: int
+    active: tuple[str, ...] = ()  # request ids in hand
+    stamp_s: float = 0.0
+
+
+# ---------------------------------------------------------------- agents -> everybody
+class RobotStates(Message, frozen=True, kw_only=True):
+    """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
+
+    Columns of equal length. World frame; `speed_m_s` along the heading, negative when reversing.
+    """
+
+    host: str
+    sequence: int
+    stamp_s: float
+    robots: tuple[str, ...]
+    x_m: tuple[float, ...]
+    y_m: tuple[float, ...]
+    heading_rad: tuple[float, ...]
+    speed_m_s: tuple[float, ...]
+    turn_rad_s: tuple[float, ...]
+    radius_m: tuple[float, ...]
+
+
+class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How one robot is; part of a HealthReport."""
+
+    robot: str
+    driver: str  # URL
+    make: str
+    model: str
+    firmware: str
+    lifecycle: str  # CLOSED OPEN READY ACTIVE FAULT
+    behaviour: str = ""  # empty: none
+    request_id: str = ""
+    core: str = ""  # which core process gave `sequence`
+    sequence: int = 0  # of the newest control request obeyed
+    moving: bool = False
+    estop: bool = False
+    stop_reason: str = ""  # why it stands although a behaviour is on
+    fault: str = ""
+    battery: float = -1.0  # 0 to 1; -1: unknown
+    contacts: int = 0  # touching now
+    collisions: int = 0  # since the agent started
+
+
+class HealthReport(Message, frozen=True, kw_only=True):
+    """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
+
+    host: str
+    process: str
+    version: str
+    robots: tuple[RobotHealth, ...]
+    ticks: int = 0
+    late_ticks: int = 0  # more than 1 ms late
+    missed_ticks: int = 0  # whole periods skipped
+    worst_late_s: float = 0.0
+    stamp_s: float = 0.0
+
+
+# ---------------------------------------------------------------- performance (paper II.F)
+class WorkMeasurement(Message, frozen=True, kw_only=True):
+    """Distance travelled per robot since the agent started, in metres."""
+
+    host: str
+    robots: tuple[str, ...]
+    distance_m: tuple[float, ...]
+    stamp_s: float
+
+
+class CollisionMeasurement(Message, frozen=True, kw_only=True):
+    """Contact events per robot since the agent started (a new one after >= 0.25 s without)."""
+
+    host: str
+    robots: tuple[str, ...]
+    events: tuple[int, ...]
+    stamp_s: float
+
+
+class CoverageMeasurement(Message, frozen=True, kw_only=True):
+    """Cells that the host's robots have covered so far, by a disc of the robot's radius.
+
+    `cells` is the zlib-compressed ``numpy.packbits`` of a (rows, columns) grid, row 0 at `origin_y_m`.
+    Cumulative, so that a lost message costs nothing.
+    """
+
+    host: str
+    robots: tuple[str, ...]
+    origin_x_m: float
+    origin_y_m: float
+    cell_m: float
+    rows: int
+    columns: int
+    cells: bytes
+    stamp_s: float
+
+
+Measurement = WorkMeasurement | CollisionMeasurement | CoverageMeasurement
+
+
+class Summary(Message, frozen=True, kw_only=True):
+    """A summarizer's result for the whole swarm (paper II.F.2)."""
+
+    metric: str  # work, coverage, collisions
+    values: dict[str, float]  # e.g. total_m, mean_m, max_m
+    per_robot: dict[str, float] = {}
+    finished: bool = False
+    reason: str = ""  # which termination condition was met
+    stamp_s: float = 0.0
+
+
+# ---------------------------------------------------------------- local database (paper II.A)
+class ParamRequest(Message, frozen=True, kw_only=True):
+    """Read or write a layer's local database. `key` may end in ``*`` for get and history."""
+
+    id: str
+    op: Literal["get", "set", "history"]
+    key: str
+    value: Value | dict[str, object] | None = None
+    author: str = ""
+
+
+class ParamEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One value with where it came from."""
+
+    key: str
+    value: Value | dict[str, object] | None
+    author: str
+    changed: float  # wall-clock seconds since 1970
+
+
+class ParamReply(Message, frozen=True, kw_only=True):
+    """The answer to a ParamRequest."""
+
+    id: str
+    ok: bool
+    reason: str = ""
+    entries: tuple[ParamEntry, ...] = ()
+
+
+class ParamChanged(Message, frozen=True, kw_only=True):
+    """A value of a layer's database was changed."""
+
+    layer: str
+    entry: ParamEntry
+
+
+# ---------------------------------------------------------------- codec
+M = TypeVar("M", bound=Message)
+
+_encoder = msgspec.msgpack.Encoder()
+
+
+def encode(message: Message) -> bytes:
+    """Return `message` as MessagePack."""
+    return _encoder.encode(message)
+
+
+@functools.cache
+def _decoder(kind: type[Message]) -> msgspec.msgpack.Decoder[Message]:
+    return msgspec.msgpack.Decoder(kind)
+
+
+def decode(data: bytes, kind: type[M]) -> M:
+    """Return the message of type `kind` that `data` holds.
+
+    Raises
+    ------
+    MessageError
+        Not MessagePack, another type, another version, or an unknown or missing field; says which.
+    """
+    try:
+        message = _decoder(kind).decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError(_explain(data, kind, error), where=kind.__name__) from error
+    if not isinstance(message, kind):
+        raise MessageError(f"got {type(message).__name__}", where=kind.__name__)
+    return message
+
+
+def _explain(data: bytes, kind: type[Message], error: Exception) -> str:
+    try:
+        head = msgspec.msgpack.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return f"{len(data)} bytes that are not MessagePack"
+    found = head.get("kind") if isinstance(head, dict) else None
+    wanted = str(kind.__struct_config__.tag)
+    if isinstance(found, str) and found != wanted:
+        same_name = found.split("/")[0] == wanted.split("/")[0]
+        advice = "update the older side" if same_name else "two programs use one key for different things"
+        return f"got '{found}' where '{wanted}' is understood: {advice}"
+    return str(error)
+
+
+ROBOT_ID = re.compile(r"[A-Za-z0-9_-]{1,64}\Z")
+"""What a robot id, a swarm name or a behaviour name may look like: one plain chunk of a key."""

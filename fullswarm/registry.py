@@ -1,0 +1,108 @@
+"""Drivers and behaviours by name: a table first, entry points only on a miss.
+
+Importing this file imports none of them. Outside packages use the entry point groups ``fullswarm.drivers``
+(URL scheme → class) and ``fullswarm.behaviours`` (law name → module). A name of the table cannot be taken over.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+from types import MappingProxyType
+from typing import Any
+from urllib.parse import urlsplit
+
+from fullswarm.errors import ConfigError, did_you_mean
+
+DRIVER_GROUP = "fullswarm.drivers"
+BEHAVIOUR_GROUP = "fullswarm.behaviours"
+
+DRIVERS = MappingProxyType(
+    {
+        "sim": "fullswarm.drivers.sim.driver:SimDriver",
+        "null": "fullswarm.drivers.null.driver:NullDriver",
+        "create": "fullswarm.drivers.create_oi.driver:CreateDriver",
+        "mavlink+udp": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
+        "mavlink+udpout": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
+        "mavlink+tcp": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
+        "mavlink+serial": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
+        "can+odrive": "fullswarm.drivers.can.driver:CanBaseDriver",
+        "can+vesc": "fullswarm.drivers.can.driver:CanBaseDriver",
+    }
+)
+
+_LAWS = "fullswarm.agent.behaviours"
+LAWS = MappingProxyType(
+    {
+        name: f"{_LAWS}.{name}"
+        for name in (
+            "move_to_goal",
+            "flocking",
+            "rendezvous",
+            "formation",
+            "voronoi_coverage",
+            "move",
+            "drive",
+            "stop",
+        )
+    }
+)
+
+
+def driver_class(url: str) -> Any:
+    """Return the driver class for a URL such as ``create:///dev/ttyUSB0``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scheme, or a plug-in that does not import; says which and why.
+    """
+    scheme = urlsplit(url).scheme
+    target = DRIVERS.get(scheme) or _entry_point(DRIVER_GROUP, scheme)
+    if target is None:
+        raise ConfigError(f"no driver for '{scheme or url}'", where=url, hint=did_you_mean(scheme, driver_schemes()))
+    module, _, name = target.partition(":")
+    return getattr(_import(module, url), name)
+
+
+def law_module(name: str) -> Any:
+    """Return the module that holds the law `name` (a function ``velocity`` or ``twist``).
+
+    Raises
+    ------
+    ConfigError
+        Unknown law, or a plug-in that does not import.
+    """
+    target = LAWS.get(name) or _entry_point(BEHAVIOUR_GROUP, name)
+    if target is None:
+        raise ConfigError(f"this robot has no law '{name}'", hint=did_you_mean(name, law_names()))
+    return _import(target.partition(":")[0], name)
+
+
+def driver_schemes() -> tuple[str, ...]:
+    """Return all URL schemes that have a driver, plug-ins included."""
+    return (*DRIVERS, *_entry_point_names(DRIVER_GROUP, DRIVERS))
+
+
+def law_names() -> tuple[str, ...]:
+    """Return the names of all laws on board, plug-ins included."""
+    return (*LAWS, *_entry_point_names(BEHAVIOUR_GROUP, LAWS))
+
+
+def _entry_point(group: str, name: str) -> str | None:
+    found = list(importlib.metadata.entry_points(group=group, name=name))
+    if len(found) > 1:
+        owners = ", ".join(sorted(each.dist.name if each.dist else "?" for each in found))
+        raise ConfigError(f"'{name}' is offered by several packages: {owners}", hint="uninstall all but one")
+    return found[0].value if found else None
+
+
+def _entry_point_names(group: str, table: MappingProxyType[str, str]) -> tuple[str, ...]:
+    return tuple(sorted({each.name for each in importlib.metadata.entry_points(group=group)} - set(table)))
+
+
+def _import(module: str, where: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError(f"'{module}' does not import: {error}", where=where) from error

@@ -1,0 +1,193 @@
+"""A layer's local database (paper II.A): key → JSON value with its author, its time and its whole history.
+
+One SQLite file per layer, or memory. A value that an operator set stays until an operator changes it: seeding
+from the TOML files, at every start, replaces only what the seed itself wrote. The file is in WAL mode, each change
+is one transaction, so a process that dies leaves the last whole state behind.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from fullswarm.clock import wall_time_s
+from fullswarm.errors import ConfigError
+from fullswarm.messages import ParamEntry, Value
+
+Stored = Value | dict[str, object] | None
+"""What a key may hold; None: nothing (any more)."""
+
+SEED = "seed"
+BUSY_S = 1.0
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS history (
+    change INTEGER PRIMARY KEY, key TEXT NOT NULL, value TEXT NOT NULL, author TEXT NOT NULL,
+    changed REAL NOT NULL);
+CREATE INDEX IF NOT EXISTS history_by_key ON history (key, change);
+CREATE TABLE IF NOT EXISTS entry (
+    key TEXT PRIMARY KEY, value TEXT NOT NULL, author TEXT NOT NULL, changed REAL NOT NULL) WITHOUT ROWID;
+"""
+
+
+class Store:
+    """Keys with values, their authors and their past.
+
+    Parameters
+    ----------
+    path
+        SQLite file, made with its folder when missing; None keeps everything in memory.
+    wall_s
+        Seconds since 1970, for the record of who changed what when.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be opened or is not a database. Any method may raise it when the disk fails later.
+    """
+
+    def __init__(self, path: Path | None = None, wall_s: Callable[[], float] = wall_time_s) -> None:
+        self.path = path
+        self._wall_s = wall_s
+        self._watchers: list[Callable[[ParamEntry], None]] = []
+        self._open = True
+        try:
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            # The runtime's thread may be another than the one that built the nodes; only one uses it at a time.
+            self._db = sqlite3.connect(
+                path or ":memory:", timeout=BUSY_S, isolation_level=None, check_same_thread=False
+            )
+        except (sqlite3.Error, OSError) as error:
+            raise self._explain(error) from error
+        try:
+            self._db.execute("PRAGMA journal_mode=WAL")
+            self._db.execute("PRAGMA synchronous=NORMAL")
+            self._db.executescript(_TABLES)
+        except sqlite3.Error as error:
+            self._db.close()
+            raise self._explain(error) from error
+
+    def entry(self, key: str) -> ParamEntry | None:
+        """Return what `key` holds and who set it; None when it was never set."""
+        rows = self._query("SELECT key, value, author, changed FROM entry WHERE key = ?", key)
+        return rows[0] if rows else None
+
+    def get(self, key: str, default: Stored = None) -> Stored:
+        """Return the value of `key`, `default` when there is none."""
+        found = self.entry(key)
+        return default if found is None or found.value is None else found.value
+
+    def list(self, prefix: str = "") -> tuple[ParamEntry, ...]:
+        """Return all keys with a value that begin with `prefix`, sorted."""
+        rows = self._query(
+            "SELECT key, value, author, changed FROM entry WHERE substr(key, 1, ?) = ? ORDER BY key",
+            len(prefix),
+            prefix,
+        )
+        return tuple(row for row in rows if row.value is not None)
+
+    def history(self, key: str) -> tuple[ParamEntry, ...]:
+        """Return every change of `key`, oldest first; ``prefix*`` stands for all keys that begin so."""
+        if key.endswith("*"):
+            where, args = "substr(key, 1, ?) = ?", (len(key) - 1, key[:-1])
+        else:
+            where, args = "? AND key = ?", (1, key)
+        # `where` is one of the two literals above.
+        sql = f"SELECT key, value, author, changed FROM history WHERE {where} ORDER BY change"  # noqa: S608
+        return self._query(sql, *args)
+
+    def set(self, key: str, value: Stored, author: str) -> ParamEntry:
+        """Write one value; None takes it away. Returns the new entry."""
+        return self.set_many({key: value}, author)[0]
+
+    def set_many(self, values: Mapping[str, Stored], author: str) -> tuple[ParamEntry, ...]:
+        """Write several values in one transaction, then tell the watchers.
+
+        Raises
+        ------
+        ConfigError
+            A value is not JSON (NaN, infinity, an object), or the database cannot be written.
+        """
+        now = self._wall_s()
+        rows = [(key, _encode(key, value), author, now) for key, value in values.items()]
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                self._db.executemany("INSERT INTO history (key, value, author, changed) VALUES (?, ?, ?, ?)", rows)
+                self._db.executemany("INSERT OR REPLACE INTO entry VALUES (?, ?, ?, ?)", rows)
+            except sqlite3.Error:
+                self._db.execute("ROLLBACK")
+                raise
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+        entries = tuple(_entry(row) for row in rows)
+        for entry in entries:
+            for watcher in tuple(self._watchers):
+                watcher(entry)
+        return entries
+
+    def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
+        """Write what the TOML files say, where nobody else has written since; return the keys that changed."""
+        changed: dict[str, Stored] = {}
+        for key, value in entries.items():
+            old = self.entry(key)
+            if old is None or (old.author == author and old.value != _plain(key, value)):
+                changed[key] = value
+        if changed:
+            self.set_many(changed, author)
+        return tuple(changed)
+
+    def watch(self, callback: Callable[[ParamEntry], None]) -> Callable[[], None]:
+        """Have `callback` called after every change; call what is returned to end that."""
+        self._watchers.append(callback)
+
+        def unwatch() -> None:
+            if callback in self._watchers:
+                self._watchers.remove(callback)
+
+        return unwatch
+
+    def close(self) -> None:
+        """Fold the log into the file and let go of it. Closing twice is fine."""
+        if self._open:
+            self._open = False
+            self._watchers.clear()
+            self._db.close()
+
+    def _query(self, sql: str, *args: object) -> tuple[ParamEntry, ...]:
+        try:
+            return tuple(_entry(row) for row in self._db.execute(sql, args))
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+
+    def _explain(self, error: Exception) -> ConfigError:
+        if "locked" in str(error):
+            hint = "another process holds it: stop the other core or give this one its own file"
+        elif "not a database" in str(error):
+            hint = "the file is something else: name another file"
+        else:
+            hint = "check that the folder exists, is writable and has room"
+        return ConfigError(f"the local database fails: {error}", where=str(self.path or "memory"), hint=hint)
+
+
+def _encode(key: str, value: Stored) -> str:
+    try:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{key}: {error}", hint="values are flags, finite numbers, words, lists and tables"
+        ) from error
+
+
+def _plain(key: str, value: Stored) -> Stored:
+    """Return `value` as it would come back: a tuple as a list."""
+    plain: Stored = json.loads(_encode(key, value))
+    return plain
+
+
+def _entry(row: tuple[str, str, str, float]) -> ParamEntry:
+    return ParamEntry(key=row[0], value=json.loads(row[1]), author=row[2], changed=row[3])

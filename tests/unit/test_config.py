@@ -1,0 +1,278 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fullswarm.config import SwarmConfig, load_swarm
+from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.errors import ConfigError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def complaints(tmp_path: Path, text: str, *overrides: str) -> list[str]:
+    file = tmp_path / "fleet.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_swarm(file, overrides)
+    assert caught.value.exit_code == 2
+    return str(caught.value).replace(f"{tmp_path}/", "").splitlines()
+
+
+def load(tmp_path: Path, text: str, *overrides: str) -> SwarmConfig:
+    file = tmp_path / "fleet.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_swarm(file, overrides)
+
+
+def test_all_errors_come_at_once_with_their_lines(tmp_path: Path) -> None:
+    text = """\
+swarm = "my lab"
+control_rate_hz = 50.0
+[agent]
+sensing_radius = 2.0
+control_rate_hz = 1
+estimator = "efk"
+speed_gain = "fast"
+[world]
+bounds_m = [0, 0, 10]
+boxes = [
+  [1, 1, 1, 1, 0],   # fine
+  [1, 1, 1, 1, "x"],
+  [1, 2, 3, 4, 5, 6],
+]
+walls = 3
+[world.noise]
+position_m = -1
+heading_rad = nan
+[[robot]]
+id = "r 1"
+[core]
+stoer = "x.db"
+[[robot]]
+driver = "sim://a"
+"""
+    assert complaints(tmp_path, text) == [
+        "fleet.toml:1: swarm: 'my lab' cannot name a swarm: use letters, digits, '-' and '_', 64 at most",
+        "fleet.toml:2: control_rate_hz: unknown key here, it belongs in [agent]",
+        "fleet.toml:4: agent.sensing_radius: unknown key, did you mean 'sensing_radius_m'?",
+        "fleet.toml:5: agent.control_rate_hz: must be greater than or equal to 5, not 1",
+        "fleet.toml:6: agent.estimator: must be 'direct' or 'ekf', not 'efk', did you mean 'ekf'?",
+        "fleet.toml:7: agent.speed_gain: must be a number, not 'fast'",
+        "fleet.toml:9: world.bounds_m: has too few values: 3",
+        "fleet.toml:12: world.boxes[1][4]: must be a number, not 'x'",
+        "fleet.toml:13: world.boxes[2]: has too many values: 6 instead of 5",
+        "fleet.toml:15: world.walls: must be true or false, not 3",
+        "fleet.toml:17: world.noise.position_m: must be greater than or equal to 0, not -1",
+        "fleet.toml:18: world.noise.heading_rad: must be a finite number, not nan",
+        "fleet.toml:20: robot[0].id: 'r 1' cannot name a robot: use letters, digits, '-' and '_', 64 at most",
+        "fleet.toml:22: core.stoer: unknown key, did you mean 'store'?",
+        "fleet.toml:23: robot[1].id: is missing",
+    ]
+
+
+def test_types_are_not_guessed(tmp_path: Path) -> None:
+    text = '[agent]\nspeed_gain = true\ncontrol_rate_hz = "50"\n[world]\nsubsteps = 2.5\nnoise = 3\n'
+    assert complaints(tmp_path, text) == [
+        "fleet.toml:2: agent.speed_gain: must be a number, not true",
+        "fleet.toml:3: agent.control_rate_hz: must be a number, not '50'",
+        "fleet.toml:5: world.substeps: must be a whole number, not 2.5",
+        "fleet.toml:6: world.noise: must be a table, not 3",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "what"),
+    [
+        ("a = 1\nb = = 2\n", 2, "Invalid value"),
+        ("[agent]\n\n[agent]\n", 3, "Cannot declare ('agent',) twice"),
+        ("[agent]\nspeed_gain = 1\nspeed_gain = 2\n", 3, "Cannot overwrite a value"),
+        ("a = [1,\n2", 2, "Unclosed array"),
+        ("x = " + "[" * 5000, 1, "nested too deeply"),
+    ],
+)
+def test_a_syntax_error_names_its_line(tmp_path: Path, text: str, line: int, what: str) -> None:
+    assert complaints(tmp_path, text) == [f"fleet.toml:{line}: not valid TOML: {what}"]
+
+
+def test_a_missing_file_says_what_is_there(tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text("")
+    with pytest.raises(ConfigError, match=r"fleet\.toml: no such file \(in that folder: lab\.toml\)"):
+        load_swarm(tmp_path / "fleet.toml")
+    with pytest.raises(ConfigError, match=r"no such file.*give the path"):
+        load_swarm(tmp_path / "nowhere" / "fleet.toml")
+    with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
+        load_swarm(tmp_path)
+    (tmp_path / "latin.toml").write_bytes(b'swarm = "\xe9"')
+    with pytest.raises(ConfigError, match="not UTF-8 text"):
+        load_swarm(tmp_path / "latin.toml")
+
+
+def test_robots_with_one_id_are_refused_even_beside_other_errors(tmp_path: Path) -> None:
+    text = '[[robot]]\nid = "a"\n[[robot]]\nid = "a"\n[[robot]]\nid = 3\n[hub]\nendpoint = 7\n'
+    assert complaints(tmp_path, text) == [
+        "fleet.toml:4: robot[1].id: 'a' is already taken by the robot in line 1",
+        "fleet.toml:6: robot[2].id: must be text in quotes, not 3",
+        "fleet.toml:8: hub.endpoint: must be text in quotes, not 7",
+    ]
+
+
+def test_the_shorthand_expands_before_the_other_robots(tmp_path: Path) -> None:
+    config = load(tmp_path, '[fleet]\ncount = 2\nprefix = "rob-"\n[[robot]]\nid = "extra"\n')
+    assert config.robots == ("rob-1", "rob-2", "extra")
+    assert [robot.url for robot in config.robot] == ["sim://rob-1", "sim://rob-2", "sim://extra"]
+
+
+@pytest.mark.parametrize(
+    ("driver", "urls"),
+    [
+        ("null", ["null://r1", "null://r2"]),
+        ("create:///dev/ttyUSB{n}", ["create:///dev/ttyUSB1", "create:///dev/ttyUSB2"]),
+        ("mavlink+tcp://{id}.local:5760", ["mavlink+tcp://r1.local:5760", "mavlink+tcp://r2.local:5760"]),
+    ],
+)
+def test_the_shorthand_makes_a_url_per_robot(tmp_path: Path, driver: str, urls: list[str]) -> None:
+    assert [each.url for each in load(tmp_path, f'[fleet]\ncount = 2\ndriver = "{driver}"\n').robot] == urls
+
+
+def test_the_shorthand_is_checked_too(tmp_path: Path) -> None:
+    assert complaints(tmp_path, "[fleet]\ncount = 0\nprefx = 'r'\n") == [
+        "fleet.toml:2: fleet.count: must be greater than or equal to 1, not 0",
+        "fleet.toml:3: fleet.prefx: unknown key, did you mean 'prefix'?",
+    ]
+    assert complaints(tmp_path, "fleet = 8\n") == ["fleet.toml:1: fleet: must be a table, not 8"]
+    assert complaints(tmp_path, "[fleet]\nprefix = 'r'\n") == ["fleet.toml:1: fleet.count: is missing"]
+    assert complaints(tmp_path, "[flet]\n") == ["fleet.toml:1: flet: unknown key, did you mean 'fleet'?"]
+    assert complaints(tmp_path, "[fleet]\ncount = 2\n[[robot]]\nid = 'r2'\n") == [
+        "fleet.toml:4: robot[0].id: 'r2' is already taken by [fleet]"
+    ]
+    assert complaints(tmp_path, "[fleet]\ncount = 2\ndriver = 'create:///dev/ttyUSB0'\n") == [
+        "fleet.toml:3: fleet.driver: is the same for every robot: put {id} or {n} into it"
+    ]
+
+
+def test_overrides_change_values_before_the_check(tmp_path: Path) -> None:
+    config = load(
+        tmp_path,
+        '[[robot]]\nid = "a"\n[agent]\nspeed_gain = 0\n',
+        "agent.speed_gain=2",
+        "world.boxes=[[1, 2, 3, 4, 0.5]]",
+        "robot.a.driver=null://a",
+        "robot.0.pose=[1, 2, 0]",
+        "swarm=lab",
+        'hub.endpoint="tcp/127.0.0.1:1"',
+        "world.address=127.0.0.1:2",
+    )
+    assert config.agent.speed_gain == 2.0
+    assert config.world is not None
+    assert config.world.address == "127.0.0.1:2"
+    assert config.world.boxes == ((1.0, 2.0, 3.0, 4.0, 0.5),)
+    assert (config.robot[0].url, config.robot[0].pose) == ("null://a", (1.0, 2.0, 0.0))
+    assert (config.swarm, config.hub.endpoint) == ("lab", "tcp/127.0.0.1:1")
+
+
+def test_overrides_are_named_in_their_errors(tmp_path: Path) -> None:
+    lines = complaints(
+        tmp_path,
+        '[agent]\nspeed_gain = 0\n[[robot]]\nid = "a"\n',
+        "agent.speed_gain=-1",
+        "agent.turn_gain=1",
+        "nonsense",
+        "agent.turn_gain_per_s=[1",
+        "robot.b.driver=x",
+        "swarm.name=x",
+        "world={boxes = [1]}",
+    )
+    assert sorted(lines) == sorted(
+        [
+            "--set agent.speed_gain: must be greater than 0, not -1",
+            "--set agent.turn_gain: unknown key, did you mean 'turn_gain_per_s'?",
+            "--set nonsense: expected key=value, e.g. --set agent.sensing_radius_m=2.5",
+            "--set agent.turn_gain_per_s: '[1' is not a TOML value; text goes in quotes",
+            "--set robot.b.driver: there is no such place in fleet.toml",
+            "--set swarm.name: swarm: must be text in quotes",
+            "--set world: world.boxes[0]: must be a list, not 1",
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", ["demo.toml", "kinematic.toml"])
+def test_the_examples_load(name: str) -> None:
+    config = load_swarm(EXAMPLES / name)
+    assert config.world is not None
+    assert len(config.robots) == {"demo.toml": 8, "kinematic.toml": 100}[name]
+
+
+def test_lines_of_everything_toml_can_say() -> None:
+    text = (
+        "# [no]\r\nswarm = 'a' # = [\n[world]\nb = [\n 0, # ]\n [1,\n  2],\n]\n"
+        '"k.1" . c = """\nx = 1\n\\""""""\nz = {p = 1, q.r = [1, "]"]}\nt = \'\'\'a\'\'\'\'\'\n'
+        "[[robot]]\nid = 1\n [robot.sub]\n d = 1979-05-27 07:32:00\n[core]\n[[robot]]\nid = 2\n[ world . noise ]\nq=1"
+    )
+    tomllib.loads(text)  # the scanner asks for valid TOML
+    wanted: dict[KeyPath, int] = {
+        ("swarm",): 2,
+        ("world",): 3,
+        ("world", "b"): 4,
+        ("world", "b", 0): 5,
+        ("world", "b", 1): 6,
+        ("world", "b", 1, 0): 6,
+        ("world", "b", 1, 1): 7,
+        ("world", "k.1"): 9,
+        ("world", "k.1", "c"): 9,
+        ("world", "z"): 12,
+        ("world", "z", "p"): 12,
+        ("world", "z", "q"): 12,
+        ("world", "z", "q", "r"): 12,
+        ("world", "z", "q", "r", 0): 12,
+        ("world", "z", "q", "r", 1): 12,
+        ("world", "t"): 13,
+        ("robot",): 14,
+        ("robot", 0): 14,
+        ("robot", 0, "id"): 15,
+        ("robot", 0, "sub"): 16,
+        ("robot", 0, "sub", "d"): 17,
+        ("core",): 18,
+        ("robot", 1): 19,
+        ("robot", 1, "id"): 20,
+        ("world", "noise"): 21,
+        ("world", "noise", "q"): 22,
+    }
+    assert line_numbers(text) == wanted
+
+
+SCALARS = st.one_of(
+    st.integers(-(10**6), 10**6).map(str),
+    st.booleans().map(lambda flag: str(flag).lower()),
+    st.text(st.sampled_from("a#[]{}=,.'\" \\"), max_size=6).map(
+        lambda text: '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    ),
+    st.text(st.sampled_from('a#[]={}\n"'), max_size=6).map(lambda text: "'''\n" + text + "'''"),
+)
+VALUES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3).map(lambda items: "[\n" + " , # ]\n".join(items) + "\n]")
+)
+
+
+@given(st.lists(st.tuples(st.sampled_from(["k", '"q.]"', "a.b"]), VALUES), max_size=5))
+def test_the_scanner_finds_every_key_that_tomllib_finds(pairs: list[tuple[str, str]]) -> None:
+    text, wanted = "", {}
+    for number, (key, value) in enumerate(pairs):
+        wanted["t", number] = text.count("\n") + 1
+        text += f"[[t]]\n{key} = {value}\n"
+    found = line_numbers(text)
+    assert {path: line for path, line in found.items() if len(path) == 2} == wanted
+    assert set(found) - {("t",)} == set(_paths(tomllib.loads(text).get("t", []), ("t",)))
+
+
+def _paths(value: object, path: KeyPath) -> list[KeyPath]:
+    items: list[tuple[str | int, object]] = []
+    if isinstance(value, dict):
+        items = list(value.items())
+    elif isinstance(value, list):
+        items = list(enumerate(value))
+    return [way for key, inner in items for way in [(*path, key), *_paths(inner, (*path, key))]]

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fullswarm.errors import ConfigError
+from fullswarm.messages import ParamEntry
+from fullswarm.store import Store, Stored
+
+
+def ticking() -> itertools.count[float]:
+    return itertools.count(1000.0)
+
+
+def test_values_authors_times_and_history() -> None:
+    wall = ticking()
+    store = Store(None, lambda: next(wall))
+    assert store.get("a", 7) == 7
+    store.set("a", 1, "ann")
+    store.set("a", [1.0, [2.0, 3.0]], "bob")
+    assert store.get("a") == [1.0, [2.0, 3.0]]
+    assert [(each.value, each.author, each.changed) for each in store.history("a")] == [
+        (1, "ann", 1000.0),
+        ([1.0, [2.0, 3.0]], "bob", 1001.0),
+    ]
+    store.close()
+    store.close()
+
+
+def test_list_goes_by_prefix_and_forgets_what_was_taken_away() -> None:
+    store = Store()
+    store.set_many({"b/2": 2, "b/1": 1, "b%": 3, "c": 4}, "ann")
+    assert [each.key for each in store.list("b/")] == ["b/1", "b/2"]
+    store.set("b/1", None, "ann")
+    assert [each.key for each in store.list("b/")] == ["b/2"]
+    assert store.get("b/1", 5) == 5
+    assert [each.key for each in store.history("b/*")] == ["b/2", "b/1", "b/1"]
+    store.close()
+
+
+def test_seed_replaces_its_own_values_only() -> None:
+    store = Store()
+    assert store.seed({"mine": 1, "theirs": 1, "same": [1, 2], "gone": 1}) == ("mine", "theirs", "same", "gone")
+    store.set("theirs", 5, "ann")
+    store.set("gone", None, "ann")
+    assert store.seed({"mine": 2, "theirs": 2, "same": [1, 2], "gone": 2}) == ("mine",)
+    assert (store.get("mine"), store.get("theirs"), store.get("gone")) == (2, 5, None)
+    store.close()
+
+
+def test_survives_a_restart_and_closes_cleanly(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "core.db"
+    first = Store(path)
+    first.set("a", {"x": [1, 2]}, "ann")
+    first.close()
+    assert [each.name for each in path.parent.iterdir()] == ["core.db"]  # no log left beside it
+    second = Store(path)
+    assert second.get("a") == {"x": [1, 2]}
+    assert len(second.history("a")) == 1
+    second.close()
+
+
+def test_a_change_is_whole_or_not_at_all(tmp_path: Path) -> None:
+    store = Store(tmp_path / "a.db")
+    store.set("a", 1, "ann")
+    with pytest.raises(ConfigError, match="b: "):
+        store.set_many({"a": 2, "b": math.nan}, "ann")
+    assert store.get("a") == 1
+    other = Store(tmp_path / "a.db")
+    other._db.execute("BEGIN IMMEDIATE")
+    store._db.execute("PRAGMA busy_timeout=1")
+    with pytest.raises(ConfigError, match="another process holds it"):
+        store.set("a", 3, "ann")
+    other._db.execute("ROLLBACK")
+    store.set("a", 3, "ann")
+    assert other.get("a") == 3
+    assert len(other.history("a")) == 2
+    store.close()
+    other.close()
+
+
+def test_what_is_no_database_is_said_so(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a database, but long enough to look at " * 10)
+    with pytest.raises(ConfigError, match="name another file") as caught:
+        Store(path)
+    assert caught.value.where == str(path)
+
+
+def test_watchers_hear_each_change_once_in_order() -> None:
+    store = Store()
+    heard: list[ParamEntry] = []
+    unwatch = store.watch(heard.append)
+    store.set_many({"a": 1, "b": 2}, "ann")
+    unwatch()
+    store.set("c", 3, "ann")
+    assert [(each.key, each.value) for each in heard] == [("a", 1), ("b", 2)]
+    store.close()
+
+
+plain = st.recursive(
+    st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(st.dictionaries(st.text(), plain, max_size=4))
+@settings(max_examples=30, deadline=None)
+def test_what_is_written_is_read(values: dict[str, Stored]) -> None:
+    store = Store()
+    if values:
+        store.set_many(values, "ann")
+    assert {each.key: each.value for each in store.list()} == values
+    store.close()
