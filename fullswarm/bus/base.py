@@ -1,0 +1,59 @@
+"""What a node may ask of a bus, and how key expressions match."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+from fullswarm.messages import Message
+
+M = TypeVar("M", bound=Message)
+
+
+class Subscription(Protocol):
+    """A standing interest in a key expression."""
+
+    def close(self) -> None:
+        """Stop delivering; what is already in the mailbox may still arrive. Closing twice is fine."""
+        ...
+
+
+class Bus(Protocol):
+    """Publish/subscribe between nodes. Handlers run on the runtime's thread, in order per publisher."""
+
+    def publish(self, key: str, message: Message) -> None:
+        """Send `message` to all who subscribed to a matching expression. Never blocks; may lose when cut off."""
+        ...
+
+    def subscribe(
+        self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
+    ) -> Subscription:
+        """Have `handler` called for each message of type `kind` on a key that matches `expression`.
+
+        With `latest` only the newest message of each key is kept while the node is busy (states); without,
+        each one is delivered (requests). A message that does not decode is dropped and counted.
+        """
+        ...
+
+    def connected(self) -> bool:
+        """Tell whether others can be reached now (the hub is there; always so within one process)."""
+        ...
+
+    def close(self) -> None:
+        """End all subscriptions and leave. Publishing afterwards does nothing. Closing twice is fine."""
+        ...
+
+
+@functools.lru_cache(maxsize=4096)
+def matches(expression: str, key: str) -> bool:
+    """Tell whether a key matches an expression: ``*`` is one chunk, ``**`` any number, none included."""
+    return _match(expression.split("/"), key.split("/"))
+
+
+def _match(expression: list[str], key: list[str]) -> bool:
+    if not expression:
+        return not key
+    if expression[0] == "**":
+        return any(_match(expression[1:], key[start:]) for start in range(len(key) + 1))
+    return bool(key) and expression[0] in ("*", key[0]) and _match(expression[1:], key[1:])

@@ -1,0 +1,78 @@
+"""The bus within one process: every message is delivered once, in the order of publishing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from fullswarm.bus.base import Subscription, matches
+from fullswarm.messages import Message
+from fullswarm.runtime import Mailbox
+
+M = TypeVar("M", bound=Message)
+
+
+class _Subscription:
+    def __init__(self, bus: LocalBus, expression: str, kind: type[Message], handler: Callable[[Any], None]) -> None:
+        self._bus, self.expression, self.kind, self._handler = bus, expression, kind, handler
+        self.active = True
+
+    def __call__(self, message: Message) -> None:
+        if self.active:
+            self._handler(message)
+
+    def close(self) -> None:
+        if self.active:
+            self.active = False
+            self._bus.forget(self)
+
+
+class LocalBus:
+    """A bus for nodes that share one runtime. Messages are immutable, so they are passed on as they are.
+
+    A message waits in the mailbox until the runtime delivers it: a publisher never runs a subscriber's code on
+    its own stack, as on the real bus. Nothing is ever skipped, so ``latest`` needs no slot.
+    """
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self._mailbox = mailbox
+        self._subscriptions: list[_Subscription] = []
+        self._routes: dict[str, tuple[_Subscription, ...]] = {}
+        self._closed = False
+
+    def publish(self, key: str, message: Message) -> None:
+        """Put `message` into the mailbox once per matching subscription, in the order of subscribing."""
+        if self._closed:
+            return
+        route = self._routes.get(key)
+        if route is None:
+            route = tuple(each for each in self._subscriptions if matches(each.expression, key))
+            self._routes[key] = route
+        for subscription in route:
+            if isinstance(message, subscription.kind):
+                self._mailbox.put(subscription, message)
+
+    def subscribe(
+        self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
+    ) -> Subscription:
+        """Deliver messages of type `kind` on matching keys to `handler`."""
+        del latest
+        subscription = _Subscription(self, expression, kind, handler)
+        self._subscriptions.append(subscription)
+        self._routes.clear()
+        return subscription
+
+    def forget(self, subscription: _Subscription) -> None:
+        """Drop a closed subscription."""
+        self._subscriptions.remove(subscription)
+        self._routes.clear()
+
+    def connected(self) -> bool:
+        """Return True until closed."""
+        return not self._closed
+
+    def close(self) -> None:
+        """End all subscriptions."""
+        self._closed = True
+        for subscription in list(self._subscriptions):
+            subscription.close()

@@ -1,0 +1,368 @@
+"""One suite for both buses: in one process, live within one session, live between two sessions through a hub."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+import zenoh
+
+from fullswarm import config
+from fullswarm.bus import Bus, LocalBus
+from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
+from fullswarm.bus.hub import Hub
+from fullswarm.bus.session import client_config, untyped
+from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
+from fullswarm.errors import ConfigError, Unreachable
+from fullswarm.keys import Keys
+from fullswarm.messages import Command, Heartbeat, StopRequest, encode
+from fullswarm.runtime import Mailbox
+
+DEADLINE_S = 5.0
+KEYS = Keys("test")
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def beat(sequence: int, node: str = "core") -> Heartbeat:
+    return Heartbeat(node=node, process="p", sequence=sequence)
+
+
+@dataclass
+class Pair:
+    """Who publishes, who subscribes (maybe the same bus), and the subscriber's mailbox."""
+
+    publisher: Bus
+    subscriber: Bus
+    mailbox: Mailbox
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Deliver messages until `condition`; fail after the deadline."""
+        end_s = time.monotonic() + DEADLINE_S
+        while not condition():
+            self.mailbox.deliver_one(0.01)
+            assert time.monotonic() < end_s, "nothing more came"
+
+    def settle(self) -> None:
+        """Return when the publisher's side knows every subscription made so far (they are declared in order)."""
+        seen: list[Heartbeat] = []
+        probe = self.subscriber.subscribe("settle", Heartbeat, seen.append)
+
+        def arrived() -> bool:
+            self.publisher.publish("settle", beat(0))
+            return bool(seen)
+
+        self.until(arrived)
+        probe.close()
+
+
+@pytest.fixture(scope="module")
+def hub() -> Iterator[str]:
+    with Hub(free_endpoint()) as opened:
+        yield opened.endpoint
+
+
+@pytest.fixture(params=["local", "own", "remote"])
+def pair(request: pytest.FixtureRequest, hub: str) -> Iterator[Pair]:
+    mailbox = Mailbox()
+    if request.param == "local":
+        local = LocalBus(mailbox)
+        yield Pair(local, local, mailbox)
+        local.close()
+        return
+    subscriber = ZenohBus(mailbox, hub=hub)
+    publisher = subscriber if request.param == "own" else ZenohBus(Mailbox(), hub=hub)
+    for bus in (publisher, subscriber):
+        bus.wait_connected(DEADLINE_S)
+    yield Pair(publisher, subscriber, mailbox)
+    publisher.close()
+    subscriber.close()
+
+
+@pytest.fixture
+def remote(hub: str) -> Iterator[tuple[ZenohBus, ZenohBus, Pair]]:
+    """A publisher, a subscriber, and both as a pair."""
+    mailbox = Mailbox()
+    publisher, subscriber = ZenohBus(Mailbox(), hub=hub), ZenohBus(mailbox, hub=hub)
+    publisher.wait_connected(DEADLINE_S)
+    subscriber.wait_connected(DEADLINE_S)
+    yield publisher, subscriber, Pair(publisher, subscriber, mailbox)
+    publisher.close()
+    subscriber.close()
+
+
+# ---------------------------------------------------------------- both buses
+def test_messages_arrive_whole_and_in_order(pair: Pair) -> None:
+    seen: list[Heartbeat] = []
+    pair.subscriber.subscribe(KEYS.heartbeat("core"), Heartbeat, seen.append)
+    pair.settle()
+    sent = [beat(number) for number in range(200)]
+    for message in sent:
+        pair.publisher.publish(KEYS.heartbeat("core"), message)
+    pair.until(lambda: len(seen) == len(sent))
+    assert seen == sent
+
+
+def test_wildcards_select(pair: Pair) -> None:
+    one: list[str] = []
+    deep: list[str] = []
+    pair.subscriber.subscribe(KEYS.heartbeat(), Heartbeat, lambda message: one.append(message.node))
+    pair.subscriber.subscribe("test/**", Heartbeat, lambda message: deep.append(message.node))
+    pair.settle()
+    for node in ("a", "b"):
+        pair.publisher.publish(KEYS.heartbeat(node), beat(0, node))
+    pair.publisher.publish("test/heartbeat/x/deep", beat(0, "x"))
+    pair.publisher.publish(KEYS.heartbeat("end"), beat(0, "end"))
+    pair.until(lambda: "end" in one and "end" in deep)
+    assert one == ["a", "b", "end"]
+    assert deep == ["a", "b", "x", "end"]
+
+
+def test_swarms_do_not_hear_each_other(pair: Pair) -> None:
+    seen: list[int] = []
+    pair.subscriber.subscribe(KEYS.heartbeat(), Heartbeat, lambda message: seen.append(message.sequence))
+    pair.settle()
+    pair.publisher.publish(Keys("other").heartbeat("core"), beat(1))
+    pair.publisher.publish(KEYS.heartbeat("core"), beat(2))
+    pair.until(lambda: 2 in seen)
+    assert seen == [2]
+
+
+def test_another_type_is_not_delivered(pair: Pair) -> None:
+    seen: list[Heartbeat] = []
+    pair.subscriber.subscribe("test/mixed", Heartbeat, seen.append)
+    pair.settle()
+    pair.publisher.publish("test/mixed", StopRequest(id="s"))
+    pair.publisher.publish("test/mixed", beat(1))
+    pair.until(lambda: bool(seen))
+    assert seen == [beat(1)]
+    if isinstance(pair.subscriber, ZenohBus):
+        assert pair.subscriber.dropped == 1
+
+
+def test_every_subscriber_gets_its_copy(pair: Pair) -> None:
+    first: list[Heartbeat] = []
+    second: list[Heartbeat] = []
+    pair.subscriber.subscribe("test/x", Heartbeat, first.append)
+    pair.subscriber.subscribe("test/*", Heartbeat, second.append, latest=True)
+    pair.settle()
+    pair.publisher.publish("test/x", beat(1))
+    pair.until(lambda: bool(first and second))
+    assert first == second == [beat(1)]
+
+
+def test_a_closed_subscription_is_silent(pair: Pair) -> None:
+    closed: list[Heartbeat] = []
+    kept: list[Heartbeat] = []
+    subscription = pair.subscriber.subscribe("test/x", Heartbeat, closed.append)
+    pair.subscriber.subscribe("test/x", Heartbeat, kept.append)
+    pair.settle()
+    subscription.close()
+    subscription.close()
+    pair.publisher.publish("test/x", beat(1))
+    pair.until(lambda: bool(kept))
+    assert closed == []
+
+
+def test_publishing_from_a_handler_does_not_recurse(pair: Pair) -> None:
+    order: list[str] = []
+
+    def on_first(_message: Heartbeat) -> None:
+        order.append("first begins")
+        pair.subscriber.publish("test/second", beat(2))
+        order.append("first ends")
+
+    pair.subscriber.subscribe("test/first", Heartbeat, on_first)
+    pair.subscriber.subscribe("test/second", Heartbeat, lambda _message: order.append("second"))
+    pair.settle()
+    pair.publisher.publish("test/first", beat(1))
+    pair.until(lambda: "second" in order)
+    assert order == ["first begins", "first ends", "second"]
+
+
+def test_close_ends_everything_and_may_be_repeated(pair: Pair) -> None:
+    seen: list[Heartbeat] = []
+    pair.subscriber.subscribe("test/x", Heartbeat, seen.append)
+    pair.settle()
+    assert pair.subscriber.connected()
+    pair.subscriber.close()
+    pair.subscriber.close()
+    assert not pair.subscriber.connected()
+    pair.publisher.publish("test/x", beat(1))
+    pair.subscriber.publish("test/x", beat(1))
+    pair.subscriber.subscribe("test/x", Heartbeat, seen.append).close()
+    while pair.mailbox.deliver_one(0.05):  # what settling left behind
+        assert seen == []
+    assert seen == []
+
+
+# ---------------------------------------------------------------- the live bus alone
+@pytest.mark.parametrize("own", [False, True])
+def test_latest_keeps_the_newest_of_each_key(remote: tuple[ZenohBus, ZenohBus, Pair], own: bool) -> None:
+    publisher, subscriber, pair = remote
+    seen: list[tuple[str, int]] = []
+    subscriber.subscribe(
+        KEYS.heartbeat(), Heartbeat, lambda message: seen.append((message.node, message.sequence)), latest=True
+    )
+    inbox = subscriber._inboxes[0]
+    pair.settle()
+    sender = subscriber if own else publisher
+    for number in range(50):  # nobody delivers meanwhile: the node is busy
+        sender.publish(KEYS.heartbeat("a"), beat(number, "a"))
+        sender.publish(KEYS.heartbeat("b"), beat(number, "b"))
+    sender.publish(KEYS.heartbeat("end"), beat(0, "end"))
+    wait(lambda: KEYS.heartbeat("end") in inbox._waiting)
+    pair.mailbox.drain()
+    assert seen == [("a", 49), ("b", 49), ("end", 0)]
+    sender.publish(KEYS.heartbeat("a"), beat(50, "a"))
+    pair.until(lambda: seen[-1] == ("a", 50))
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        time.sleep(0.002)
+        assert time.monotonic() < end_s, "the condition never came"
+
+
+def test_bytes_that_are_no_message_are_counted_and_logged_once(
+    hub: str, remote: tuple[ZenohBus, ZenohBus, Pair], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, subscriber, pair = remote
+    seen: list[Heartbeat] = []
+    subscriber.subscribe("test/raw", Heartbeat, seen.append)
+    pair.settle()
+    other_version = encode(beat(1)).replace(b"Heartbeat/1", b"Heartbeat/2")
+    raw = zenoh.open(client_config(hub, multicast=False))
+    for payload in (b"", b"\xff\xfe", other_version, encode(StopRequest(id="s")), encode(beat(7))):
+        raw.put("test/raw", payload)
+    pair.until(lambda: bool(seen))
+    untyped(raw.close)
+    assert seen == [beat(7)]
+    assert subscriber.dropped == 4
+    assert capsys.readouterr().out.count("message dropped") == 1
+
+
+def test_the_bus_lives_without_a_hub() -> None:
+    mailbox = Mailbox()
+    bus = ZenohBus(mailbox, hub=free_endpoint())
+    seen: list[Heartbeat] = []
+    bus.subscribe("test/x", Heartbeat, seen.append)
+    bus.publish("test/x", beat(1))
+    mailbox.drain()
+    assert seen == [beat(1)]
+    assert bus.unsent == 1
+    assert not bus.connected()
+    with pytest.raises(Unreachable, match="no hub answers") as caught:
+        bus.wait_connected(0.05)
+    assert "fullswarm hub" in caught.value.hint
+    assert caught.value.where.startswith("tcp/127.0.0.1:")
+    bus.close()
+    with pytest.raises(Unreachable, match="closed"):
+        bus.wait_connected(0.05)
+
+
+def test_many_keys_do_not_grow_the_bus(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, _, pair = remote
+    seen: list[int] = []
+    total = CACHED_KEYS + 200
+    pair.subscriber.subscribe("test/reply/*", Heartbeat, lambda message: seen.append(message.sequence))
+    pair.settle()
+    for number in range(total):
+        publisher.publish(f"test/reply/{number}", beat(number))
+    pair.until(lambda: len(seen) == total)
+    assert len(publisher._publishers) <= CACHED_KEYS
+    assert len(publisher._routes) <= CACHED_KEYS
+
+
+def test_a_bad_key_or_expression_does_no_harm(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, subscriber, _ = remote
+    publisher.publish("test//x#", beat(1))
+    assert publisher.unsent == 1
+    with pytest.raises(ConfigError, match="not a key expression"):
+        subscriber.subscribe("test//x", Heartbeat, print)
+    with pytest.raises(ConfigError, match="not the address of a hub"):
+        ZenohBus(Mailbox(), hub="127.0.0.1:7447")
+
+
+def test_commands_and_stops_are_urgent() -> None:
+    urgent = [KEYS.command("r"), KEYS.control_requests("r", "b"), KEYS.centralised_request("b"), KEYS.stop,
+              KEYS.centralised_commands("b"), KEYS.estop, KEYS.estop_receipt("r"), KEYS.heartbeat("n")]  # fmt: skip
+    others = [KEYS.state("1_2", "h"), KEYS.health("command"), KEYS.ack("command"), KEYS.summary("stop"),
+              KEYS.behaviour_request, KEYS.behaviour_status, KEYS.measurement("command", "command")]  # fmt: skip
+    assert all(is_urgent(key) for key in urgent)
+    assert not any(is_urgent(key) for key in others)
+
+
+def test_a_command_goes_through(remote: tuple[ZenohBus, ZenohBus, Pair]) -> None:
+    publisher, _, pair = remote
+    seen: list[Command] = []
+    pair.subscriber.subscribe(KEYS.command("r1"), Command, seen.append)
+    pair.settle()
+    order = Command(robot="r1", request_id="q", linear_m_s=0.1, angular_rad_s=0.0, ttl_s=0.3, sequence=1, stamp_s=0.0)
+    publisher.publish(KEYS.command("r1"), order)
+    pair.until(lambda: seen == [order])
+
+
+# ---------------------------------------------------------------- the hub
+def test_a_port_in_use_is_explained(hub: str) -> None:
+    with pytest.raises(ConfigError, match="another program listens") as caught:
+        Hub(hub).open()
+    assert caught.value.where == hub
+    assert caught.value.hint
+
+
+def test_the_hub_opens_once_closes_twice_and_tells_its_clients() -> None:
+    hub = Hub(free_endpoint())
+    hub.open()
+    hub.open()
+    bus = ZenohBus(Mailbox(), hub=hub.endpoint)
+    bus.wait_connected(DEADLINE_S)
+    hub.close()
+    hub.close()
+    wait(lambda: not bus.connected())
+    hub.open()
+    bus.wait_connected(DEADLINE_S)
+    bus.close()
+    hub.close()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "localhost", "[::1]", "[::ffff:127.0.0.1]"])
+def test_loopback_is_open_to_all(host: str) -> None:
+    check_endpoint(f"tcp/{host}:7447", insecure_network=False)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.1.5", "robot7.local", "[::ffff:10.0.0.1]", "127.1"])
+def test_the_network_needs_a_deliberate_word(host: str) -> None:
+    endpoint = f"tcp/{host}:7447"
+    with pytest.raises(ConfigError, match="anybody on that network could drive the robots") as caught:
+        Hub(endpoint)
+    assert "--insecure-network" in caught.value.hint
+    Hub(endpoint, insecure_network=True)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:0", "tcp/127.0.0.1:70000", "tcp/a b:1",
+             "udp/127.0.0.1:7447", "tcp/127.0.0.1:7447,tcp/0.0.0.0:7447", "tcp/127.0.0.1:7447\n"]
+)  # fmt: skip
+def test_what_is_not_an_address_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="not the address of a hub"):
+        check_endpoint(text, insecure_network=True)
+
+
+def test_one_default_hub() -> None:
+    assert DEFAULT_HUB == config.DEFAULT_HUB
+
+
+def test_the_package_does_not_load_zenoh() -> None:
+    script = "import sys, fullswarm.bus; sys.exit('zenoh' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
