@@ -1,0 +1,217 @@
+"""The HAL contract: what the agent may ask of any robot. SI units, ENU, body x forward, CCW positive.
+
+Lifecycle::
+
+    CLOSED --open()--> OPEN --the robot answers--> READY --activate()--> ACTIVE
+       ^                 ^                           ^------deactivate()-----'
+       '---close()-------+------- FAULT <---- link lost, robot fault (any state)
+                         '-- the driver itself reconnects: FAULT -> OPEN -> READY, never to ACTIVE
+
+A driver never blocks in `read`, `command` or `state` for longer than a millisecond: whatever waits lives on the
+driver's own link thread. Outside packages add drivers through the entry point group ``fullswarm.drivers``.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NO_OBSTACLES: Array = np.zeros((0, 6))
+
+
+class Lifecycle(enum.StrEnum):
+    """Where a driver stands; the same five states for every make."""
+
+    CLOSED = "CLOSED"
+    OPEN = "OPEN"
+    READY = "READY"
+    ACTIVE = "ACTIVE"
+    FAULT = "FAULT"
+
+
+class Hazard(enum.IntFlag):
+    """What a robot's own sensors say is wrong right now."""
+
+    NONE = 0
+    BUMP = 1
+    CLIFF = 2
+    WHEEL_DROP = 4
+    OVERCURRENT = 8
+    BATTERY_LOW = 16
+    ESTOP_BUTTON = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """Body velocity: m/s along x, rad/s counter-clockwise."""
+
+    linear_m_s: float = 0.0
+    angular_rad_s: float = 0.0
+
+
+STAND = Twist()
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Position in metres and heading in [-π, π]; ENU world frame, or odometry frame where said so."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the wheels can do; a driver clips to them and says so in what it returns."""
+
+    speed_m_s: float
+    turn_rad_s: float
+    accel_m_s2: float
+    turn_accel_rad_s2: float
+    can_reverse: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What is known of a robot before connecting."""
+
+    make: str
+    model: str
+    radius_m: float  # of the disc that holds the footprint
+    limits: Limits
+    senses_pose: bool = False  # world pose, not just odometry
+    senses_obstacles: bool = False
+    senses_bumps: bool = False
+    watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The newest that a robot has told. Unknown values are None, not zero."""
+
+    stamp_s: float  # arrival, on this machine's monotonic clock
+    odometry: Pose  # since open(), from wheels or gyro; starts at (0, 0, 0)
+    twist: Twist  # measured
+    pose: Pose | None = None  # world frame, only if `senses_pose`
+    hazards: Hazard = Hazard.NONE
+    contacts: int = 0  # bodies touched now
+    battery: float | None = None  # 0 to 1
+    obstacles: Array = field(default_factory=lambda: NO_OBSTACLES)
+    """Sensed static obstacles, shape (k, 6): centre x, y (m), half sizes x, y (m), yaw (rad), corner radius (m).
+
+    A disc is half sizes 0 with its radius as corner radius; a wall is a long box."""
+
+
+class Driver(Protocol):
+    """One robot. Constructed from a URL without touching the device; nothing moves before `activate`."""
+
+    url: str
+    description: Description
+
+    @property
+    def state(self) -> Lifecycle:
+        """Where the driver stands."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """Why it is in FAULT and what to do; empty otherwise."""
+        ...
+
+    @property
+    def firmware(self) -> str:
+        """What the device says it runs; empty until known."""
+        ...
+
+    def open(self) -> None:
+        """Claim the port and start talking; returns before the robot is READY.
+
+        Raises
+        ------
+        DriverError
+            The port cannot be had; says who holds it or what to do.
+        """
+        ...
+
+    def activate(self) -> None:
+        """READY → ACTIVE (arm, Safe mode, closed loop); ignored in any other state."""
+        ...
+
+    def deactivate(self) -> None:
+        """ACTIVE → READY with wheels at zero."""
+        ...
+
+    def read(self) -> Reading | None:
+        """Return the newest reading; None before the first."""
+        ...
+
+    def command(self, twist: Twist) -> Twist:
+        """Send a set-point; return what was really applied after limits and quantisation.
+
+        Anything but ACTIVE applies zero. A non-finite value raises ``ValueError`` and stops the robot.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop the wheels, put the device into its safe state and let go of the port. Closing twice is fine."""
+        ...
+
+
+@dataclass(slots=True)
+class FleetReading:
+    """Readings of the n robots of one host as columns: n is 1 on board, the whole swarm in lockstep."""
+
+    stamp_s: Array  # (n,), -inf before the first reading
+    pose: Array  # (n, 3) world x, y, heading; NaN where not sensed
+    odometry: Array  # (n, 3)
+    twist: Array  # (n, 2) m/s, rad/s
+    hazards: NDArray[np.uint8]  # (n,) Hazard bits
+    contacts: NDArray[np.int64]  # (n,)
+    battery: Array  # (n,) 0 to 1, -1 unknown
+    obstacles: Array  # (k, 6) as in Reading; of all robots together
+
+
+class Fleet(Protocol):
+    """The drivers of one host, seen as arrays. `OneRobot` wraps a Driver; the simulator's fleet is native."""
+
+    ids: tuple[str, ...]
+    urls: tuple[str, ...]
+    descriptions: tuple[Description, ...]
+
+    def open(self) -> None:
+        """Open all drivers."""
+        ...
+
+    def read(self) -> FleetReading:
+        """Return the newest readings; the arrays may be reused by the next call."""
+        ...
+
+    def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
+        """Send set-points (n, 2) to the robots in `active` (n,), zero to the others; return what was applied.
+
+        Activates and deactivates drivers as `active` changes.
+        """
+        ...
+
+    def lifecycle(self, row: int) -> Lifecycle:
+        """Return the state of robot `row`."""
+        ...
+
+    def fault(self, row: int) -> str:
+        """Return why robot `row` is in FAULT; empty otherwise."""
+        ...
+
+    def firmware(self, row: int) -> str:
+        """Return the firmware of robot `row`."""
+        ...
+
+    def close(self) -> None:
+        """Close all drivers, wheels at zero."""
+        ...

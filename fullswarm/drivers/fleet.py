@@ -1,0 +1,83 @@
+"""One driver seen as a fleet of one, so that the agent has a single code path over arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.drivers.base import NO_OBSTACLES, Array, Description, Driver, FleetReading, Lifecycle, Pose, Twist
+
+
+class OneRobot:
+    """A :class:`~fullswarm.drivers.base.Fleet` of a single :class:`~fullswarm.drivers.base.Driver`."""
+
+    def __init__(self, robot: str, driver: Driver) -> None:
+        self.ids: tuple[str, ...] = (robot,)
+        self.urls: tuple[str, ...] = (driver.url,)
+        self.descriptions: tuple[Description, ...] = (driver.description,)
+        self._driver = driver
+        self._reading = FleetReading(
+            stamp_s=np.full(1, -math.inf),
+            pose=np.full((1, 3), math.nan),
+            odometry=np.zeros((1, 3)),
+            twist=np.zeros((1, 2)),
+            hazards=np.zeros(1, np.uint8),
+            contacts=np.zeros(1, np.int64),
+            battery=np.full(1, -1.0),
+            obstacles=NO_OBSTACLES,
+        )
+
+    def open(self) -> None:
+        """Open the driver."""
+        self._driver.open()
+
+    def read(self) -> FleetReading:
+        """Return the newest reading as arrays of one row."""
+        new, rows = self._driver.read(), self._reading
+        if new is None:
+            return rows
+        rows.stamp_s[0] = new.stamp_s
+        rows.pose[0] = _row(new.pose) if new.pose else math.nan
+        rows.odometry[0] = _row(new.odometry)
+        rows.twist[0] = new.twist.linear_m_s, new.twist.angular_rad_s
+        rows.hazards[0] = int(new.hazards)
+        rows.contacts[0] = new.contacts
+        rows.battery[0] = -1.0 if new.battery is None else new.battery
+        rows.obstacles = new.obstacles
+        return rows
+
+    def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
+        """Command the driver, activating or deactivating it first where `active` asks for it."""
+        driver = self._driver
+        if active[0] and driver.state is Lifecycle.READY:
+            driver.activate()
+        elif not active[0] and driver.state is Lifecycle.ACTIVE:
+            driver.deactivate()
+        wished = Twist(float(twists[0, 0]), float(twists[0, 1])) if active[0] else Twist()
+        applied = driver.command(wished)
+        return np.array([[applied.linear_m_s, applied.angular_rad_s]])
+
+    def lifecycle(self, row: int) -> Lifecycle:
+        """Return the driver's state."""
+        del row
+        return self._driver.state
+
+    def fault(self, row: int) -> str:
+        """Return the driver's fault."""
+        del row
+        return self._driver.fault
+
+    def firmware(self, row: int) -> str:
+        """Return the device's firmware."""
+        del row
+        return self._driver.firmware
+
+    def close(self) -> None:
+        """Close the driver."""
+        self._driver.close()
+
+
+def _row(pose: Pose) -> tuple[float, float, float]:
+    return pose.x_m, pose.y_m, pose.heading_rad

@@ -1,0 +1,100 @@
+"""What a physics engine must do for the world, and the choice of one by name."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.config import WorldConfig
+from fullswarm.drivers.base import Array
+from fullswarm.errors import ConfigError, MissingExtra
+
+WALL_HALF_M = 0.5
+"""Half thickness of an arena wall; its inner face lies on the bound."""
+
+TOUCH_M = 1e-4
+"""Gap below which two PyBullet bodies count as touching: solid bodies rest 0.01 mm inside each other."""
+
+
+class Engine(Protocol):
+    """Physics of n bodies, advanced by whole world steps. Bodies are solid: none may pass through another."""
+
+    pose: Array  # (n, 3) x, y (m), heading in [-pi, pi]; the same array at all times
+    twist: Array  # (n, 2) m/s along the heading, rad/s, measured over the last step
+    contacts: NDArray[np.int64]  # (n,) bodies, boxes and walls touched during the last step
+    pairs: NDArray[np.int64]  # (m, 2) touching rows; the second is -1-k for obstacle k
+    firmware: str  # name and version of what computes the physics
+
+    def step(self, twists: Array) -> None:
+        """Advance by one world step of ``1 / rate_hz`` seconds with the set-points `twists` (n, 2)."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the physics. Closing twice is fine."""
+        ...
+
+
+def static_obstacles(config: WorldConfig) -> Array:
+    """Return boxes, then the four walls, as rows of ``Reading.obstacles``, shape (k, 6)."""
+    rows = [(x, y, size_x / 2, size_y / 2, yaw, 0.0) for x, y, size_x, size_y, yaw in config.boxes]
+    if config.walls:
+        x_min, y_min, x_max, y_max = config.bounds_m
+        middle_x, middle_y = (x_min + x_max) / 2, (y_min + y_max) / 2
+        half_x, half_y = (x_max - x_min) / 2, (y_max - y_min) / 2 + 2 * WALL_HALF_M
+        rows += [
+            (x_min - WALL_HALF_M, middle_y, WALL_HALF_M, half_y, 0.0, 0.0),
+            (x_max + WALL_HALF_M, middle_y, WALL_HALF_M, half_y, 0.0, 0.0),
+            (middle_x, y_min - WALL_HALF_M, half_x, WALL_HALF_M, 0.0, 0.0),
+            (middle_x, y_max + WALL_HALF_M, half_x, WALL_HALF_M, 0.0, 0.0),
+        ]
+    return np.array(rows, dtype=float).reshape(-1, 6)
+
+
+def check_config(config: WorldConfig) -> None:
+    """Refuse a world without room: raise `ConfigError` for empty bounds or a box without area."""
+    x_min, y_min, x_max, y_max = config.bounds_m
+    if x_max - x_min <= 2 * config.radius_m or y_max - y_min <= 2 * config.radius_m:
+        raise ConfigError(
+            f"bounds {config.bounds_m} leave no room for a robot of {config.radius_m} m radius",
+            where="world.bounds_m",
+            hint="give x_min, y_min, x_max, y_max in metres",
+        )
+    for index, box in enumerate(config.boxes):
+        if box[2] <= 0 or box[3] <= 0 or not all(map(math.isfinite, box)):
+            raise ConfigError(
+                f"box {index} measures {box[2]} x {box[3]} m", where="world.boxes", hint="sizes must be positive"
+            )
+
+
+def make_engine(config: WorldConfig, starts: Array) -> Engine:
+    """Return the engine that `config` names, its bodies at `starts` (n, 3).
+
+    Raises
+    ------
+    MissingExtra
+        PyBullet is wanted and not installed.
+    """
+    check_config(config)
+    if config.engine == "kinematic":
+        from fullswarm.drivers.sim.kinematic import KinematicEngine
+
+        return KinematicEngine(config, starts)
+    try:
+        if config.engine == "pybullet":
+            from fullswarm.drivers.sim.pybullet_engine import PyBulletEngine
+
+            return PyBulletEngine(config, starts)
+        from fullswarm.drivers.sim.pybullet_wheels import WheelsEngine
+
+        return WheelsEngine(config, starts)
+    except ModuleNotFoundError as error:
+        if error.name != "pybullet":
+            raise
+        raise MissingExtra(
+            f"the engine '{config.engine}' needs PyBullet, which is not installed",
+            where="world.engine",
+            hint="pip install 'fullswarm[sim]', or choose engine = \"kinematic\"",
+        ) from error

@@ -1,0 +1,97 @@
+"""The whole simulated swarm as one fleet, in the process of the world: lockstep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.drivers.base import Array, FleetReading, Lifecycle
+from fullswarm.drivers.sim.world import World
+from fullswarm.drivers.sim.world_kernels import admit, sense
+
+
+class SimFleet:
+    """A :class:`~fullswarm.drivers.base.Fleet` over a world's arrays. Whoever made the world steps and closes it.
+
+    Parameters
+    ----------
+    world
+        Its bodies are the fleet, in its order.
+    now_s
+        Stamps the readings: the scheduler's clock, so that ages are right.
+    sensing_radius_m
+        How far a robot sees obstacles.
+    """
+
+    def __init__(self, world: World, now_s: Callable[[], float], sensing_radius_m: float = 3.0) -> None:
+        n = len(world.ids)
+        self.ids = world.ids
+        self.urls = tuple(f"sim://{robot}" for robot in world.ids)
+        self.descriptions = (world.description,) * n
+        self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
+        self._open = False
+        self._active = np.zeros(n, np.bool_)
+        self._applied = np.zeros((n, 2))
+        self._seen = np.zeros(len(world.obstacles), np.bool_)
+        self._reading = FleetReading(
+            stamp_s=np.full(n, -np.inf),
+            pose=world.sensed_pose,
+            odometry=world.odometry,
+            twist=world.twist,
+            hazards=world.hazards,
+            contacts=world.contacts,
+            battery=np.full(n, -1.0),
+            obstacles=world.obstacles[self._seen],
+        )
+
+    def open(self) -> None:
+        """Make all robots READY."""
+        self._open = True
+
+    def read(self) -> FleetReading:
+        """Return the state after the last world step; the arrays are the world's own."""
+        reading, world = self._reading, self._world
+        if self._open:
+            reading.stamp_s.fill(self._now_s())
+            if sense(world.pose, world.shapes, self._sensing_radius_m, self._seen):
+                reading.obstacles = world.obstacles[self._seen]
+        return reading
+
+    def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
+        """Set set-points; return what was applied, (n, 2), in an array that the next call reuses.
+
+        A non-finite value raises ``ValueError``; that robot stops, the others obey.
+        """
+        if not self._open:
+            self._applied.fill(0.0)
+            return self._applied
+        self._active[:] = active
+        world = self._world
+        bad = admit(twists, self._active, world.limits, world.target, world.commanded_s, self._applied, world.time_s)
+        if bad >= 0:
+            raise ValueError(f"{self.ids[bad]}: a twist must be finite, not {twists[bad].tolist()}")
+        return self._applied
+
+    def lifecycle(self, row: int) -> Lifecycle:
+        """Return the state of robot `row`: a simulated robot in its own process has no faults."""
+        if not self._open:
+            return Lifecycle.CLOSED
+        return Lifecycle.ACTIVE if self._active[row] else Lifecycle.READY
+
+    def fault(self, row: int) -> str:
+        """Return the empty text."""
+        del row
+        return ""
+
+    def firmware(self, row: int) -> str:
+        """Return the engine and its version."""
+        del row
+        return self._world.firmware
+
+    def close(self) -> None:
+        """Stop all bodies; the world stays open."""
+        self._world.target.fill(0.0)
+        self._active.fill(False)
+        self._open = False

@@ -1,0 +1,125 @@
+"""The wire between a simulated robot's driver and its world: small UDP datagrams, bytes only.
+
+::
+
+    driver                          world
+      Hello (5 Hz, also keep-alive)  ->
+                                    <-  Welcome | Refusal
+      Drive (one per command)        ->
+                                    <-  BodyReading (one per world step)
+      Bye                            ->
+
+Each datagram is one MessagePack struct with its name and version; an unknown version or field is refused.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from fullswarm.drivers.base import Array
+from fullswarm.errors import ConfigError, MessageError
+
+MAX_BYTES = 65507  # of a UDP datagram's payload
+HELLO_PERIOD_S = 0.2
+ALIVE_S = 1.0  # a driver that was silent for longer has gone
+
+Triple = tuple[float, float, float]
+
+
+class Datagram(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag=lambda name: f"sim.{name}/1",
+):
+    """Base of all datagrams. `session` names one opened driver, so that a second one is told apart."""
+
+    robot: str
+    session: str
+
+
+class Hello(Datagram, frozen=True, kw_only=True):
+    """A driver wants this robot, or still has it."""
+
+    sensing_m: float
+
+
+class Welcome(Datagram, frozen=True, kw_only=True):
+    """The driver has the robot; `world` names one run of a world."""
+
+    world: str
+    firmware: str
+    limits: tuple[float, float, float, float]  # m/s, rad/s, m/s², rad/s²
+
+
+class Refusal(Datagram, frozen=True, kw_only=True):
+    """The driver cannot have the robot."""
+
+    reason: str
+    hint: str
+
+
+class Drive(Datagram, frozen=True, kw_only=True):
+    """A set-point; `sequence` grows, an older one is ignored."""
+
+    sequence: int
+    linear_m_s: float
+    angular_rad_s: float
+    active: bool
+
+
+class BodyReading(Datagram, frozen=True, kw_only=True):
+    """What a body senses after a world step; obstacles are rows of six little-endian doubles."""
+
+    time_s: float
+    pose: Triple
+    odometry: Triple
+    twist: tuple[float, float]
+    contacts: int
+    hazards: int
+    obstacles: bytes
+
+
+class Bye(Datagram, frozen=True, kw_only=True):
+    """The driver lets go of the robot."""
+
+
+_encoder = msgspec.msgpack.Encoder()
+AnyDatagram = Hello | Welcome | Refusal | Drive | BodyReading | Bye
+_decoder: msgspec.msgpack.Decoder[AnyDatagram] = msgspec.msgpack.Decoder(AnyDatagram)
+
+
+def encode(datagram: Datagram) -> bytes:
+    """Return the bytes of a datagram."""
+    return _encoder.encode(datagram)
+
+
+def decode(data: bytes) -> AnyDatagram:
+    """Return the datagram that `data` holds; `MessageError` if it is none of this version."""
+    try:
+        return _decoder.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError(str(error), where="simulator link") from error
+
+
+def pack_obstacles(obstacles: Array) -> bytes:
+    """Return rows (k, 6) as bytes."""
+    return obstacles.astype("<f8", copy=False).tobytes()
+
+
+def unpack_obstacles(data: bytes) -> Array:
+    """Return the rows (k, 6) that `data` holds; `MessageError` if it is not whole rows."""
+    if len(data) % 48:
+        raise MessageError(f"{len(data)} bytes are not rows of six doubles", where="simulator link")
+    return np.frombuffer(data, dtype="<f8").reshape(-1, 6)
+
+
+def parse_address(text: str, where: str) -> tuple[str, int]:
+    """Return host and port of ``host:port`` (IPv4 or a name); `ConfigError` otherwise."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or ":" in host or not port.isascii() or not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"'{text}' is not an address", where=where, hint="write host:port, e.g. 127.0.0.1:7450")
+    return host, int(port)
