@@ -1,0 +1,152 @@
+"""python-can behind three calls, its exceptions turned into ours. One thread at a time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fullswarm.drivers.can.protocol import MAX_DATA, Frame
+from fullswarm.drivers.can.settings import Settings
+from fullswarm.errors import DriverError, LinkLost, MissingExtra
+
+if TYPE_CHECKING:
+    import can
+
+SEND_TIMEOUT_S = 0.01
+FAILURES = 3
+"""So many errors in a row mean that the bus is gone; a single one is a stray datagram or a full buffer."""
+BUS_OFF = 0x40
+"""Class bit of an error frame (linux/can/error.h): the adapter has switched itself off."""
+
+
+def _python_can() -> Any:
+    try:
+        import can
+    except ImportError as error:
+        raise MissingExtra(
+            "a CAN base needs python-can", hint="install the extra: pip install 'fullswarm[can]'"
+        ) from error
+    return can
+
+
+class CanPort:
+    """An open bus.
+
+    Raises
+    ------
+    MissingExtra
+        python-can, or what it needs for this interface, is not installed.
+    DriverError
+        The interface cannot be had; says what to do.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        library = _python_can()
+        self._where = f"{settings.bus.interface} {settings.channel}"
+        self._failures = 0
+        self.dropped = 0  # frames that could not be sent or understood
+        # python-can's backends let these slip through when a line of an adapter makes no sense.
+        self._errors = (library.CanError, OSError, ValueError, LookupError, TypeError)
+        self._message = library.Message
+        self._lost_state = library.BusState.ERROR
+        try:
+            self._bus: can.BusABC = library.Bus(
+                channel=settings.channel,
+                interface=settings.bus.interface,
+                ignore_config=True,
+                **_interface_options(settings),
+            )
+        except library.CanInterfaceNotImplementedError as error:
+            raise MissingExtra(str(error), where=self._where, hint="pip install 'fullswarm[can]'") from error
+        except (library.CanError, OSError, ValueError) as error:
+            raise DriverError(
+                f"cannot open the bus: {error}", where=self._where, hint=_HINTS[settings.bus.interface]
+            ) from error
+
+    def send(self, frame: Frame) -> None:
+        """Send `frame`, waiting at most 10 ms.
+
+        Raises
+        ------
+        LinkLost
+            The third error in a row.
+        """
+        message = self._message(
+            arbitration_id=frame.id,
+            is_extended_id=frame.extended,
+            is_remote_frame=frame.remote,
+            data=None if frame.remote else frame.data,
+            dlc=MAX_DATA if frame.remote else len(frame.data),
+        )
+        try:
+            self._bus.send(message, timeout=SEND_TIMEOUT_S)
+        except self._errors as error:
+            self._failed(f"cannot send: {error}", error)
+        else:
+            self._failures = 0
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """Return the next frame, None when none came in time.
+
+        Raises
+        ------
+        LinkLost
+            The adapter went bus-off, or the third error in a row.
+        """
+        try:
+            message = self._bus.recv(timeout=max(0.0, timeout_s))
+        except self._errors as error:
+            self._failed(f"cannot receive: {error}", error)
+            return None
+        if message is None:
+            return None
+        if message.is_error_frame:
+            self._on_error_frame(message.arbitration_id)
+            return None
+        self._failures = 0
+        if message.is_fd:
+            return None
+        return Frame(message.arbitration_id, message.is_extended_id, bytes(message.data), message.is_remote_frame)
+
+    def _on_error_frame(self, error_class: int) -> None:
+        self.dropped += 1
+        if error_class & BUS_OFF or self._bus.state is self._lost_state:
+            raise LinkLost(
+                "the CAN adapter went bus-off",
+                where=self._where,
+                hint="check bitrate, wiring and the two 120 ohm terminators",
+            )
+
+    def _failed(self, what: str, error: Exception) -> None:
+        self._failures += 1
+        self.dropped += 1
+        if self._failures >= FAILURES:
+            hint = "is the adapter plugged in, are the controllers powered?"
+            raise LinkLost(what, where=self._where, hint=hint) from error
+
+    def close(self) -> None:
+        """Let go of the bus; an adapter that is already gone is no error."""
+        try:
+            self._bus.shutdown()
+        except self._errors:
+            self.dropped += 1
+            # slcan first says goodbye to the adapter; when that fails it leaves the serial port open.
+            serial_port = getattr(self._bus, "serialPortOrig", None)
+            if serial_port is not None:
+                serial_port.close()
+
+
+_HINTS = {
+    "socketcan": "bring the interface up: ip link set can0 up type can bitrate 250000",
+    "slcan": "check the device name, and that you may open it (group dialout)",
+    "virtual": "the name of a virtual channel is any word",
+    "udp_multicast": "the channel is a multicast group such as 239.74.163.2",
+}
+
+
+def _interface_options(settings: Settings) -> dict[str, Any]:
+    bus = settings.bus
+    options: dict[str, dict[str, Any]] = {
+        "slcan": {"bitrate": bus.bitrate, "sleep_after_open": bus.settle},
+        "udp_multicast": {"port": bus.port, "hop_limit": bus.hop_limit},
+    }
+    return options.get(bus.interface, {})

@@ -1,0 +1,185 @@
+"""The URL of a CAN base, checked: ``can+odrive://vcan0?left=1&right=2&wheel_radius=0.05&base=0.3``.
+
+The part after ``://`` is python-can's channel: ``vcan0``, ``/dev/ttyACM0``, a multicast group, any word.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+from urllib.parse import parse_qsl, urlsplit
+
+from pydantic import Field, PositiveFloat, ValidationError
+
+from fullswarm.config import Section
+from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.can import odrive, vesc
+from fullswarm.drivers.can.odrive import OdriveCodec
+from fullswarm.drivers.can.protocol import Wheel, WheelCodec
+from fullswarm.drivers.can.vesc import VescCodec
+from fullswarm.errors import ConfigError, did_you_mean
+
+Sign = Literal["1", "-1"]
+
+
+class BusOptions(Section):
+    """How python-can reaches the bus.
+
+    ``udp_multicast`` is for emulators: python-can listens on all addresses, so whoever shares the network could
+    talk on such a bus. Its frames do not leave the machine unless `hop_limit` says so.
+    """
+
+    interface: Literal["socketcan", "slcan", "virtual", "udp_multicast"] = "socketcan"
+    bitrate: int | None = Field(None, gt=0)  # slcan only; None: the maker's default
+    settle: float = Field(0.1, ge=0.0, le=5.0)  # slcan only: seconds that the adapter needs after opening
+    port: int = Field(43113, gt=0, le=65535)  # udp_multicast only
+    hop_limit: int = Field(0, ge=0, le=255)  # udp_multicast only; 0: frames do not leave this machine
+
+
+class BaseOptions(Section):
+    """The body; lengths in m, speeds in m/s."""
+
+    left: int = Field(ge=0)  # node of the left wheel
+    right: int = Field(ge=0)
+    wheel_radius: PositiveFloat
+    base: PositiveFloat  # distance between the wheels
+    gear: PositiveFloat = 1.0  # motor turns per wheel turn
+    left_sign: Sign = "1"
+    right_sign: Sign = "1"
+    speed: PositiveFloat = 0.5  # of a wheel, at most
+    accel: PositiveFloat = 1.0
+    radius: PositiveFloat | None = None  # of the footprint; None: wheels at the rim
+
+    def wheel(self, side: int, pole_pairs: int = 1) -> Wheel:
+        """Return the wheel of a side (0 left, 1 right)."""
+        sign = int((self.left_sign, self.right_sign)[side])
+        return Wheel(self.wheel_radius, self.gear, pole_pairs, sign)
+
+
+class OdriveOptions(Section):
+    """What only an ODrive has."""
+
+    firmware: Literal["0.5", "0.6"] = "0.6"
+    vel_limit: PositiveFloat = 2.0  # turn/s, as configured in the axis
+    input_mode: Literal["1", "2"] = "1"  # passthrough or velocity ramp
+    watchdog: PositiveFloat | None = None  # s, as configured in the axis; None: off
+
+    def codec(self, base: BaseOptions, side: int) -> OdriveCodec:
+        """Return the codec of a side."""
+        node = (base.left, base.right)[side]
+        return OdriveCodec(node, base.wheel(side), self.firmware, self.vel_limit, int(self.input_mode))
+
+
+class VescOptions(Section):
+    """What only a VESC has."""
+
+    pole_pairs: int = Field(ge=1, le=100)
+    min_erpm: float = Field(900.0, ge=0.0)
+    brake: float = Field(5.0, ge=0.0, le=100.0)  # A
+    host: int = Field(253, ge=0, le=vesc.MAX_NODE)  # our own address
+
+    def codec(self, base: BaseOptions, side: int) -> VescCodec:
+        """Return the codec of a side."""
+        node = (base.left, base.right)[side]
+        return VescCodec(node, base.wheel(side, self.pole_pairs), self.host, self.min_erpm, self.brake)
+
+
+Make = Literal["odrive", "vesc"]
+_MAKERS: dict[str, tuple[Make, type[OdriveOptions] | type[VescOptions], int, int]] = {
+    # scheme: make, options, greatest node, bitrate
+    "can+odrive": ("odrive", OdriveOptions, odrive.MAX_NODE, 250_000),
+    "can+vesc": ("vesc", VescOptions, vesc.MAX_NODE, 500_000),
+}
+
+
+class Settings(Section):
+    """Everything that a URL says."""
+
+    url: str
+    make: Make
+    channel: str
+    bus: BusOptions
+    base: BaseOptions
+    drive: OdriveOptions | VescOptions
+
+    def codecs(self) -> tuple[WheelCodec, WheelCodec]:
+        """Return the codecs of the left and the right wheel."""
+        return self.drive.codec(self.base, 0), self.drive.codec(self.base, 1)
+
+    @property
+    def wheel_limit_m_s(self) -> float:
+        """Return how fast a wheel may turn: as wished, or less if the controller allows less."""
+        return min(self.base.speed, self.codecs()[0].max_speed_m_s)
+
+    def description(self) -> Description:
+        """Return what is known before connecting."""
+        base, speed_m_s = self.base, self.wheel_limit_m_s
+        limits = Limits(speed_m_s, 2.0 * speed_m_s / base.base, base.accel, 2.0 * base.accel / base.base)
+        is_odrive = isinstance(self.drive, OdriveOptions)
+        return Description(
+            make="ODrive" if is_odrive else "VESC",
+            model="differential base",
+            radius_m=base.radius or math.hypot(base.base / 2.0, base.wheel_radius),
+            limits=limits,
+            watchdog_s=self.drive.watchdog if isinstance(self.drive, OdriveOptions) else vesc.FIRMWARE_TIMEOUT_S,
+        )
+
+
+def parse(url: str) -> Settings:
+    """Return what `url` says.
+
+    Raises
+    ------
+    ConfigError
+        All that is wrong at once: unknown, missing, repeated and impossible options.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in _MAKERS:
+        raise ConfigError(f"'{parts.scheme}' is not a CAN base", where=url, hint=did_you_mean(parts.scheme, _MAKERS))
+    make, drive_options, greatest_node, bitrate = _MAKERS[parts.scheme]
+    pairs = parse_qsl(parts.query, keep_blank_values=True)
+    query = dict(pairs)
+    problems = [f"'{key}' is given twice" for key in query if sum(key == other for other, _ in pairs) > 1]
+    sections: tuple[type[Section], ...] = (BusOptions, BaseOptions, drive_options)
+    known = {name for section in sections for name in section.model_fields}
+    problems += [f"no option '{key}', {did_you_mean(key, known)}" for key in query if key not in known]
+    if not (channel := parts.netloc + parts.path):
+        problems.append(f"the channel is missing: {parts.scheme}://vcan0?… or {parts.scheme}:///dev/ttyACM0?…")
+    found: list[Any] = [_section(each, query, problems) for each in sections]
+    if not problems:
+        bus, base, drive = found
+        problems += _impossible(base, drive, greatest_node)
+    if problems:
+        raise ConfigError("; ".join(problems), where=url, hint="needed: left, right, wheel_radius, base")
+    if bus.bitrate is None:
+        bus = bus.model_copy(update={"bitrate": bitrate})
+    return Settings(url=url, make=make, channel=channel, bus=bus, base=base, drive=drive)
+
+
+def _section(section: type[Section], query: dict[str, str], problems: list[str]) -> Section | None:
+    """Return the options of `section`; what is wrong with them is added to `problems`."""
+    try:
+        return section.model_validate({key: text for key, text in query.items() if key in section.model_fields})
+    except ValidationError as error:
+        problems += [f"{each['loc'][0]}: {each['msg'].lower()}" for each in error.errors()]
+        return None
+
+
+def _impossible(base: BaseOptions, drive: OdriveOptions | VescOptions, greatest_node: int) -> list[str]:
+    """Return what is wrong with options that are each right by themselves."""
+    problems = []
+    if base.left == base.right:
+        problems.append(f"left and right are the same node {base.left}")
+    if max(base.left, base.right) > greatest_node:
+        problems.append(f"nodes go up to {greatest_node}")
+    if isinstance(drive, VescOptions):
+        if drive.host in (base.left, base.right):
+            problems.append(f"host {drive.host} is our own address, not a wheel's")
+        slowest = drive.codec(base, 0)
+        if slowest.quantised(base.speed) == 0.0:
+            erpm = abs(slowest.wheel.erpm(base.speed))
+            problems.append(
+                f"speed {base.speed} m/s is {erpm:.0f} ERPM, below the {drive.min_erpm:.0f} at which a VESC lets go; "
+                "lower s_pid_min_erpm in the VESC and min_erpm here, or check gear and pole_pairs"
+            )
+    return problems

@@ -1,0 +1,106 @@
+"""Dead reckoning of a Create: from encoder counts, or from distance and angle where there are no encoders."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from fullswarm.drivers.base import STAND, Pose, Twist
+from fullswarm.drivers.create_oi.protocol import TOP_MM_S, Generation, Sensors, encoder_delta
+from fullswarm.geometry import wrap
+
+WINDOW_S = 0.1
+"""Over which the speed is taken: one count per frame would be a step of 30 mm/s."""
+
+TOP_M_S = 1.25 * TOP_MM_S / 1000.0
+"""Faster than this no wheel turns, not even downhill."""
+
+FIRST_M, SAVED_M = 0.03, 0.1
+"""Travel granted beyond `TOP_M_S` times the time between two frames: frames may arrive in bursts."""
+
+
+class Odometry:
+    """Sums up the wheels' travel since open(); starts at (0, 0, 0)."""
+
+    def __init__(self, generation: Generation) -> None:
+        self._base_m = generation.wheel_base_m
+        self._m_per_count = generation.m_per_count
+        self._x_m = self._y_m = 0.0
+        self._way_m = self._turned_rad = 0.0
+        self._track: deque[tuple[float, float, float]] = deque()  # stamp, way, turned
+        self._counts: tuple[int, int] | None = None
+        self._stamp_s: float | None = None
+        self._granted_m = FIRST_M
+        self.jumps = 0  # impossible ones, left out
+
+    @property
+    def pose(self) -> Pose:
+        """Where the robot is in the odometry frame."""
+        return Pose(self._x_m, self._y_m, wrap(self._turned_rad))
+
+    @property
+    def twist(self) -> Twist:
+        """How fast it went over the last `WINDOW_S`."""
+        if len(self._track) < 2:
+            return STAND
+        (old_s, old_way, old_turned), (new_s, way, turned) = self._track[0], self._track[-1]
+        if new_s - old_s < 0.5 * WINDOW_S:
+            return STAND
+        return Twist((way - old_way) / (new_s - old_s), (turned - old_turned) / (new_s - old_s))
+
+    def rebase(self) -> None:
+        """Go on from here: what the robot counted meanwhile does not move the pose."""
+        self._counts = self._stamp_s = None
+        self._granted_m = FIRST_M
+        self._track.clear()
+
+    def update(self, sensors: Sensors, now_s: float) -> None:
+        """Take one frame in. An impossible jump re-bases instead of moving the pose."""
+        first = self._stamp_s is None
+        elapsed_s = 0.0 if self._stamp_s is None else now_s - self._stamp_s
+        self._stamp_s = now_s
+        wheels = self._wheels(sensors)
+        if wheels is None or first:
+            return
+        self._granted_m = min(self._granted_m, SAVED_M) + TOP_M_S * elapsed_s
+        farthest = max(abs(wheels[0]), abs(wheels[1]))
+        if farthest > self._granted_m:
+            self.jumps += 1
+            self.rebase()
+            self._stamp_s = now_s
+            self._counts = _counts(sensors)
+            return
+        self._granted_m -= farthest
+        self._move(*wheels, now_s)
+
+    def _wheels(self, sensors: Sensors) -> tuple[float, float] | None:
+        """Return the travel of both wheels since the last frame in metres; None when unknown."""
+        if self._m_per_count is None:
+            if sensors.distance_mm is None or sensors.angle_deg is None:
+                return None
+            half = math.radians(sensors.angle_deg) * self._base_m / 2.0
+            return sensors.distance_mm / 1000.0 - half, sensors.distance_mm / 1000.0 + half
+        old, new = self._counts, _counts(sensors)
+        self._counts = new
+        if old is None or new is None:
+            return None
+        scale = self._m_per_count
+        return encoder_delta(new[0], old[0]) * scale, encoder_delta(new[1], old[1]) * scale
+
+    def _move(self, left_m: float, right_m: float, now_s: float) -> None:
+        forward = (left_m + right_m) / 2.0
+        turn = (right_m - left_m) / self._base_m
+        middle = self._turned_rad + turn / 2.0
+        self._x_m += forward * math.cos(middle)
+        self._y_m += forward * math.sin(middle)
+        self._way_m += forward
+        self._turned_rad += turn
+        self._track.append((now_s, self._way_m, self._turned_rad))
+        while len(self._track) > 2 and now_s - self._track[1][0] >= WINDOW_S:
+            self._track.popleft()
+
+
+def _counts(sensors: Sensors) -> tuple[int, int] | None:
+    if sensors.encoder_left is None or sensors.encoder_right is None:
+        return None
+    return sensors.encoder_left, sensors.encoder_right

@@ -1,0 +1,156 @@
+"""What the vehicle has told so far, and the reading made of it. No I/O, no clock of its own."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from fullswarm.drivers.base import Hazard, Pose, Reading, Twist
+from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.geometry import wrap
+
+LINK_SILENCE_S = 3.0
+TELEMETRY_SILENCE_S = 1.0
+BATTERY_LOW = 0.15
+REBOOT_MS = 1000  # a boot time this much older is a restart, less is a datagram out of order
+TEXTS = 20
+WARNING = 4  # severities up to here are worth an operator's attention
+
+
+class Odometer:
+    """Pose relative to the first one, continuous over a restart of the vehicle's own origin."""
+
+    def __init__(self) -> None:
+        self.pose = Pose(0.0, 0.0, 0.0)
+        self._base = self.pose
+        self._anchor: Pose | None = None
+
+    def rebase(self) -> None:
+        """Go on from here: the vehicle's origin is about to change."""
+        self._base, self._anchor = self.pose, None
+
+    def update(self, world: Pose) -> None:
+        """Take a pose in the vehicle's present frame."""
+        if self._anchor is None:
+            self._anchor = world
+        self.pose = _compose(self._base, _relative(self._anchor, world))
+
+
+def _relative(frame: Pose, pose: Pose) -> Pose:
+    dx, dy = pose.x_m - frame.x_m, pose.y_m - frame.y_m
+    cos, sin = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
+    return Pose(cos * dx + sin * dy, cos * dy - sin * dx, wrap(pose.heading_rad - frame.heading_rad))
+
+
+def _compose(frame: Pose, local: Pose) -> Pose:
+    cos, sin = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
+    return Pose(
+        frame.x_m + cos * local.x_m - sin * local.y_m,
+        frame.y_m + sin * local.x_m + cos * local.y_m,
+        wrap(frame.heading_rad + local.heading_rad),
+    )
+
+
+class Vehicle:
+    """The newest of everything that one vehicle has sent, with arrival times (s, monotonic)."""
+
+    def __init__(self) -> None:
+        self.odometer = Odometer()
+        self.reading: Reading | None = None
+        self.version: p.Version | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Believe nothing of what was heard before: the link was lost or the vehicle restarted."""
+        self.heartbeat: p.Heartbeat | None = None
+        self.heartbeat_s = -math.inf
+        self.ekf: p.EkfStatus | None = None
+        self.rebooted = False
+        self._position_s = self._attitude_s = -math.inf
+        self._attitude: p.Attitude | None = None
+        self._boot_ms: int | None = None
+        self._battery: p.Battery | None = None
+        self._texts: deque[tuple[float, int, str]] = deque(maxlen=TEXTS)
+        self._assembler = p.TextAssembler()
+        self.odometer.rebase()
+
+    @property
+    def armed(self) -> bool:
+        """Whether the newest heartbeat says that motors may turn."""
+        return self.heartbeat is not None and self.heartbeat.armed
+
+    @property
+    def mode(self) -> int | None:
+        """The newest heartbeat's mode."""
+        return None if self.heartbeat is None else self.heartbeat.custom_mode
+
+    def silent(self, now_s: float) -> bool:
+        """Whether heartbeats have stopped."""
+        return now_s - self.heartbeat_s > LINK_SILENCE_S
+
+    def telemetry_silent(self, now_s: float) -> bool:
+        """Whether position or attitude have stopped, whatever heartbeats say."""
+        return now_s - min(self._position_s, self._attitude_s) > TELEMETRY_SILENCE_S
+
+    def texts_since(self, since_s: float) -> list[str]:
+        """Return the warnings and worse that arrived since then."""
+        return [text for at_s, severity, text in self._texts if at_s >= since_s and severity <= WARNING]
+
+    def receive(self, body: p.Body, now_s: float) -> None:
+        """Take a message of this vehicle."""
+        match body:
+            case p.Heartbeat():
+                self.heartbeat, self.heartbeat_s = body, now_s
+            case p.Attitude():
+                self._watch_boot(body.boot_ms)
+                self._attitude, self._attitude_s = body, now_s
+            case p.LocalPosition():
+                self._watch_boot(body.boot_ms)
+                self._position_s = now_s
+                self._make_reading(body, now_s)
+            case p.EkfStatus():
+                self.ekf = body
+            case p.Battery():
+                self._merge(body)
+            case p.Version():
+                self.version = body
+            case p.StatusText():
+                text = self._assembler.add(body)
+                if text is not None:
+                    self._texts.append((now_s, body.severity, text))
+            case _:
+                return
+
+    def _watch_boot(self, boot_ms: int) -> None:
+        if self._boot_ms is not None and boot_ms + REBOOT_MS < self._boot_ms:
+            self.rebooted = True
+        self._boot_ms = boot_ms
+
+    def _merge(self, new: p.Battery) -> None:
+        # SYS_STATUS and BATTERY_STATUS tell of one pack; either may leave out what the other knows.
+        old = self._battery
+        if new.remaining is not None or old is None:
+            self._battery = new
+
+    def _make_reading(self, position: p.LocalPosition, now_s: float) -> None:
+        attitude = self._attitude
+        if attitude is None or self.rebooted or now_s - self._attitude_s > TELEMETRY_SILENCE_S:
+            return
+        heading = attitude.heading_rad
+        pose = Pose(position.x_m, position.y_m, heading)
+        self.odometer.update(pose)
+        battery = None if self._battery is None else self._battery.remaining
+        self.reading = Reading(
+            stamp_s=now_s,
+            odometry=self.odometer.pose,
+            twist=Twist(p.forward_speed(position.vx_m_s, position.vy_m_s, heading), attitude.turn_rad_s),
+            pose=pose,
+            hazards=Hazard.BATTERY_LOW if battery is not None and battery < BATTERY_LOW else Hazard.NONE,
+            battery=battery,
+        )
+
+    def speed_m_s(self, now_s: float) -> float | None:
+        """Return the measured speed without its sign; None when it is not known now."""
+        if self.reading is None or now_s - self.reading.stamp_s > TELEMETRY_SILENCE_S:
+            return None
+        return abs(self.reading.twist.linear_m_s)

@@ -1,0 +1,359 @@
+"""The Create's session against its firmware, in simulated time over a perfect or a bad wire; no port, no thread."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from fullswarm.clock import SimClock
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.create_oi import packets, protocol
+from fullswarm.drivers.create_oi.emulator import FreeBody, Quirks
+from fullswarm.drivers.create_oi.firmware import Firmware
+from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, ROOMBA500, Generation, Mode, Op
+from fullswarm.drivers.create_oi.session import Session, stream_ids
+
+GO = Twist(0.3, 0.5)
+
+
+class Bench:
+    """A session and a firmware that talk over a perfect wire, 5 ms by 5 ms."""
+
+    def __init__(
+        self,
+        generation: Generation = CREATE2,
+        *,
+        quirks: Quirks | None = None,
+        encoders: tuple[int, int] = (0, 0),
+        mode_offset: int = 0,
+        baud: int | None = None,
+    ) -> None:
+        self.clock = SimClock()
+        self.body = FreeBody(generation.wheel_base_m, self.clock)
+        self.robot = Firmware(generation, self.body, quirks=quirks, encoders=encoders)
+        self.session = Session(generation, baud or generation.baud, "bench", mode_offset=mode_offset)
+        self.wire = bytearray()
+        self.sent = bytearray()
+        self.cut = False
+        self.session.send = self.wire.extend
+        self.session.linked(0.0)
+
+    def run(self, duration_s: float, twist: Twist | None = None) -> None:
+        for _ in range(round(duration_s / 0.005)):
+            self.clock.advance_to(self.clock.now_s() + 0.005)
+            now_s = self.clock.now_s()
+            if twist is not None:
+                self.session.command(twist, now_s)
+            told = bytes(self.wire)
+            self.wire.clear()
+            self.sent += told
+            said = self.robot.receive(told, now_s) + self.robot.step(now_s)
+            if said and not self.cut:
+                self.session.received(said, now_s)
+            self.session.tick(now_s)
+
+    def activate(self) -> None:
+        self.session.activate(self.clock.now_s())
+        self.run(0.1)
+
+    def active(self) -> Bench:
+        self.run(0.2)
+        self.activate()
+        assert self.at(Lifecycle.ACTIVE)
+        return self
+
+    def at(self, state: Lifecycle) -> bool:
+        return self.session.state is state
+
+    def robot_in(self, mode: Mode) -> bool:
+        return self.robot.mode is mode
+
+    @property
+    def reading(self) -> Reading:
+        assert self.session.reading is not None
+        return self.session.reading
+
+
+def close_to(told: Pose, true: Pose, way_m: float) -> bool:
+    off_m = math.hypot(told.x_m - true.x_m, told.y_m - true.y_m)
+    return off_m < 0.01 * way_m and abs(math.remainder(told.heading_rad - true.heading_rad, math.tau)) < 0.02
+
+
+@pytest.mark.parametrize("generation", [CREATE1, ROOMBA500, CREATE2])
+def test_every_generation_connects_and_becomes_active(generation: Generation) -> None:
+    bench = Bench(generation)
+    assert bench.at(Lifecycle.OPEN)
+    bench.run(0.2)
+    assert bench.at(Lifecycle.READY)
+    assert bench.robot_in(Mode.PASSIVE)
+    bench.run(0.1, GO)
+    assert bench.body.wheels == (0.0, 0.0)  # READY cannot move
+    bench.activate()
+    assert bench.robot_in(Mode.SAFE)
+    assert bench.body.wheels == (0.0, 0.0)
+    bench.run(0.1, GO)
+    assert bench.body.wheels[0] > 0.0
+    ear = protocol.CommandParser(generation)
+    told = {command.op for byte in bench.sent if (command := ear.push(byte)) is not None}
+    assert told == {Op.START, Op.STREAM, Op.SAFE, Op.DRIVE_DIRECT}
+
+
+@pytest.mark.parametrize("generation", [CREATE1, ROOMBA500, CREATE2])
+@pytest.mark.parametrize("twist", [Twist(0.3, 0.0), Twist(-0.3, 0.0), Twist(0.25, 0.9), Twist(-0.2, -1.1)])
+def test_odometry_follows_the_body_across_the_wrap(generation: Generation, twist: Twist) -> None:
+    bench = Bench(generation, encoders=(65500, 30)).active()
+    bench.run(5.0, twist)
+    assert bench.reading.twist.linear_m_s == pytest.approx(twist.linear_m_s, abs=0.012)
+    assert bench.reading.twist.angular_rad_s == pytest.approx(twist.angular_rad_s, abs=0.7)
+    bench.session.deactivate(bench.clock.now_s())
+    bench.run(0.1)
+    assert close_to(bench.reading.odometry, bench.body.pose, 5.0 * abs(twist.linear_m_s))
+
+
+def test_a_command_expires_and_the_session_stays_active() -> None:
+    bench = Bench().active()
+    bench.run(0.2, GO)
+    bench.run(0.25)
+    assert bench.body.wheels != (0.0, 0.0)
+    bench.run(0.1)
+    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.at(Lifecycle.ACTIVE)
+
+
+def test_a_lost_command_is_repeated_until_confirmed() -> None:
+    bench = Bench().active()
+    bench.session.command(GO, bench.clock.now_s())
+    bench.wire.clear()
+    bench.run(0.2, GO)
+    assert bench.body.wheels != (0.0, 0.0)
+    bench.session.command(STAND, bench.clock.now_s())
+    bench.wire.clear()
+    bench.run(0.2)
+    assert bench.body.wheels == (0.0, 0.0)
+
+
+def test_a_robot_left_driving_is_stopped_by_the_greeting() -> None:
+    bench = Bench()
+    bench.robot.receive(protocol.simple(Op.START) + protocol.simple(Op.FULL) + protocol.drive_direct(200, 200), 0.0)
+    assert bench.body.wheels == (0.2, 0.2)
+    bench.run(0.02)
+    assert bench.body.wheels == (0.0, 0.0)
+    bench.run(0.2)
+    assert bench.at(Lifecycle.READY)
+
+
+def test_a_robot_that_waits_for_data_is_reached_in_the_end() -> None:
+    bench = Bench()
+    bench.robot.receive(bytes([Op.START, Op.SONG, 0, 16]), 0.0)
+    bench.run(2.5)
+    assert bench.at(Lifecycle.READY)
+
+
+def test_a_cliff_stops_the_robot_and_bars_it_while_it_lasts() -> None:
+    bench = Bench().active()
+    bench.run(0.2, GO)
+    bench.robot.cliffs[1] = True
+    bench.run(0.02, GO)
+    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.at(Lifecycle.READY)
+    assert Hazard.CLIFF in bench.reading.hazards
+    assert "cliff" in bench.session.blocked
+    bench.run(0.5)
+    bench.activate()
+    assert bench.at(Lifecycle.READY)
+    assert bench.robot_in(Mode.PASSIVE)
+    bench.robot.cliffs[1] = False
+    bench.run(0.3)
+    assert bench.reading.hazards is Hazard.NONE
+    bench.activate()
+    assert bench.at(Lifecycle.ACTIVE)
+    assert bench.body.wheels == (0.0, 0.0)
+
+
+def test_a_blip_of_one_frame_is_still_told() -> None:
+    bench = Bench().active()
+    bench.robot.drops[0] = True
+    bench.run(0.02)
+    bench.robot.drops[0] = False
+    bench.run(0.1)
+    assert Hazard.WHEEL_DROP in bench.reading.hazards
+
+
+def test_three_falls_in_ten_seconds_are_a_fault_that_a_reconnect_does_not_clear() -> None:
+    bench = Bench().active()
+    for fall in range(3):
+        bench.robot.drops[1] = True
+        bench.run(0.1)
+        bench.robot.drops[1] = False
+        bench.run(0.4)
+        assert bench.at(Lifecycle.FAULT if fall == 2 else Lifecycle.READY)
+        bench.activate()
+    assert "3 times" in bench.session.fault
+    assert bench.robot_in(Mode.PASSIVE)
+    bench.session.lost("unplugged")
+    bench.session.linked(bench.clock.now_s())
+    bench.run(0.3)
+    assert bench.at(Lifecycle.FAULT)
+    assert "3 times" in bench.session.fault
+
+
+def test_falls_far_apart_are_no_fault() -> None:
+    bench = Bench().active()
+    for _ in range(4):
+        bench.robot.drops[1] = True
+        bench.run(0.1)
+        bench.robot.drops[1] = False
+        bench.run(5.0)
+        bench.activate()
+    assert bench.at(Lifecycle.ACTIVE)
+
+
+def test_silence_is_a_fault_that_mends_itself_but_never_to_active() -> None:
+    bench = Bench().active()
+    bench.run(0.2, GO)
+    bench.cut = True
+    bench.run(0.6, GO)
+    assert bench.at(Lifecycle.FAULT)
+    assert "silent" in bench.session.fault
+    assert bench.body.wheels == (0.0, 0.0)  # the way to the robot still works: it was told to stop
+    assert bench.session.command(GO, bench.clock.now_s()) == STAND
+    before = bench.reading.odometry
+    bench.body.push(0.02, 0.02)
+    bench.cut = False
+    bench.run(1.0, GO)
+    assert bench.at(Lifecycle.READY)
+    assert bench.reading.odometry == before  # what happened in the dark is not guessed
+    assert bench.session.fault == ""
+    assert bench.robot_in(Mode.PASSIVE)
+
+
+def test_hazards_contacts_and_battery_are_told() -> None:
+    bench = Bench().active()
+    bench.body.press(True, False)
+    bench.robot.overcurrents = 0b01000
+    bench.robot.charge_mah = 200
+    bench.run(0.05)
+    assert bench.reading.hazards == Hazard.BUMP | Hazard.OVERCURRENT | Hazard.BATTERY_LOW
+    assert bench.reading.contacts == 1
+    assert bench.reading.battery == pytest.approx(200 / 2696)
+    assert bench.at(Lifecycle.ACTIVE)  # a bump leaves the mode alone
+
+
+def test_no_answer_and_noise_are_told_apart() -> None:
+    deaf = Session(CREATE2, 115200, "bench")
+    deaf.linked(0.0)
+    noisy = Session(CREATE2, 115200, "bench")
+    noisy.linked(0.0)
+    for step in range(1200):
+        deaf.tick(step * 0.005)
+        noisy.received(b"\x55\xaa", step * 0.005)
+        noisy.tick(step * 0.005)
+    assert deaf.state is Lifecycle.FAULT
+    assert "no answer" in deaf.fault
+    assert "baud" in noisy.fault
+
+
+def test_firmware_defects() -> None:
+    shifted = Bench(quirks=Quirks(mode_offset=1), mode_offset=1).active()
+    shifted.run(0.1, GO)
+    assert shifted.body.wheels != (0.0, 0.0)
+    unknown = Bench(quirks=Quirks(mode_offset=1))
+    unknown.run(6.0)
+    assert unknown.at(Lifecycle.FAULT)
+    assert "mode_offset" in unknown.session.fault
+    deaf = Bench(quirks=Quirks(deaf_to_safe=True))
+    deaf.run(0.2)
+    deaf.activate()
+    deaf.run(0.6)
+    assert deaf.at(Lifecycle.READY)
+    assert "Safe" in deaf.session.blocked
+    Bench(CREATE1, quirks=Quirks(header_in_sum=False)).active()
+    Bench(baud=19200).active()
+
+
+def test_an_activation_is_withdrawn() -> None:
+    bench = Bench()
+    bench.run(0.2)
+    bench.session.activate(bench.clock.now_s())
+    bench.run(0.015)
+    bench.session.deactivate(bench.clock.now_s())
+    bench.run(0.5)
+    assert bench.at(Lifecycle.READY)
+    assert bench.robot_in(Mode.PASSIVE)
+
+
+def test_a_late_frame_does_not_confirm_a_new_activation() -> None:
+    bench = Bench().active()
+    now_s = bench.clock.now_s()
+    late = packets.frame(stream_ids(CREATE2, CREATE2.baud), {"mode": Mode.SAFE})
+    bench.session.deactivate(now_s)
+    bench.session.activate(now_s)
+    bench.session.received(late + late, now_s)
+    assert bench.at(Lifecycle.READY)
+    bench.run(0.1)
+    assert bench.at(Lifecycle.ACTIVE)
+
+
+def test_a_charger_bars_the_robot() -> None:
+    bench = Bench().active()
+    bench.robot.charger = True
+    bench.run(0.1, GO)
+    assert bench.at(Lifecycle.READY)
+    bench.activate()
+    assert "charger" in bench.session.blocked
+
+
+def test_the_firmware_answers_queries_and_counts_up_when_pushed() -> None:
+    bench = Bench()
+    robot, body = bench.robot, bench.body
+    assert robot.receive(protocol.query(100), 0.0) == b""  # off
+    robot.receive(protocol.simple(Op.START), 0.0)
+    body.push(-0.0444565, -0.0889130)
+    answer = protocol.decode([100], robot.receive(protocol.query(100), 0.0))
+    assert answer is not None
+    assert (answer.encoder_left, answer.encoder_right) == (100, 200)
+    assert answer.mode == Mode.PASSIVE
+    answer = protocol.decode([20, 35], robot.receive(protocol.query_list([20, 35]), 0.0))
+    assert answer is not None
+    assert answer.angle_deg == 0
+    robot.receive(protocol.drive_direct(100, 100), 0.0)
+    assert body.wheels == (0.0, 0.0)  # Passive
+    robot.receive(protocol.simple(Op.SAFE) + protocol.drive(200, -1), 0.0)
+    assert body.wheels == (0.2, -0.2)
+    robot.receive(protocol.drive(200, 235), 0.0)
+    assert body.wheels == (0.1, 0.3)
+    robot.receive(protocol.drive_pwm(0, 255), 0.0)
+    assert body.wheels == (0.0, 0.5)
+    assert b"release-3" in robot.receive(protocol.simple(Op.RESET), 0.0)
+    assert robot.mode is Mode.OFF
+    assert body.wheels == (0.0, 0.0)
+
+
+def test_a_cliff_behind_matters_only_in_place_and_full_mode_ignores_all() -> None:
+    bench = Bench()
+    robot = bench.robot
+    robot.receive(protocol.simple(Op.START) + protocol.simple(Op.SAFE) + protocol.drive_direct(-200, -200), 0.0)
+    robot.cliffs[0] = True
+    robot.step(0.01)
+    assert bench.robot_in(Mode.SAFE)
+    robot.receive(protocol.drive_direct(-200, -20), 0.0)
+    robot.step(0.02)
+    assert bench.robot_in(Mode.PASSIVE)
+    robot.receive(protocol.simple(Op.FULL) + protocol.drive_direct(200, 200), 0.0)
+    robot.drops[0] = True
+    robot.step(0.03)
+    assert bench.robot_in(Mode.FULL)
+
+
+def test_a_bad_wire_cannot_keep_the_robot_driving() -> None:
+    bench = Bench().active()
+    luck = random.Random(11)
+    bench.session.send = lambda data: bench.wire.extend(data if luck.random() < 0.5 else b"")
+    for round_ in range(20):
+        bench.run(0.3, Twist(luck.uniform(-0.5, 0.5), luck.uniform(-2.0, 2.0)))
+        bench.session.received(luck.randbytes(5), bench.clock.now_s())
+        bench.run(1.5)
+        assert bench.body.wheels == (0.0, 0.0), round_
+        assert bench.at(Lifecycle.ACTIVE)
