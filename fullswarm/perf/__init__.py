@@ -1,0 +1,15 @@
+"""How well the swarm did (paper II.F). In: poses and contacts of the robots. Out: numbers, files, scenarios.
+
+======================  ==========================================================  =============
+file                    what it holds                                               runs in
+======================  ==========================================================  =============
+``calculators.py``      distance, contact events and covered cells per robot        agent
+``coverage.py``         the coverage grid and how it travels on the bus             agent, core
+``summarizers.py``      one node per metric: measurements of all hosts → Summary    core
+``termination.py``      when a trial is over                                        core
+``performance_node.py`` newest summaries → ``performance.json``, tables             core, operator
+``scenarios/``          arenas, obstacles, spawn regions, goals                     base station
+======================  ==========================================================  =============
+
+Nothing is imported here, so that a robot loads its calculators without the rest.
+"""

@@ -1,0 +1,263 @@
+"""Calculators (paper II.F.1): what each robot measures of itself. In: poses, contacts. Out: …Measurement.
+
+They run in the agent, for the n robots that it hosts: n is 1 on board, the whole swarm in lockstep. State is
+allocated once; an update is a single kernel call. Everything is cumulative, so a lost message costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.bus.base import Bus
+from fullswarm.kernels import kernel
+from fullswarm.keys import Keys
+from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, WorkMeasurement
+from fullswarm.perf.coverage import Bounds, GridFrame, pack
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Grid = NDArray[np.uint8]
+
+FREE_S = 0.25
+"""Contact must have been absent for this long before another one counts as a new event."""
+
+SILENCE_S = 1.0
+"""A position that did not change for longer explains no larger step than one of this age."""
+
+# All kernels live in one file: numba's disk cache notices a change of the caller's file only.
+
+
+@kernel
+def travel(
+    now_s: float, dt_s: float, position: Array, max_speed: Array, last: Array, moved_s: Array, distance: Array
+) -> None:
+    """Add each robot's step to its `distance` (n,).
+
+    A step above twice what `max_speed` (n,) allows since the position last changed is a jump (a reset
+    odometry, a re-localised pose): it is not travel. Counting from the last change keeps a robot that reports
+    at 10 Hz to a 50 Hz loop honest; `dt_s`, the nominal period, is the least time assumed.
+    """
+    for i in range(position.shape[0]):
+        x, y = float(position[i, 0]), float(position[i, 1])
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        if not math.isnan(last[i, 0]):
+            dx, dy = x - float(last[i, 0]), y - float(last[i, 1])
+            step = math.sqrt(dx * dx + dy * dy)  # a third of hypot's time
+            if step == 0.0:
+                continue
+            elapsed_s = min(max(now_s - moved_s[i], dt_s), SILENCE_S)
+            if step <= 2.0 * max_speed[i] * elapsed_s:
+                distance[i] += step
+        last[i, 0], last[i, 1] = x, y
+        moved_s[i] = now_s
+
+
+@kernel
+def touch(now_s: float, contacts: Counts, touching: Grid, touched_s: Array, events: Counts) -> None:
+    """Count in `events` (n,) each contact that begins at least `FREE_S` after the last one was seen."""
+    for i in range(contacts.shape[0]):
+        if contacts[i] > 0:
+            # `touching`: a loop that hung during one long contact must not count it twice.
+            if touching[i] == 0 and now_s - touched_s[i] >= FREE_S - 1e-9:
+                events[i] += 1
+            touching[i] = 1
+            touched_s[i] = now_s
+        else:
+            touching[i] = 0
+
+
+@kernel
+def cover(position: Array, radius: Array, marked: Array, grid: Grid, x0: float, y0: float, cell: float) -> int:
+    """Set the cells of `grid` whose centres lie in the robots' discs; return how many are new.
+
+    A robot that moved less than a quarter cell since its last mark is skipped.
+    """
+    rows, columns = grid.shape
+    near, per_m, new = 0.0625 * cell * cell, 1.0 / cell, 0
+    for i in range(position.shape[0]):
+        x, y = float(position[i, 0]), float(position[i, 1])
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        dx, dy = x - float(marked[i, 0]), y - float(marked[i, 1])
+        if dx * dx + dy * dy < near:  # false while `marked` is NaN
+            continue
+        marked[i, 0], marked[i, 1] = x, y
+        # In units of cells, with centres on whole numbers. Every cell of the bounding square is tested and
+        # written: without a branch that is twice as fast as finding the ends of each row.
+        column_x, row_y, reach = (x - x0) * per_m - 0.5, (y - y0) * per_m - 0.5, radius[i] * per_m
+        row_from = int(min(max(row_y - reach, 0.0), float(rows)))
+        row_end = int(min(max(row_y + reach + 1.0, 0.0), float(rows)))
+        column_from = int(min(max(column_x - reach, 0.0), float(columns)))
+        column_end = int(min(max(column_x + reach + 1.0, 0.0), float(columns)))
+        for row in range(row_from, row_end):
+            room = reach * reach - (row - row_y) * (row - row_y)
+            for column in range(column_from, column_end):
+                before = grid[row, column]
+                after = before | ((column - column_x) * (column - column_x) <= room)
+                grid[row, column] = after
+                new += int(after) - int(before)
+    return new
+
+
+@kernel
+def measure(
+    now_s: float, dt_s: float, travelled: Array, pose: Array, contacts: Counts,
+    max_speed: Array, last: Array, moved_s: Array, distance: Array,
+    touching: Grid, touched_s: Array, events: Counts,
+    radius: Array, marked: Array, grid: Grid, x0: float, y0: float, cell: float,
+) -> int:  # fmt: skip
+    """Run all three in one call: crossing into compiled code costs more than the work of a small swarm."""
+    travel(now_s, dt_s, travelled, max_speed, last, moved_s, distance)
+    touch(now_s, contacts, touching, touched_s, events)
+    return cover(pose, radius, marked, grid, x0, y0, cell)
+
+
+class WorkCalculator:
+    """Distance travelled by each of n robots since the start, in metres, in `distance_m` (n,)."""
+
+    def __init__(self, n: int, max_speed_m_s: float | Sequence[float] | Array) -> None:
+        self.max_speed_m_s = np.array(np.broadcast_to(np.asarray(max_speed_m_s, float), (n,)))
+        self.distance_m = np.zeros(n)
+        self.last = np.full((n, 2), math.nan)
+        self.moved_s = np.full(n, math.nan)
+
+    def update(self, now_s: float, position: Array, dt_s: float) -> None:
+        """Take in positions (n, 2 or more) of any one frame; a row with NaN is skipped."""
+        travel(now_s, dt_s, position, self.max_speed_m_s, self.last, self.moved_s, self.distance_m)
+
+
+class CollisionCalculator:
+    """Contact events of each of n robots since the start, in `events` (n,)."""
+
+    def __init__(self, n: int) -> None:
+        self.events = np.zeros(n, np.int64)
+        self.touching = np.zeros(n, np.uint8)
+        self.touched_s = np.full(n, -math.inf)
+
+    def update(self, now_s: float, contacts: Counts) -> None:
+        """Take in how many bodies each robot touches now, (n,)."""
+        touch(now_s, contacts, self.touching, self.touched_s, self.events)
+
+
+class CoverageCalculator:
+    """Cells that the robots of one host have covered together, in `grid` (rows, columns) of 0 and 1."""
+
+    def __init__(self, bounds_m: Bounds, cell_m: float, radii_m: Sequence[float] | Array) -> None:
+        self.frame = GridFrame.over(bounds_m, cell_m)
+        self.radii_m = np.array(radii_m, float)
+        self.grid = np.zeros((self.frame.rows, self.frame.columns), np.uint8)
+        self.marked = np.full((len(self.radii_m), 2), math.nan)
+        self.covered = 0
+        self._packed, self._packed_at = b"", -1
+
+    def update(self, position: Array) -> None:
+        """Mark what the robots at world positions (n, 2 or more) cover; a row with NaN is skipped."""
+        frame = self.frame
+        self.covered += cover(
+            position, self.radii_m, self.marked, self.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m
+        )
+
+    def packed(self) -> bytes:
+        """Return the grid as it goes over the bus; packed again only when cells were added."""
+        if self._packed_at != self.covered:
+            self._packed, self._packed_at = pack(self.grid), self.covered
+        return self._packed
+
+
+class Calculators:
+    """The three calculators of the robots `ids`, updated by one kernel call and published together.
+
+    Parameters
+    ----------
+    ids
+        The n robots of this host, in the order of the rows.
+    bounds_m, cell_m
+        The arena and the cell size of the coverage grid; the same for every host of a swarm.
+    radii_m
+        Radius of each robot's footprint, (n,).
+    max_speed_m_s
+        What the robots can do, one for all or (n,); faster steps are taken for jumps of the sensor.
+
+    Raises
+    ------
+    ConfigError
+        The arena is empty or has too many cells.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        bounds_m: Bounds,
+        cell_m: float,
+        radii_m: Sequence[float] | Array,
+        max_speed_m_s: float | Sequence[float] | Array,
+    ) -> None:
+        self.ids = tuple(ids)
+        self.work = WorkCalculator(len(self.ids), max_speed_m_s)
+        self.collision = CollisionCalculator(len(self.ids))
+        self.coverage = CoverageCalculator(bounds_m, cell_m, radii_m)
+
+    @property
+    def collisions(self) -> Counts:
+        """Contact events per robot since the start, (n,); for health reports."""
+        return self.collision.events
+
+    @property
+    def distance_m(self) -> Array:
+        """Distance travelled per robot since the start, (n,)."""
+        return self.work.distance_m
+
+    def update(self, now_s: float, pose: Array, contacts: Counts, dt_s: float, odometry: Array | None = None) -> None:
+        """Take in one control period.
+
+        Parameters
+        ----------
+        now_s, dt_s
+            The agent's time and its nominal period.
+        pose
+            World x, y, … (n, 2 or more), NaN where unknown.
+        contacts
+            Bodies touched now, int64 (n,).
+        odometry
+            Positions to measure the distance by, (n, 2 or more); `pose` when None. Noise of a pose adds up
+            to metres that nobody drove, so odometry is the better source where there is any.
+        """
+        work, collision, coverage, frame = self.work, self.collision, self.coverage, self.coverage.frame
+        coverage.covered += measure(
+            now_s, dt_s, pose if odometry is None else odometry, pose, contacts,
+            work.max_speed_m_s, work.last, work.moved_s, work.distance_m,
+            collision.touching, collision.touched_s, collision.events,
+            coverage.radii_m, coverage.marked, coverage.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m,
+        )  # fmt: skip
+
+    def publish(self, bus: Bus, keys: Keys, host: str, now_s: float) -> None:
+        """Publish the three measurements of `host`, cumulative since the start."""
+        ids, frame = self.ids, self.coverage.frame
+        distance_m, events = tuple(self.work.distance_m.tolist()), tuple(self.collision.events.tolist())
+        bus.publish(
+            keys.measurement("work", host),
+            WorkMeasurement(host=host, robots=ids, distance_m=distance_m, stamp_s=now_s),
+        )
+        bus.publish(
+            keys.measurement("collisions", host),
+            CollisionMeasurement(host=host, robots=ids, events=events, stamp_s=now_s),
+        )
+        bus.publish(
+            keys.measurement("coverage", host),
+            CoverageMeasurement(
+                host=host,
+                robots=ids,
+                origin_x_m=frame.origin_x_m,
+                origin_y_m=frame.origin_y_m,
+                cell_m=frame.cell_m,
+                rows=frame.rows,
+                columns=frame.columns,
+                cells=self.coverage.packed(),
+                stamp_s=now_s,
+            ),
+        )
