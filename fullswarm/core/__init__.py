@@ -1,0 +1,21 @@
+"""The core layer (paper II.C): runs on the base station, decides who runs what, never touches a robot.
+
+In: ``BehaviourRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and ``ControlAck`` of the agents.
+Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to everybody, ``Heartbeat``.
+
+``behaviours.toml``    the behaviours that exist: people edit this
+``schema.py``          what a record may say
+``records.py``         records in the local database; a request's parameters checked and completed
+``shapes.py``          circle, line, grid: targets of a formation
+``main_controller.py`` looks a request up, refuses or accepts it, hands it on
+``request_handler.py`` makes every robot run what is wanted of it, whatever gets lost or restarts
+``desired.py``         one robot: what is wanted, what it confirmed, what is on the way
+``progress.py``        one request: from the states of its robots to its status
+``status.py``          what became of each request
+``remap.py``           the core's end of the centralised behaviours
+``roster.py``          who is present
+``settings.py``        settings: seeded from the fleet file, changed while it runs
+``params.py``          the local database on the bus
+``node.py``            wires all of it
+``centralised/``       the centralised behaviours' own process
+"""

@@ -1,0 +1,48 @@
+"""Behaviours computed on the base station for all their robots at once (paper II.C.1): a process of their own.
+
+In: ``CentralisedRequest`` of the core, ``RobotStates`` of the agents.
+Out: ``CentralisedCommands``, which the request handler hands out, and a ``Heartbeat`` with the active ids.
+
+``law.py``           what a law is
+``node.py``          the process: requests, states, 20 Hz tick
+``law.py``           what a centralised law is
+``formation.py``     targets by the Hungarian method
+``voronoi.py``       Lloyd's coverage on exact bounded cells
+``teleop.py``        the centroid on a stick
+``joint_filter.py``  barrier certificates of all robots in one sparse QP (`_bc`)
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+from typing import Any
+
+from fullswarm.errors import MissingExtra
+
+LAWS = ("formation_assigned", "voronoi_centralised", "teleop_centroid")
+"""Names of the centralised laws."""
+
+PACKAGES = ("osqp", "scipy", "shapely")
+
+
+@functools.cache
+def missing_packages() -> tuple[str, ...]:
+    """Return which packages of the extra ``[core]`` are not installed, without importing any."""
+    return tuple(name for name in PACKAGES if importlib.util.find_spec(name) is None)
+
+
+def need(package: str) -> Any:
+    """Import a package of the extra ``[core]`` only when a centralised behaviour is asked for.
+
+    Raises
+    ------
+    MissingExtra
+        It is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        hint = 'pip install "fullswarm[core]"'
+        raise MissingExtra(f"centralised behaviours need {package}: {error}", hint=hint) from error

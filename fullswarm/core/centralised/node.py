@@ -1,0 +1,202 @@
+"""The node of the centralised behaviours: from the robots' states to a command for each, 20 times per second."""
+
+from __future__ import annotations
+
+import itertools
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+import numpy as np
+import structlog
+
+from fullswarm.bus import Bus
+from fullswarm.config import SwarmConfig
+from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
+from fullswarm.core.centralised.law import Array, Index, Law, Memory, law, number
+from fullswarm.errors import FullswarmError
+from fullswarm.geometry import clamp, unicycle
+from fullswarm.keys import Keys
+from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
+from fullswarm.runtime import Scheduler
+
+NODE = "centralised"
+RATE_HZ = 20.0
+HEARTBEAT_HZ = 10.0
+STALE_S = 0.5
+"""A robot whose state is older gets no command: it stops when its last one runs out."""
+
+MEMORY = 1024
+
+log = structlog.get_logger()
+
+
+@dataclass(slots=True)
+class Job:
+    """One active request."""
+
+    request: CentralisedRequest
+    law: Law
+    memory: Memory = field(default_factory=dict)
+    joint: JointFilter | None = None
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The robots of a job whose state is fresh."""
+
+    rows: Index  # (n,) places in the request's list
+    positions: Array  # (n, 2)
+    headings: Array  # (n,)
+    radii: Array  # (n,)
+
+
+class CentralisedNode:
+    """Computes all centralised behaviours.
+
+    Parameters
+    ----------
+    process
+        Name of this start, unlike any other's.
+    """
+
+    def __init__(self, bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> None:
+        self._bus, self._scheduler, self._keys, self._process = bus, scheduler, Keys(config.swarm), process
+        self._config, (x_low, y_low, x_high, y_high) = config.agent, config.bounds_m
+        self._low, self._high = np.array([x_low, y_low]), np.array([x_high, y_high])
+        self._jobs: dict[str, Job] = {}
+        self._newest: OrderedDict[str, tuple[str, int]] = OrderedDict()
+        self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
+        self._beats, self._sequence = itertools.count(1), itertools.count(1)
+        self._subscriptions = [
+            bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
+            bus.subscribe(self._keys.state(), RobotStates, self._seen, latest=True),
+        ]
+        self._timers = [
+            scheduler.every(1.0 / RATE_HZ, self._tick),
+            scheduler.every(1.0 / HEARTBEAT_HZ, self._beat, first_s=0.0),
+        ]
+
+    def close(self) -> None:
+        """Stop computing; the robots stop when their last command runs out."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        for timer in self._timers:
+            timer.cancel()
+        self._jobs.clear()
+
+    def _requested(self, request: CentralisedRequest) -> None:
+        core, sequence = self._newest.get(request.request_id, ("", 0))
+        if core == request.core and request.sequence <= sequence:
+            return
+        self._newest[request.request_id] = (request.core, request.sequence)
+        self._newest.move_to_end(request.request_id)
+        while len(self._newest) > MEMORY:
+            self._newest.popitem(last=False)
+        if request.enable:
+            self._start(request)
+        elif self._jobs.pop(request.request_id, None) and not self._jobs:
+            self._states.clear()
+
+    def _start(self, request: CentralisedRequest) -> None:
+        job = self._jobs.get(request.request_id)
+        if job is not None:
+            if job.request.robots != request.robots:
+                job.memory.clear()  # rows mean other robots now
+            job.request = request
+            return
+        try:
+            job = Job(request, law(request.law), joint=JointFilter() if request.filtered else None)
+        except (FullswarmError, KeyError) as error:
+            log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
+            return
+        for other in self._jobs.values():
+            # The next frame of the same stick goes on where the last one was.
+            if (other.request.behaviour, other.request.robots) == (request.behaviour, request.robots):
+                job.memory, job.joint = other.memory, other.joint
+        self._jobs[request.request_id] = job
+
+    def _seen(self, states: RobotStates) -> None:
+        if not self._jobs:
+            return
+        now_s = self._scheduler.now_s()
+        columns = zip(states.x_m, states.y_m, states.heading_rad, states.radius_m, strict=True)
+        for robot, state in zip(states.robots, columns, strict=True):
+            self._states[robot] = (now_s, state)
+
+    def _beat(self) -> None:
+        heartbeat = Heartbeat(
+            node=NODE,
+            process=self._process,
+            sequence=next(self._beats),
+            active=tuple(self._jobs),
+            stamp_s=self._scheduler.now_s(),
+        )
+        self._bus.publish(self._keys.heartbeat(NODE), heartbeat)
+
+    def _tick(self) -> None:
+        for job in self._jobs.values():
+            scene = self._scene(job)
+            if scene is None:
+                continue
+            try:
+                twists = self._twists(job, scene)
+            except (ValueError, ArithmeticError, LookupError, RuntimeError) as error:
+                # One request must not end the others; its robots stop, having no command.
+                if str(error) != job.error:
+                    job.error = str(error)
+                    log.error("centralised law failed", behaviour=job.request.behaviour, error=job.error)
+                continue
+            self._publish(job, scene, twists)
+
+    def _scene(self, job: Job) -> Scene | None:
+        """Return the robots of a job that can be commanded now; None when there are none."""
+        oldest_s = self._scheduler.now_s() - STALE_S
+        fresh = [
+            (row, found[1])
+            for row, robot in enumerate(job.request.robots)
+            if (found := self._states.get(robot)) is not None and found[0] >= oldest_s
+        ]
+        if not fresh:
+            return None
+        table = np.array([state for _, state in fresh], float)
+        rows = np.array([row for row, _ in fresh], np.int64)
+        return Scene(rows, table[:, :2].copy(), table[:, 2].copy(), table[:, 3].copy())
+
+    def _twists(self, job: Job, scene: Scene) -> Array:
+        """Return speed and turn rate (n, 2) of the robots of `scene`."""
+        params, config = job.request.parameters, self._config
+        wished = job.law(scene.positions, scene.headings, params, job.memory, scene.rows)
+        speed_m_s, turn_rad_s = number(params, "speed_m_s", 0.5), number(params, "turn_rad_s", 2.0)
+        if job.joint is None:
+            twists = []
+            for (vx_m_s, vy_m_s), heading in zip(wished.tolist(), scene.headings.tolist(), strict=True):
+                v, w = unicycle(vx_m_s, vy_m_s, heading, config.speed_gain, config.turn_gain_per_s)
+                twists.append((clamp(v, -speed_m_s, speed_m_s), clamp(w, -turn_rad_s, turn_rad_s)))
+            return np.array(twists)
+        size = np.linalg.norm(wished, axis=1, keepdims=True)
+        wished = wished * np.minimum(1.0, speed_m_s / np.maximum(size * config.speed_gain, 1e-9)) * config.speed_gain
+        arena = Arena(
+            self._low,
+            self._high,
+            speed_m_s,
+            number(params, "barrier_gain_per_s", config.barrier_gain_per_s),
+            number(params, "safety_margin_m", config.safety_margin_m),
+        )
+        allowed, near = job.joint.filter(wished, scene.positions, scene.radii, arena)
+        turn = np.array([config.turn_gain_per_s, turn_rad_s])
+        return to_twists(allowed, near, scene.positions, scene.headings, scene.radii, arena, turn)
+
+    def _publish(self, job: Job, scene: Scene, twists: Array) -> None:
+        request = job.request
+        linear, angular = twists.T.tolist()
+        commands = CentralisedCommands(
+            request_id=request.request_id,
+            behaviour=request.behaviour,
+            robots=tuple(request.robots[row] for row in scene.rows.tolist()),
+            linear_m_s=tuple(linear),
+            angular_rad_s=tuple(angular),
+            sequence=next(self._sequence),
+            stamp_s=self._scheduler.now_s(),
+        )
+        self._bus.publish(self._keys.centralised_commands(request.behaviour), commands)

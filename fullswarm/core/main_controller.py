@@ -1,0 +1,166 @@
+"""The main controller (paper II.C.1): looks a request up, refuses or completes it, hands it on.
+
+Refusing is an answer too: every request gets a status, a repeated one gets its newest status again and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fullswarm.bus import Bus
+from fullswarm.core.centralised import missing_packages
+from fullswarm.core.desired import Order
+from fullswarm.core.records import Library
+from fullswarm.core.remap import Remapper
+from fullswarm.core.request_handler import RequestHandler
+from fullswarm.core.roster import Roster
+from fullswarm.core.schema import Record
+from fullswarm.core.status import StatusBoard
+from fullswarm.errors import RequestRefused, did_you_mean
+from fullswarm.keys import Keys
+from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
+
+STOP = "stop"
+
+
+class MainController:
+    """Turns requests of the operators into orders for the request handler."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        library: Library,
+        roster: Roster,
+        board: StatusBoard,
+        handler: RequestHandler,
+        remapper: Remapper,
+    ) -> None:
+        self._library, self._roster, self._board = library, roster, board
+        self._handler, self._remapper = handler, remapper
+        handler.watch_holders(remapper.narrow)
+        self._subscriptions = [
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._requested),
+            bus.subscribe(keys.stop, StopRequest, self._stopped),
+            bus.subscribe(keys.estop, EStop, self._emergency),
+        ]
+
+    def close(self) -> None:
+        """Take no more requests."""
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    def _known(self, request_id: str) -> bool:
+        """Answer a repeated request with its newest status."""
+        return self._handler.holds(request_id) or self._board.get(request_id) is not None
+
+    def _requested(self, request: BehaviourRequest) -> None:
+        if self._known(request.id):
+            self._board.repeat(request.id)
+            return
+        try:
+            self._accept(request)
+        except RequestRefused as error:
+            reason = f"{error.what} ({error.hint})" if error.hint else error.what
+            self._refuse(request, reason)
+
+    def _accept(self, request: BehaviourRequest) -> None:
+        if not request.id:
+            raise RequestRefused("the request has no id", hint="give each request an id of its own")
+        record = self._library.get(request.behaviour)
+        robots = self._addressed(request.robots)
+        parameters = self._library.resolve(record, request.parameters, robots)
+        orders = {robot: _order(request.id, record, parameters[robot]) for robot in robots}
+        if record.centralised:
+            absent = missing_packages()
+            if absent:
+                extra = 'pip install "fullswarm[core]"'
+                raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
+            self._remapper.start(
+                CentralisedRequest(
+                    request_id=request.id,
+                    behaviour=record.name,
+                    law=record.law,
+                    enable=True,
+                    robots=robots,
+                    parameters=parameters[robots[0]],
+                    filtered=record.filtered,
+                )
+            )
+        self._handler.submit(orders, at_once=record.name == STOP)
+
+    def _addressed(self, robots: Sequence[str]) -> tuple[str, ...]:
+        """Return the robots that a request means; none named: all that are known."""
+        known = self._roster.known()
+        if not known:
+            raise RequestRefused("no robot is present", hint="start an agent, or name the robots in the fleet file")
+        strangers = [robot for robot in robots if robot not in known]
+        if strangers:
+            names = ", ".join(f"'{robot}'" for robot in strangers)
+            plural = "s" if len(strangers) > 1 else ""
+            raise RequestRefused(f"unknown robot{plural} {names}", hint=did_you_mean(strangers[0], known))
+        return tuple(dict.fromkeys(robots)) or known
+
+    def _refuse(self, request: BehaviourRequest, reason: str) -> None:
+        status = RequestStatus(
+            request_id=request.id,
+            behaviour=request.behaviour,
+            phase="refused",
+            reason=reason,
+            robots=request.robots,
+        )
+        self._board.publish(status)
+
+    def _stopped(self, request: StopRequest) -> None:
+        self._stand(request.id, request.robots, "")
+
+    def _emergency(self, estop: EStop) -> None:
+        """Want nothing of robots in e-stop: releasing it must not start anybody."""
+        if estop.engaged:
+            self._stand(estop.id, estop.robots, "e-stop" + (f": {estop.reason}" if estop.reason else ""))
+
+    def _stand(self, request_id: str, robots: Sequence[str], reason: str) -> None:
+        """Want nothing of `robots`, unknown ones left out: a stop is never refused for a slip of the pen."""
+        if self._known(request_id):
+            self._board.repeat(request_id)
+            return
+        known = self._roster.known()
+        addressed = [robot for robot in dict.fromkeys(robots) if robot in known] if robots else known
+        orders = {robot: Order(request_id=request_id, behaviour=STOP) for robot in addressed}
+        if orders:
+            self._handler.submit(orders, reason, at_once=True)
+        else:
+            none = "no robot is known" if not robots else f"no robot is called {', '.join(robots)}"
+            self._board.publish(RequestStatus(request_id=request_id, behaviour=STOP, phase="ended", reason=none))
+
+
+def adopted_order(library: Library, remapper: Remapper, request_id: str, behaviour: str) -> Order | None:
+    """Return the order for what a robot was found running, as far as it can be known without the request.
+
+    An intent is left to lapse. A centralised behaviour needs no parameters on board: its node still has them.
+    """
+    try:
+        record = library.get(behaviour)
+    except RequestRefused:
+        return None
+    if record.expires_s > 0.0:
+        return None
+    if record.centralised:
+        remapper.spare(request_id)
+        return _order(request_id, record, {})
+    return Order(request_id=request_id, behaviour=behaviour, adopted=True)
+
+
+def _order(request_id: str, record: Record, parameters: dict[str, Value]) -> Order:
+    # The robots need no parameters of a law that is computed elsewhere.
+    given = {} if record.centralised else parameters
+    return Order(
+        request_id=request_id,
+        behaviour=record.name,
+        parameters=given,
+        law=record.law,
+        filtered=record.filtered,
+        centralised=record.centralised,
+        survives_core=record.survives_core,
+        expires_s=record.expires_s,
+    )

@@ -1,0 +1,98 @@
+"""The core's node: wires main controller, request handler, roster, database and heartbeat."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from fullswarm.bus import Bus
+from fullswarm.config import SwarmConfig
+from fullswarm.core.main_controller import MainController, adopted_order
+from fullswarm.core.params import ParamServer
+from fullswarm.core.records import PREFIX, Library
+from fullswarm.core.remap import Remapper
+from fullswarm.core.request_handler import RequestHandler
+from fullswarm.core.roster import Roster
+from fullswarm.core.settings import Settings
+from fullswarm.core.status import StatusBoard
+from fullswarm.keys import Keys
+from fullswarm.messages import Heartbeat
+from fullswarm.runtime import Scheduler
+from fullswarm.store import Store
+
+NODE = "core"
+
+
+class Closing(Protocol):
+    """Anything that runs along with the core and has an end."""
+
+    def close(self) -> None:
+        """End it in order."""
+        ...
+
+
+class CoreNode:
+    """The core layer on a bus.
+
+    Parameters
+    ----------
+    store
+        The local database; seeded here. Whoever opened it closes it, after this node.
+    process
+        Name of this start, unlike any other's.
+    extra
+        Nodes that run beside it (summarizers, performance node), already built; closed with this one.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        scheduler: Scheduler,
+        config: SwarmConfig,
+        store: Store,
+        process: str,
+        extra: Iterable[Closing] = (),
+    ) -> None:
+        self._bus, self._scheduler, self._keys, self._process = bus, scheduler, Keys(config.swarm), process
+        keys, self._sequence = self._keys, 0
+        self.settings = Settings(store, config)
+        self.library = Library(store)
+        self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
+        self.remapper = Remapper(bus, keys, scheduler, process)
+        board = StatusBoard(bus, keys, scheduler)
+        self.handler = RequestHandler(
+            bus,
+            keys,
+            scheduler,
+            store,
+            self.roster,
+            board,
+            process,
+            interval_s=lambda: self.settings.schedule_interval_s,
+            command_ttl_s=config.agent.command_ttl_s,
+            adopted=lambda request_id, behaviour: adopted_order(self.library, self.remapper, request_id, behaviour),
+        )
+        controller = MainController(bus, keys, self.library, self.roster, board, self.handler, self.remapper)
+        checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check}
+        params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
+        self._parts: tuple[Closing, ...] = (
+            controller, self.handler, self.remapper, self.roster, params, *reversed(tuple(extra)),
+        )  # fmt: skip
+        self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
+
+    def _beat(self) -> None:
+        self._sequence += 1
+        heartbeat = Heartbeat(
+            node=NODE,
+            process=self._process,
+            sequence=self._sequence,
+            active=self.handler.requests(),
+            stamp_s=self._scheduler.now_s(),
+        )
+        self._bus.publish(self._keys.heartbeat(NODE), heartbeat)
+
+    def close(self) -> None:
+        """End all parts; the robots stop by themselves when the heartbeat is silent."""
+        self._timer.cancel()
+        for part in self._parts:
+            part.close()

@@ -1,0 +1,107 @@
+"""The core's end of the centralised behaviours: keeps their node in step with what the robots shall run.
+
+The node answers with its heartbeat, which names the requests it has in hand. What it lacks is sent again, what it has
+too much is ended; so either side may lose messages or be started again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import OrderedDict
+
+import msgspec
+
+from fullswarm.bus import Bus
+from fullswarm.keys import Keys
+from fullswarm.messages import CentralisedRequest, Heartbeat
+from fullswarm.runtime import Scheduler
+
+NODE = "centralised"
+REFRESH_S = 1.0
+GRACE_S = 2.0
+"""A new core lets unknown requests run that long: their robots may still report them."""
+
+MEMORY = 1024
+
+
+class Remapper:
+    """Sends each active centralised request to its node until the node has it.
+
+    Parameters
+    ----------
+    process
+        Name of this start of the core.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, process: str) -> None:
+        self._bus, self._keys, self._scheduler, self._process = bus, keys, scheduler, process
+        self._active: dict[str, CentralisedRequest] = {}
+        self._ended: OrderedDict[str, str] = OrderedDict()  # request id → behaviour
+        self._held_elsewhere: set[str] = set()
+        self._counter = itertools.count(1)
+        self._started_s = scheduler.now_s()
+        self._subscription = bus.subscribe(keys.heartbeat(NODE), Heartbeat, self._heard)
+        self._timer = scheduler.every(REFRESH_S, self._refresh)
+
+    def start(self, request: CentralisedRequest) -> None:
+        """Have the node compute `request` from now on."""
+        self._active[request.request_id] = msgspec.structs.replace(request, enable=True, core=self._process)
+        self._send(request.request_id)
+
+    def narrow(self, request_id: str, robots: tuple[str, ...]) -> None:
+        """Leave only `robots` in a request; without robots it ends."""
+        request = self._active.get(request_id)
+        if request is None and not robots:
+            self._held_elsewhere.discard(request_id)  # its node is told when it next names the request
+        if request is None or request.robots == robots:
+            return
+        if robots:
+            self._active[request_id] = msgspec.structs.replace(request, robots=robots)
+            self._send(request_id)
+        else:
+            del self._active[request_id]
+            self._end(request_id, request.behaviour)
+
+    def spare(self, request_id: str) -> None:
+        """Let a request run that this core has no parameters of: robots found running it were adopted."""
+        self._held_elsewhere.add(request_id)
+
+    def close(self) -> None:
+        """Stop keeping the node in step."""
+        self._subscription.close()
+        self._timer.cancel()
+
+    def _send(self, request_id: str) -> None:
+        request = msgspec.structs.replace(self._active[request_id], sequence=next(self._counter))
+        self._bus.publish(self._keys.centralised_request(request.behaviour), request)
+
+    def _end(self, request_id: str, behaviour: str) -> None:
+        self._ended[request_id] = behaviour
+        while len(self._ended) > MEMORY:
+            self._ended.popitem(last=False)
+        request = CentralisedRequest(
+            request_id=request_id,
+            behaviour=behaviour,
+            law="",
+            enable=False,
+            core=self._process,
+            sequence=next(self._counter),
+        )
+        self._bus.publish(self._keys.centralised_request(behaviour), request)
+
+    def _heard(self, heartbeat: Heartbeat) -> None:
+        for request_id in self._active:
+            if request_id not in heartbeat.active:
+                self._send(request_id)
+        grace = self._scheduler.now_s() - self._started_s < GRACE_S
+        for request_id in heartbeat.active:
+            if request_id in self._active or request_id in self._held_elsewhere:
+                continue
+            if request_id in self._ended or not grace:
+                # The node goes by the id; a behaviour that only an earlier core knew is "stop" here.
+                self._end(request_id, self._ended.get(request_id, "stop"))
+
+    def _refresh(self) -> None:
+        """Repeat everything now and then: the heartbeat does not tell whether a narrowed request arrived."""
+        for request_id in self._active:
+            self._send(request_id)

@@ -1,0 +1,329 @@
+"""The request handler (paper II.C.2): makes every robot run what is wanted of it, and hands out commands.
+
+It keeps a desired state per robot and compares it with what the robot acknowledges and reports. So a lost message, a
+robot that joins late or is started again, and a core that is started again, all end the same way: in the wanted
+state. Rapid requests are spread over `schedule_interval_s`: the first goes at once, the newest of those that follow
+goes at the end of the interval, each one it beats is told so. An intent of a stick is never held back by that.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+
+import msgspec
+
+from fullswarm.bus import Bus
+from fullswarm.core.desired import Desired, Order
+from fullswarm.core.progress import Progress
+from fullswarm.core.roster import Member, Roster
+from fullswarm.core.status import StatusBoard
+from fullswarm.keys import Keys
+from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus
+from fullswarm.runtime import Scheduler
+from fullswarm.store import Store
+
+TICK_S = 0.05
+WANTED = "wanted/"
+
+Release = Callable[[str, tuple[str, ...]], None]
+
+
+class RequestHandler:
+    """Desired-state reconciliation of all robots.
+
+    Parameters
+    ----------
+    process
+        Name of this start of the core; goes with every sequence number.
+    interval_s
+        Reads the schedule interval, which may change while running.
+    command_ttl_s
+        How long a robot may follow one command of a centralised behaviour.
+    adopted
+        Makes the order for a (request id, behaviour) found running after a restart; None: leave it alone.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        store: Store,
+        roster: Roster,
+        board: StatusBoard,
+        process: str,
+        interval_s: Callable[[], float],
+        command_ttl_s: float,
+        adopted: Callable[[str, str], Order | None],
+    ) -> None:
+        self._bus, self._keys, self._scheduler, self._store = bus, keys, scheduler, store
+        self._roster, self._board, self._process = roster, board, process
+        self._interval_s, self._command_ttl_s = interval_s, command_ttl_s
+        self._robots: dict[str, Desired] = {}
+        self._requests: dict[str, Progress] = {}
+        self._dirty: dict[str, None] = {}
+        self._counter = itertools.count(1)
+        self._on_change: list[Release] = []
+        self._adopted = adopted
+        roster.watch(self._reported, self._fell_silent)
+        self._subscriptions = [
+            bus.subscribe(keys.ack(), ControlAck, self._acknowledged),
+            bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._hand_out),
+        ]
+        self._timer = scheduler.every(TICK_S, self._tick)
+        self._restore()
+
+    # ------------------------------------------------------------ asked by the main controller
+    def submit(self, orders: Mapping[str, Order], reason: str = "", *, at_once: bool = False) -> None:
+        """Want these orders, all of one request, of these robots.
+
+        `at_once` skips the schedule interval: a stop waits for nothing.
+        """
+        if not orders:
+            return
+        first = next(iter(orders.values()))
+        self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=reason)
+        applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]
+        for robot in applied:
+            self._advance(self._robots[robot])
+        self._publish(first.request_id)
+        self._keep(applied)
+
+    def holds(self, request_id: str) -> bool:
+        """Tell whether some robot still holds the request."""
+        return request_id in self._requests
+
+    def requests(self) -> tuple[str, ...]:
+        """Return the ids of all requests that some robot holds."""
+        return tuple(self._requests)
+
+    def wanted(self, robot: str) -> Order | None:
+        """Return what is wanted of `robot` now."""
+        state = self._robots.get(robot)
+        return state.order if state else None
+
+    def watch_holders(self, callback: Release) -> None:
+        """Have ``callback(request_id, robots)`` called when robots left a request; none left: it is over."""
+        self._on_change.append(callback)
+
+    def close(self) -> None:
+        """Stop handling; the robots notice the silence by themselves."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        self._timer.cancel()
+
+    # ------------------------------------------------------------ scheduling
+    def _schedule(self, robot: str, order: Order, at_once: bool) -> bool:
+        """Apply `order` now (True) or have it wait for the end of the interval."""
+        state, now_s = self._state(robot), self._scheduler.now_s()
+        if state.waiting is not None:
+            self._leave(robot, state.waiting, order)
+            state.waiting = None
+        stream = order.intent and state.order is not None and state.order.behaviour == order.behaviour
+        rest_s = state.switched_s + self._interval_s() - now_s
+        if at_once or stream or rest_s <= 0:
+            self._apply(state, order)
+            return True
+        state.waiting = order
+        self._scheduler.after(rest_s, lambda: self._interval_over(state, order))
+        return False
+
+    def _interval_over(self, state: Desired, order: Order) -> None:
+        if state.waiting is order:
+            state.waiting = None
+            self._apply(state, order)
+            self._advance(state)
+            self._keep([state.robot])
+            self._mark(order.request_id)
+
+    def _apply(self, state: Desired, order: Order) -> None:
+        before = state.order
+        if before is not None:
+            self._leave(state.robot, before, order)
+        now_s = self._scheduler.now_s()
+        if before is None or before.behaviour != order.behaviour or not order.intent:
+            state.switched_s = now_s
+        state.want(order, now_s)
+
+    def _leave(self, robot: str, old: Order, new: Order) -> None:
+        if old.request_id != new.request_id:
+            self._release(robot, old.request_id, f"superseded by {new.request_id}", beaten=True)
+
+    def _release(self, robot: str, request_id: str, reason: str, *, beaten: bool) -> None:
+        progress = self._requests.get(request_id)
+        if progress is not None:
+            progress.leave(robot, reason, beaten=beaten)
+            self._mark(request_id)
+
+    # ------------------------------------------------------------ sending
+    def _advance(self, state: Desired) -> None:
+        """Send what is due to one robot."""
+        request = state.next(lambda: next(self._counter))
+        if request is not None:
+            self._send(state)
+
+    def _send(self, state: Desired) -> None:
+        flight, now_s = state.flight, self._scheduler.now_s()
+        if flight is not None:
+            state.sent(now_s)
+            stamped = msgspec.structs.replace(flight, stamp_s=now_s)
+            self._bus.publish(self._keys.control_requests(flight.robot, flight.behaviour), stamped)
+
+    def _tick(self) -> None:
+        now_s = self._scheduler.now_s() + 1e-9
+        for state in self._robots.values():
+            if now_s >= state.lapses_s and state.order is not None:
+                self._give_up(state, f"the intent lapsed after {state.order.expires_s:g} s")
+            elif now_s >= state.resend_s and state.present:
+                self._send(state)
+
+    def _give_up(self, state: Desired, reason: str) -> None:
+        order = state.order
+        if order is not None:
+            state.want(None, self._scheduler.now_s())
+            self._release(state.robot, order.request_id, reason, beaten=False)
+            self._keep([state.robot])
+
+    # ------------------------------------------------------------ what the robots say
+    def _acknowledged(self, ack: ControlAck) -> None:
+        state = self._robots.get(ack.robot)
+        if state is not None and state.acknowledge(ack, self._scheduler.now_s()):
+            self._advance(state)
+            self._mark_robot(state)
+            if state.refused:
+                self._keep([state.robot])  # what was refused once shall not start after a restart of the core
+
+    def _reported(self, member: Member, restarted: bool) -> None:
+        health = member.health
+        if health is None:
+            return
+        state = self._state(member.robot)
+        before = state.present, state.settled, state.order
+        state.present = True
+        given_up = state.compare(health, restarted, self._scheduler.now_s())
+        if given_up:
+            self._give_up(state, given_up)
+        elif state.order is None and not state.obeyed and health.behaviour and health.core != self._process:
+            self._adopt(state, health.request_id, health.behaviour)
+        self._advance(state)
+        if before != (state.present, state.settled, state.order):
+            self._mark_robot(state)
+
+    def _fell_silent(self, robot: str) -> None:
+        state = self._state(robot)
+        state.present = False
+        self._mark_robot(state)
+
+    def _adopt(self, state: Desired, request_id: str, behaviour: str) -> None:
+        """Want what a robot runs already: this core has no memory of it, and it shall not stop for that."""
+        order = self._adopted(request_id, behaviour)
+        if order is None:
+            return
+        self._hold(order, state.robot).reason = "adopted after a restart of the core"
+        state.want(order, self._scheduler.now_s())
+        state.settled = order.adopted
+        self._keep([state.robot])
+
+    # ------------------------------------------------------------ commands of centralised behaviours
+    def _hand_out(self, commands: CentralisedCommands) -> None:
+        """Give each robot its command, at once; robots that run something else by now get none."""
+        columns = (commands.robots, commands.linear_m_s, commands.angular_rad_s)
+        if len({len(column) for column in columns}) != 1:
+            return
+        # Numbered by the core: a centralised node that was started again counts from one, robots want growing numbers.
+        sequence, now_s = next(self._counter), self._scheduler.now_s()
+        for robot, linear_m_s, angular_rad_s in zip(*columns, strict=True):
+            order = self.wanted(robot)
+            finite = math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)
+            if finite and order is not None and order.request_id == commands.request_id:
+                self._bus.publish(
+                    self._keys.command(robot),
+                    Command(
+                        robot=robot,
+                        request_id=commands.request_id,
+                        linear_m_s=linear_m_s,
+                        angular_rad_s=angular_rad_s,
+                        ttl_s=self._command_ttl_s,
+                        sequence=sequence,
+                        stamp_s=now_s,
+                    ),
+                )
+
+    # ------------------------------------------------------------ status and memory
+    def _state(self, robot: str) -> Desired:
+        state = self._robots.get(robot)
+        if state is None:
+            state = self._robots[robot] = Desired(robot, self._process)
+        return state
+
+    def _mark_robot(self, state: Desired) -> None:
+        for order in (state.order, state.waiting):
+            if order is not None:
+                self._mark(order.request_id)
+
+    def _mark(self, request_id: str) -> None:
+        """Have the status worked out once for all that happens at this moment."""
+        if not self._dirty:
+            self._scheduler.after(0.0, self._flush)
+        self._dirty[request_id] = None
+
+    def _flush(self) -> None:
+        dirty, self._dirty = self._dirty, {}
+        for request_id in dirty:
+            self._publish(request_id)
+
+    def _publish(self, request_id: str) -> None:
+        progress = self._requests.get(request_id)
+        if progress is None:
+            return
+        status = progress.status(self._robots)
+        self._board.publish(status)
+        # Who refused once is not asked again: when all did, the request is over.
+        holders = () if status.phase == "refused" else progress.holders()
+        if len(holders) < len(progress.robots):
+            if not holders:
+                del self._requests[request_id]
+            for callback in self._on_change:
+                callback(request_id, holders)
+
+    def _keep(self, robots: list[str]) -> None:
+        """Write what is wanted into the local database; an intent leaves nothing to come back to."""
+        values: dict[str, dict[str, object] | None] = {}
+        for robot in robots:
+            state = self._robots[robot]
+            order = state.order
+            value = None if order is None or order.intent or state.refused else msgspec.to_builtins(order)
+            if value is not None or self._store.get(WANTED + robot) is not None:
+                values[WANTED + robot] = value
+        if values:
+            self._store.set_many(values, f"core {self._process}")
+
+    def _restore(self) -> None:
+        """Want again what was wanted before a restart, and remember which requests were done by then."""
+        past = self._store.history(WANTED + "*")
+        for order in filter(None, map(_order, past)):
+            reason = "before the core was started again"
+            self._board.remember(
+                RequestStatus(request_id=order.request_id, behaviour=order.behaviour, phase="ended", reason=reason)
+            )
+        for entry in self._store.list(WANTED):
+            wanted, robot = _order(entry), entry.key.removeprefix(WANTED)
+            if wanted is not None:
+                self._hold(wanted, robot)
+                self._state(robot).want(wanted, self._scheduler.now_s())
+
+    def _hold(self, order: Order, robot: str) -> Progress:
+        progress = self._requests.setdefault(order.request_id, Progress(order.request_id, order.behaviour, ()))
+        progress.robots = (*progress.robots, robot)
+        self._mark(order.request_id)
+        return progress
+
+
+def _order(entry: ParamEntry) -> Order | None:
+    """Read an order back; None for an empty entry, or one that another version wrote."""
+    try:
+        return None if entry.value is None else msgspec.convert(entry.value, Order)
+    except msgspec.ValidationError:
+        return None

@@ -1,0 +1,101 @@
+"""Who is present: a robot counts as there while its agent's health reports keep coming."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from fullswarm.bus import Bus
+from fullswarm.keys import Keys
+from fullswarm.messages import ROBOT_ID, HealthReport, RobotHealth
+from fullswarm.runtime import Scheduler
+
+SILENCE_S = 1.5
+CHECK_S = 0.1
+
+
+@dataclass(slots=True)
+class Member:
+    """A robot of the swarm."""
+
+    robot: str
+    heard_s: float = -math.inf
+    present: bool = False
+    process: str = ""  # of its agent; another one means that the agent was started again
+    health: RobotHealth | None = None
+
+
+class Roster:
+    """The configured robots and all that were ever heard.
+
+    Parameters
+    ----------
+    configured
+        Ids of the fleet file, in its order.
+    silence_s
+        Reads how long a robot may be silent before it counts as absent.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        configured: Sequence[str] = (),
+        silence_s: Callable[[], float] = lambda: SILENCE_S,
+    ) -> None:
+        self._scheduler = scheduler
+        self._silence_s = silence_s
+        self._members = {robot: Member(robot) for robot in configured}
+        self._on_report: list[Callable[[Member, bool], None]] = []
+        self._on_absence: list[Callable[[str], None]] = []
+        self._subscription = bus.subscribe(keys.health(), HealthReport, self._report)
+        self._timer = scheduler.every(CHECK_S, self._check)
+
+    def watch(self, on_report: Callable[[Member, bool], None], on_absence: Callable[[str], None]) -> None:
+        """Have `on_report(member, restarted)` called for each report, `on_absence(robot)` when one falls silent."""
+        self._on_report.append(on_report)
+        self._on_absence.append(on_absence)
+
+    def known(self) -> tuple[str, ...]:
+        """Return all robots: those of the fleet file in its order, then the others as they came."""
+        return tuple(self._members)
+
+    def present(self) -> tuple[str, ...]:
+        """Return the robots that are there now, in the order of :meth:`known`."""
+        return tuple(robot for robot, member in self._members.items() if member.present)
+
+    def is_present(self, robot: str) -> bool:
+        """Tell whether `robot` is there now."""
+        member = self._members.get(robot)
+        return member is not None and member.present
+
+    def health(self, robot: str) -> RobotHealth | None:
+        """Return the newest health of `robot`; None before the first report."""
+        member = self._members.get(robot)
+        return member.health if member else None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscription.close()
+        self._timer.cancel()
+
+    def _report(self, report: HealthReport) -> None:
+        for health in report.robots:
+            if not ROBOT_ID.match(health.robot):
+                continue  # it would not fit into a key
+            member = self._members.setdefault(health.robot, Member(health.robot))
+            restarted = member.process != report.process
+            member.heard_s, member.present = self._scheduler.now_s(), True
+            member.process, member.health = report.process, health
+            for callback in self._on_report:
+                callback(member, restarted)
+
+    def _check(self) -> None:
+        oldest_s = self._scheduler.now_s() - self._silence_s()
+        for member in tuple(self._members.values()):
+            if member.present and member.heard_s < oldest_s:
+                member.present = False
+                for callback in self._on_absence:
+                    callback(member.robot)
