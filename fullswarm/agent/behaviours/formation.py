@@ -1,0 +1,11 @@
+"""Formation: each robot has its own target (paper III.A.4), ``ṗ_i = -K (p_i - E_i)``."""
+
+from __future__ import annotations
+
+from fullswarm.agent.tasks import Params
+from fullswarm.agent.view import Array, View
+
+
+def velocity(view: View, params: Params) -> Array:
+    """Return ``K (E_i - p_i)``, (n, 2) m/s."""
+    return params.gain * (params.target - view.position)

@@ -1,0 +1,14 @@
+"""Stand still."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fullswarm.agent.tasks import Params
+from fullswarm.agent.view import Array, View
+
+
+def twist(view: View, params: Params) -> Array:
+    """Return zero for everybody, (n, 2)."""
+    del params
+    return np.zeros((len(view.position), 2))

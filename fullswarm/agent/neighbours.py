@@ -1,0 +1,140 @@
+"""States heard from other robots, with their age; and whose states to listen to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.agent import pairs
+from fullswarm.bus.base import Bus, Subscription
+from fullswarm.keys import Keys, cells_within
+from fullswarm.messages import RobotStates
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Neighbours:
+    """The newest state of every robot heard, as arrays that grow with the swarm.
+
+    Attributes
+    ----------
+    heard : (m, 6) x, y, heading, speed, turn rate, radius as told
+    arrival_s : (m,) when, on this machine's clock
+    predicted : (m, 2) positions moved on to the time of the last `refresh`; NaN when too old
+    """
+
+    def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
+        self._own = ids
+        self._timeout_s = timeout_s
+        self._row_of: dict[str, int] = {}
+        self._batch: tuple[tuple[str, ...], Index] | None = None
+        self._newest: dict[str, tuple[int, float]] = {}
+        self.count = 0
+        self.own_row = np.full(len(ids), -1, np.int64)
+        self._lists: dict[float, tuple[Index, Index]] = {}
+        self.heard = np.zeros((0, 6))
+        self.arrival_s = np.zeros(0)
+        self.predicted = np.zeros((0, 2))
+        self._grow(max(16, len(ids)))
+
+    def hear(self, states: RobotStates, now_s: float) -> None:
+        """Take in the states of one host; an older message than the last from that host is ignored."""
+        newest = self._newest.get(states.host)
+        # A sequence that falls while the sender's clock goes on means that the host was restarted.
+        if newest and states.sequence <= newest[0] and states.stamp_s <= newest[1]:
+            return
+        self._newest[states.host] = (states.sequence, states.stamp_s)
+        rows = self._rows(states.robots)
+        heard = self.heard
+        heard[rows, 0] = states.x_m
+        heard[rows, 1] = states.y_m
+        heard[rows, 2] = states.heading_rad
+        heard[rows, 3] = states.speed_m_s
+        heard[rows, 4] = states.turn_rad_s
+        heard[rows, 5] = states.radius_m
+        self.arrival_s[rows] = now_s
+
+    def refresh(self, now_s: float) -> None:
+        """Move all heard positions on to `now_s`."""
+        pairs.predict.run(self.heard, self.arrival_s, self.count, now_s, self._timeout_s, self.predicted)
+
+    def within(self, position: Array, reach_m: float) -> tuple[Index, Index]:
+        """Find who is within `reach_m` of each own robot at the time of the last `refresh`.
+
+        Returns
+        -------
+        start : (n + 1,)
+        other : (capacity,) rows; neighbours of robot i are ``other[start[i]:start[i + 1]]``. Both are reused.
+        """
+        count = self.count
+        start, other = self._lists.get(reach_m) or (np.zeros(len(position) + 1, np.int64), np.zeros(64, np.int64))
+        search = pairs.all_pairs if len(position) * count <= pairs.BRUTE_FORCE_BELOW else pairs.cell_pairs
+        found = search.run(position, self.own_row, self.predicted, count, reach_m, start, other)
+        if found > len(other):
+            other = np.zeros(2 * found, np.int64)
+            search(position, self.own_row, self.predicted, count, reach_m, start, other)
+        self._lists[reach_m] = (start, other)
+        return start, other
+
+    def oldest_age_s(self, now_s: float) -> float:
+        """Return the age of the stalest state that still counts; 0 when nobody is heard."""
+        ages = now_s - self.arrival_s[: self.count]
+        fresh = ages[ages <= self._timeout_s]
+        return float(fresh.max()) if len(fresh) else 0.0
+
+    def _rows(self, robots: tuple[str, ...]) -> Index:
+        if self._batch is not None and self._batch[0] == robots:
+            return self._batch[1]
+        for robot in robots:
+            if robot not in self._row_of:
+                self._row_of[robot] = self.count
+                self.count += 1
+                if robot in self._own:
+                    self.own_row[self._own.index(robot)] = self._row_of[robot]
+        self._grow(self.count)
+        rows = np.array([self._row_of[robot] for robot in robots], np.int64)
+        if len(robots) > 1:
+            self._batch = (robots, rows)
+        return rows
+
+    def _grow(self, count: int) -> None:
+        if count > len(self.heard):
+            more = max(count, 2 * len(self.heard)) - len(self.heard)
+            self.heard = np.vstack([self.heard, np.zeros((more, 6))])
+            self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
+
+
+class Listening:
+    """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
+
+    def __init__(
+        self, bus: Bus, keys: Keys, reach_m: float, cell_m: float, hear: Callable[[RobotStates], None]
+    ) -> None:
+        self._bus, self._keys, self._reach_m, self._cell_m = bus, keys, reach_m, cell_m
+        self._hear = hear
+        self._cells: dict[str, Subscription] = {}
+
+    def follow(self, position: Array) -> None:
+        """Subscribe to the cells within reach of `position` (n, 2), drop those left behind."""
+        wanted: set[str] = set()
+        for x_m, y_m in position:
+            if math.isfinite(x_m) and math.isfinite(y_m):
+                wanted |= cells_within(float(x_m), float(y_m), self._reach_m, self._cell_m)
+            if self._cell_m <= 0.0:
+                wanted = cells_within(0.0, 0.0, 0.0, 0.0)
+                break
+        for cell in wanted - self._cells.keys():
+            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._hear, latest=True)
+        for cell in self._cells.keys() - wanted:
+            self._cells.pop(cell).close()
+
+    def close(self) -> None:
+        """Drop all subscriptions."""
+        for subscription in self._cells.values():
+            subscription.close()
+        self._cells.clear()

@@ -1,0 +1,269 @@
+"""The agent's node: wires requests, laws, filter, controller, driver and calculators to the bus and the clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+
+from fullswarm import __version__
+from fullswarm.agent import reports
+from fullswarm.agent.estimator import DirectEstimator, EkfEstimator, Estimator
+from fullswarm.agent.inbox import Inbox
+from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
+from fullswarm.agent.safety import barrier
+from fullswarm.agent.tasks import Group, Tasks
+from fullswarm.agent.view import Array, View
+from fullswarm.bus.base import Bus
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
+from fullswarm.keys import Keys
+from fullswarm.messages import RobotStates
+from fullswarm.perf.calculators import Calculators
+from fullswarm.runtime import LoopStats, Scheduler
+
+log = structlog.get_logger()
+
+FOLLOW_PERIOD_S = 0.5
+"""How often the subscriptions to neighbours' cells follow the robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who this agent is on the bus."""
+
+    host: str  # key chunk: the robot's id on board, "lockstep" in a trial
+    process: str  # unique per process start
+
+
+class AgentNode:
+    """Carries the n robots of `fleet`: one on board, the whole swarm in lockstep.
+
+    Parameters
+    ----------
+    start : (n, 3) start poses for robots that sense odometry only
+    loop : how the runtime keeps its deadlines, for the health report
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        scheduler: Scheduler,
+        config: SwarmConfig,
+        fleet: Fleet,
+        identity: Identity,
+        start: Array,
+        loop: Callable[[], LoopStats],
+    ) -> None:
+        self._bus, self._scheduler, self._fleet = bus, scheduler, fleet
+        self._config = settings = config.agent
+        self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
+        self._bounds = config.bounds_m
+        self._bounds_array = np.array(self._bounds)
+        count = len(fleet.ids)
+        limits = tuple(each.limits for each in fleet.descriptions)
+        self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
+        accel = np.array([each.accel_m_s2 for each in limits])
+        # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
+        self._gain = np.minimum(settings.barrier_gain_per_s, accel / self.controller.speed_limit)
+        self._radius = np.array([each.radius_m for each in fleet.descriptions])
+        self.tasks = Tasks(count)
+        self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
+        self._listening = Listening(bus, self._keys, settings.sensing_radius_m, settings.state_cell_m, self._on_states)
+        self._estimator = _estimator(config, start)
+        self.calculators = Calculators(
+            fleet.ids,
+            self._bounds,
+            config.performance.coverage_cell_m,
+            self._radius,
+            np.array([each.speed_m_s for each in limits]),
+        )
+        self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self._planar = np.full((count, 2), math.nan)
+        self._driver_ready = np.zeros(count, bool)
+        self._applied = np.zeros((count, 2))
+        self.pose = start.copy()
+        self.twist = np.zeros((count, 2))
+        self.reading: FleetReading | None = None
+        self._last_tick_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
+        self._law_errors: set[str] = set()
+        self.law_error = [""] * count
+        self.ended = [""] * count
+        self._sequence = 0
+        self._dirty = False
+        fleet.open()
+        self._timers = [
+            scheduler.every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
+            scheduler.every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
+            scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
+            scheduler.every(1.0 / settings.measurement_rate_hz, self._publish_measurements),
+            scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+        ]
+
+    # ------------------------------------------------------------------ what others of this agent need
+    @property
+    def fleet(self) -> Fleet:
+        """The drivers."""
+        return self._fleet
+
+    @property
+    def identity(self) -> Identity:
+        """Who this agent is."""
+        return self._identity
+
+    def wake(self) -> None:
+        """Act on a message now instead of at the next period; with many robots the next tick does it."""
+        self._dirty = True
+        if len(self._fleet.ids) == 1:
+            self.tick()
+
+    # ------------------------------------------------------------------ the tick
+    def tick(self) -> None:
+        """Read, estimate, wish, decide, command, measure."""
+        now_s = self._scheduler.now_s()
+        dt_s = min(max(now_s - self._last_tick_s, 0.0), 2.0 / self._config.control_rate_hz)
+        self._last_tick_s = now_s
+        self.reading = reading = self._fleet.read()
+        self.pose = self._estimator.update(reading, dt_s)
+        self.twist = reading.twist
+        groups = self.tasks.groups()
+        if groups:
+            self._wish(groups, now_s, reading)
+        twists = self.controller.step(
+            now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
+            self.inbox.core_alive(now_s), self._bus.connected(), self._ready(),
+            now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
+        )  # fmt: skip
+        self._applied = self._fleet.command(twists, self.controller.drive_on)
+        self.calculators.update(now_s, self.pose, reading.contacts, dt_s, reading.odometry)
+        self.inbox.watch_estops(now_s)
+        if self.controller.changed:
+            self._end_unsafe_tasks()
+        if self._dirty or self.controller.changed:
+            self.publish_health()
+
+    def _end_unsafe_tasks(self) -> None:
+        """After a fault or a hazard nobody drives on by himself: that takes a new request."""
+        reasons = self.controller.reason
+        for row in np.flatnonzero((reasons == Reason.DRIVER) | (reasons == Reason.HAZARD)).tolist():
+            if reasons[row] == Reason.HAZARD:
+                self.inbox.spend(row, EXPLAIN[Reason.HAZARD])
+            elif self._fleet.lifecycle(row) is Lifecycle.FAULT:
+                self.inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
+
+    def _ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        fleet = self._fleet
+        if len(fleet.ids) == 1:
+            self._driver_ready[0] = fleet.lifecycle(0) in (Lifecycle.READY, Lifecycle.ACTIVE)
+        else:
+            self._driver_ready[:] = True
+        return self._driver_ready
+
+    def _wish(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
+        """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
+        settings, pose = self._config, self.pose
+        position = np.ascontiguousarray(pose[:, :2])
+        self.neighbours.refresh(now_s)
+        start, other = self.neighbours.within(position, settings.sensing_radius_m)
+        planar = self._planar
+        planar.fill(math.nan)
+        for group in groups:
+            near = (start, other)
+            if group.hearing_m > 0.0:
+                near = self.neighbours.within(position, group.hearing_m)
+            view = View(
+                position, pose[:, 2], self._radius, *near, self.neighbours.predicted, self.neighbours.heard,
+                self._bounds,
+            )  # fmt: skip
+            self._evaluate(group, view if len(group.rows) == len(position) else view.select(group.rows), now_s)
+        barrier.drive.run(
+            planar, self.tasks.filtered, pose, self._radius, self.controller.speed_limit,
+            self.controller.turn_limit, self.controller.reverse, settings.speed_gain, settings.turn_gain_per_s,
+            self._gain, settings.safety_margin_m, settings.sensing_radius_m, start, other,
+            self.neighbours.predicted, self.neighbours.heard, reading.obstacles, self._bounds_array,
+            self.controller.wished,
+        )  # fmt: skip
+
+    def _evaluate(self, group: Group, view: View, now_s: float) -> None:
+        """Call one law; if it raises or answers something that is not finite, its robots stand and say so."""
+        try:
+            planar = hasattr(group.module, "velocity")
+            law = group.module.velocity if planar else group.module.twist
+            wished = law(view, group.params)
+            if not math.isfinite(wished.sum()):
+                raise ValueError("the law's answer is not finite")
+        except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
+            self._law_failed(group, error)
+            return
+        controller = self.controller
+        rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
+        (self._planar if planar else controller.wished)[rows] = wished
+        controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
+        controller.law_failed[rows] = False
+
+    def _law_failed(self, group: Group, error: Exception) -> None:
+        text = f"law '{group.law}': {type(error).__name__}: {error}"
+        self.controller.law_failed[group.rows] = True
+        for row in group.rows:
+            self.law_error[row] = text
+        if text not in self._law_errors:
+            self._law_errors.add(text)
+            log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)
+
+    # ------------------------------------------------------------------ what goes out
+    def _on_states(self, states: RobotStates) -> None:
+        self.neighbours.hear(states, self._scheduler.now_s())
+
+    def _follow(self) -> None:
+        self._listening.follow(self.pose[:, :2])
+
+    def _publish_states(self) -> None:
+        if self.reading is None:
+            return
+        self._sequence += 1
+        now_s = self._scheduler.now_s()
+        for key, message in reports.states(self, self._keys, self._config.state_cell_m, self._sequence, now_s):
+            self._bus.publish(key, message)
+
+    def publish_health(self) -> None:
+        """Publish the health of all robots."""
+        self._dirty = False
+        now_s = self._scheduler.now_s()
+        report = reports.health(self, self._loop(), __version__, now_s)
+        self._bus.publish(self._keys.health(self._identity.host), report)
+
+    def _publish_measurements(self) -> None:
+        self.calculators.publish(self._bus, self._keys, self._identity.host, self._scheduler.now_s())
+
+    @property
+    def radius(self) -> Array:
+        """Footprints, (n,) m."""
+        return self._radius
+
+    @property
+    def driver_ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which drivers were READY or ACTIVE at the last tick, (n,)."""
+        return self._driver_ready
+
+    def close(self) -> None:
+        """Stop all wheels, tell the last of the story, close the drivers."""
+        for timer in self._timers:
+            timer.cancel()
+        for row in range(len(self._fleet.ids)):
+            self.tasks.disable(row)
+        self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
+        self._publish_measurements()
+        self._listening.close()
+        self.inbox.close()
+        self._fleet.close()
+
+
+def _estimator(config: SwarmConfig, start: Array) -> Estimator:
+    if config.agent.estimator == "direct":
+        return DirectEstimator(start)
+    noise = config.world.noise if config.world else None
+    return EkfEstimator(start, noise.position_m if noise else 0.05, noise.heading_rad if noise else 0.05)

@@ -1,0 +1,110 @@
+"""What an agent tells the others about its robots: states and health."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.keys import Keys, cell_of
+from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
+from fullswarm.runtime import LoopStats
+
+if TYPE_CHECKING:
+    from fullswarm.agent.node import AgentNode
+
+NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
+
+MOVING_M_S = 0.005
+MOVING_RAD_S = 0.02
+"""Below both a robot counts as standing: slower than any wheel can be commanded to turn."""
+
+
+def states(
+    agent: AgentNode, keys: Keys, cell_m: float, sequence: int, now_s: float
+) -> Iterator[tuple[str, RobotStates]]:
+    """Yield (key, message): one per grid cell that holds robots of this agent."""
+    pose, twist = agent.pose, agent.twist
+    cells: dict[str, list[int]] = {}
+    known = np.flatnonzero(~np.isnan(pose[:, 0]) & agent.driver_ready)
+    if cell_m <= 0.0 and len(known):
+        cells[cell_of(0.0, 0.0, cell_m)] = known.tolist()
+    elif cell_m > 0.0:
+        for row in known.tolist():
+            cells.setdefault(cell_of(pose[row, 0], pose[row, 1], cell_m), []).append(row)
+    ids, host = agent.fleet.ids, agent.identity.host
+    for cell, rows in cells.items():
+        everyone = len(rows) == len(ids)
+        x, y, heading = (pose if everyone else pose[rows]).T.tolist()
+        speed, turn = (twist if everyone else twist[rows]).T.tolist()
+        yield (
+            keys.state(cell, host),
+            RobotStates(
+                host=host,
+                sequence=sequence,
+                stamp_s=now_s,
+                robots=ids if everyone else tuple(ids[row] for row in rows),
+                x_m=tuple(x),
+                y_m=tuple(y),
+                heading_rad=tuple(heading),
+                speed_m_s=tuple(speed),
+                turn_rad_s=tuple(turn),
+                radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
+            ),
+        )
+
+
+def health(agent: AgentNode, loop: LoopStats, version: str, now_s: float) -> HealthReport:
+    """Return the health of all robots of this agent."""
+    return HealthReport(
+        host=agent.identity.host,
+        process=agent.identity.process,
+        version=version,
+        robots=tuple(_robots(agent)),
+        ticks=loop.ticks,
+        late_ticks=loop.late,
+        missed_ticks=loop.missed,
+        worst_late_s=loop.worst_late_s,
+        stamp_s=now_s,
+    )
+
+
+def _why(agent: AgentNode, row: int, reason: int) -> str:
+    if reason == Reason.LAW:
+        return agent.law_error[row]
+    return agent.ended[row] if reason == Reason.IDLE else EXPLAIN[reason]
+
+
+def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
+    """Yield one entry per robot; whole columns become lists first, which a large swarm feels."""
+    fleet, count = agent.fleet, len(agent.fleet.ids)
+    reading = agent.reading
+    battery = reading.battery.tolist() if reading else [-1.0] * count
+    contacts = reading.contacts.tolist() if reading else [0] * count
+    reasons, estops = agent.controller.reason.tolist(), agent.controller.estop.tolist()
+    collisions = agent.calculators.collisions.tolist()
+    moving = np.any(np.abs(agent.twist) > np.array([MOVING_M_S, MOVING_RAD_S]), axis=1).tolist()
+    for row, robot in enumerate(fleet.ids):
+        task, description = agent.tasks.of[row], fleet.descriptions[row]
+        request = task.request if task else NO_REQUEST
+        yield RobotHealth(
+            robot=robot,
+            driver=fleet.urls[row],
+            make=description.make,
+            model=description.model,
+            firmware=fleet.firmware(row),
+            lifecycle=str(fleet.lifecycle(row)),
+            behaviour=request.behaviour,
+            request_id=request.request_id,
+            core=request.core,
+            sequence=request.sequence,
+            moving=moving[row],
+            estop=estops[row],
+            stop_reason=_why(agent, row, reasons[row]),
+            fault=fleet.fault(row),
+            battery=battery[row],
+            contacts=contacts[row],
+            collisions=collisions[row],
+        )

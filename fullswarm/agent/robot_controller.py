@@ -1,0 +1,179 @@
+"""The robot controller: the last word on the wheels (paper II.D; design decision 6). Arrays over n robots.
+
+A wish (a twist) is valid for its time-to-live on this machine's monotonic clock. Every tick the controller decides
+for each robot whether it may move; if not, the twist is zero at once and the reason is kept for people to read. If it
+may, speed and turn rate are held within the limits and the acceleration limits.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.drivers.base import Hazard, Limits
+from fullswarm.geometry import clamp
+from fullswarm.kernels import kernel
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class Reason(enum.IntEnum):
+    """Why a robot stands, the most serious first."""
+
+    MOVING = 0
+    ESTOP = 1
+    DRIVER = 2
+    READING = 3
+    HAZARD = 4
+    IDLE = 5
+    LAW = 6
+    HUB = 7
+    CORE = 8
+    LAPSED = 9
+    STALE = 10
+
+
+EXPLAIN: dict[int, str] = {
+    Reason.MOVING: "",
+    Reason.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
+    Reason.DRIVER: "the driver is not ready",
+    Reason.READING: "the robot has told nothing new for too long",
+    Reason.HAZARD: "cliff, wheel drop, overcurrent or stop button",
+    Reason.IDLE: "",
+    Reason.LAW: "the law failed",
+    Reason.HUB: "the hub is lost",
+    Reason.CORE: "the core's heartbeat is silent",
+    Reason.LAPSED: "the operator's intent has run out",
+    Reason.STALE: "no fresh command",
+}
+
+STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON)
+BUMP = int(Hazard.BUMP)
+
+
+class RobotController:
+    """Decides, tick by tick, what the drivers are told.
+
+    Attributes
+    ----------
+    estop : (n,) latched e-stop
+    reason : (n,) :class:`Reason` of the last tick
+    changed : a reason changed in the last tick
+    drive_on : (n,) drivers that shall be ACTIVE: a task is on and no e-stop is latched
+    speed_limit, turn_limit : (n,) m/s and rad/s in force
+    """
+
+    def __init__(
+        self, limits: tuple[Limits, ...], speed_limit_m_s: float | None, turn_limit_rad_s: float | None
+    ) -> None:
+        count = len(limits)
+        self.speed_limit = np.array([min(each.speed_m_s, speed_limit_m_s or math.inf) for each in limits])
+        self.turn_limit = np.array([min(each.turn_rad_s, turn_limit_rad_s or math.inf) for each in limits])
+        self.reverse = np.array([each.can_reverse for each in limits])
+        self._accel = np.array([each.accel_m_s2 for each in limits])
+        self._turn_accel = np.array([each.turn_accel_rad_s2 for each in limits])
+        self.estop = np.zeros(count, bool)
+        self.law_failed = np.zeros(count, bool)
+        self.reason = np.full(count, int(Reason.IDLE), np.int64)
+        self.wished = np.zeros((count, 2))
+        self.valid_until_s = np.full(count, -math.inf)
+        self.changed = False
+        self.drive_on = np.zeros(count, bool)
+        self._twist = np.zeros((count, 2))
+
+    def submit(self, row: int, linear_m_s: float, angular_rad_s: float, valid_until_s: float) -> None:
+        """Wish a twist for robot `row`, valid until then; a non-finite one is refused with ``ValueError``."""
+        if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
+            raise ValueError(f"a twist of {linear_m_s} m/s, {angular_rad_s} rad/s is not finite")
+        self.wished[row] = linear_m_s, angular_rad_s
+        self.valid_until_s[row] = valid_until_s
+
+    def forget(self, row: int) -> None:
+        """Drop the wish of robot `row`: it stands at the next tick."""
+        self.wished[row] = 0.0
+        self.valid_until_s[row] = -math.inf
+
+    def step(
+        self,
+        now_s: float,
+        dt_s: float,
+        active: Flags,
+        survives_core: Flags,
+        lapses_s: Array,
+        core_alive: bool,
+        hub_alive: bool,
+        driver_ready: Flags,
+        read_since_s: float,
+        stamp_s: Array,
+        hazards: NDArray[np.uint8],
+    ) -> Array:
+        """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING.
+
+        Readings with a stamp before `read_since_s` are too old to move on.
+        """
+        self.changed = decide.run(
+            now_s, dt_s, active, survives_core, lapses_s, core_alive, hub_alive, driver_ready, read_since_s,
+            stamp_s, hazards, self.estop, self.law_failed, self.wished, self.valid_until_s, self.speed_limit,
+            self.turn_limit, self.reverse, self._accel, self._turn_accel, self.reason, self.drive_on, self._twist,
+        )  # fmt: skip
+        return self._twist
+
+
+@kernel
+def decide(
+    now_s: float, dt_s: float, active: Flags, survives_core: Flags, lapses_s: Array, core_alive: bool,
+    hub_alive: bool, driver_ready: Flags, read_since_s: float, stamp_s: Array, hazards: NDArray[np.uint8],
+    estop: Flags, law_failed: Flags, wished: Array, valid_until_s: Array, speed_limit: Array, turn_limit: Array,
+    reverse: Flags, accel: Array, turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags, twist: Array,
+) -> bool:  # fmt: skip
+    """Fill `reason` (n,), numbers of :class:`Reason`, `drive_on` (n,) and `twist` (n, 2); tell if a reason changed."""
+    changed = False
+    for i in range(active.shape[0]):
+        hazard = int(hazards[i])
+        why = 0
+        if estop[i]:
+            why = 1
+        elif not driver_ready[i]:
+            why = 2
+        elif not stamp_s[i] >= read_since_s:
+            why = 3
+        elif hazard & STOPPING_HAZARDS:
+            why = 4
+        elif not active[i]:
+            why = 5
+        elif law_failed[i]:
+            why = 6
+        elif not hub_alive and not survives_core[i]:
+            why = 7
+        elif not core_alive and not survives_core[i]:
+            why = 8
+        elif now_s >= lapses_s[i]:
+            why = 9
+        elif now_s >= valid_until_s[i]:
+            why = 10
+        changed = changed or reason[i] != why
+        reason[i] = why
+        drive_on[i] = active[i] and not estop[i]
+        if why != 0:
+            # Zero at once, not a ramp: the wheels' own limits brake, and silence must end in zero within the bound.
+            twist[i, 0] = 0.0
+            twist[i, 1] = 0.0
+            continue
+        low = -speed_limit[i] if reverse[i] else 0.0
+        high = 0.0 if hazard & BUMP else speed_limit[i]
+        speed = clamp(wished[i, 0], low, high)
+        turn = clamp(wished[i, 1], -turn_limit[i], turn_limit[i])
+        step = accel[i] * dt_s
+        # Braking is never held back: the filter's promise rests on it, and the wheels limit it anyway.
+        if speed * twist[i, 0] < 0.0:
+            speed = clamp(speed, -step, step)
+        elif math.fabs(speed) > math.fabs(twist[i, 0]):
+            speed = clamp(speed, twist[i, 0] - step, twist[i, 0] + step)
+        turn_step = turn_accel[i] * dt_s
+        twist[i, 0] = speed
+        twist[i, 1] = clamp(turn, twist[i, 1] - turn_step, twist[i, 1] + turn_step)
+    return changed

@@ -1,0 +1,200 @@
+"""Barrier certificates for unicycles, per robot (paper III.A, its [11]: Wang, Ames, Egerstedt 2017).
+
+For a neighbour j in direction n (unit, from i to j) with a gap g between the footprints, robot i may close at most
+its half: ``n·u_i <= γ g / 2``. For a wall or a box it carries the whole: ``n·u_i <= γ g``. The wished velocity is
+projected onto these half-planes exactly, by an incremental method in the plane: no solver, no tolerance.
+
+A unicycle cannot drive sideways, so projecting is not enough: that is how the paper's robots collided. Here the
+projection only says where to turn to. Turning moves nobody's disc, and the speed along the *present* heading is held
+within the interval that the same half-planes allow; standing is always in it, as a violated gap counts as zero.
+A robot that obeys slows at most with ``γ v``, so γ is held below acceleration/speed and the brakes suffice.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.geometry import clamp, unicycle
+from fullswarm.kernels import kernel
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MAX_ROWS = 256
+"""Half-planes per robot at most. Only things within braking distance count, and discs of one size leave room for
+a few dozen of them there."""
+
+
+@kernel
+def box_gap(x: float, y: float, obstacles: Array, row: int) -> tuple[float, float, float]:
+    """Measure the way from a point to a rounded box.
+
+    Returns
+    -------
+    tuple
+        Distance in m (negative inside) and the unit direction towards the box.
+    """
+    yaw = obstacles[row, 4]
+    cos_yaw = math.cos(yaw)
+    sin_yaw = math.sin(yaw)
+    dx = x - obstacles[row, 0]
+    dy = y - obstacles[row, 1]
+    local_x = cos_yaw * dx + sin_yaw * dy
+    local_y = -sin_yaw * dx + cos_yaw * dy
+    out_x = local_x - clamp(local_x, -obstacles[row, 2], obstacles[row, 2])
+    out_y = local_y - clamp(local_y, -obstacles[row, 3], obstacles[row, 3])
+    distance = math.hypot(out_x, out_y)
+    if distance < 1e-9:
+        # Inside: the nearest face counts.
+        depth_x = obstacles[row, 2] - math.fabs(local_x)
+        depth_y = obstacles[row, 3] - math.fabs(local_y)
+        if depth_x < depth_y:
+            out_x = 1.0 if local_x > 0 else -1.0
+            out_y = 0.0
+            distance = -depth_x
+        else:
+            out_x = 0.0
+            out_y = 1.0 if local_y > 0 else -1.0
+            distance = -depth_y
+        towards_x = -(cos_yaw * out_x - sin_yaw * out_y)
+        towards_y = -(sin_yaw * out_x + cos_yaw * out_y)
+        return distance - obstacles[row, 5], towards_x, towards_y
+    towards_x = -(cos_yaw * out_x - sin_yaw * out_y) / distance
+    towards_y = -(sin_yaw * out_x + cos_yaw * out_y) / distance
+    return distance - obstacles[row, 5], towards_x, towards_y
+
+
+@kernel
+def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: int) -> tuple[float, float]:
+    """Find the velocity nearest to the wish with ``normals[k]·u <= limits[k]`` for all k < count.
+
+    All limits are >= 0, so zero is always allowed and the answer is never faster than the wish. Half-planes are
+    taken one after the other; where the answer so far violates one, the new answer lies on its border: a problem
+    in one dimension, clipped by those before.
+    """
+    x = wish_x
+    y = wish_y
+    for k in range(count):
+        nx = normals[k, 0]
+        ny = normals[k, 1]
+        if nx * x + ny * y <= limits[k] + 1e-12:
+            continue
+        along = -ny * wish_x + nx * wish_y
+        low = -math.inf
+        high = math.inf
+        base_x = limits[k] * nx
+        base_y = limits[k] * ny
+        for j in range(k):
+            slope = -ny * normals[j, 0] + nx * normals[j, 1]
+            room = limits[j] - (normals[j, 0] * base_x + normals[j, 1] * base_y)
+            if slope > 1e-12:
+                high = min(high, room / slope)
+            elif slope < -1e-12:
+                low = max(low, room / slope)
+            elif room < -1e-12:
+                return 0.0, 0.0
+        if low > high:
+            return 0.0, 0.0
+        along = max(low, min(high, along))
+        x = base_x - ny * along
+        y = base_y + nx * along
+    return x, y
+
+
+@kernel
+def half_planes(
+    x: float, y: float, reach_m: float, clearance_m: float, gain: float, speed_limit: float, start: int, end: int,
+    other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array, normals: Array, limits: Array,
+) -> int:  # fmt: skip
+    """Collect one robot's constraints ``normals[k]·u <= limits[k]``; return how many there are.
+
+    Those that no velocity within the speed limit can violate are left out: in open space that is nearly all.
+    """
+    count = 0
+    for edge in range(start, end):
+        row = other[edge]
+        dx = predicted[row, 0] - x
+        dy = predicted[row, 1] - y
+        far = clearance_m + heard[row, 5] + 2.0 * speed_limit / gain
+        squared = dx * dx + dy * dy
+        if 1e-12 < squared < far * far and count < MAX_ROWS:
+            distance = math.sqrt(squared)
+            normals[count, 0] = dx / distance
+            normals[count, 1] = dy / distance
+            limits[count] = max(0.0, 0.5 * gain * (distance - clearance_m - heard[row, 5]))
+            count += 1
+    binding_m = speed_limit / gain
+    for row in range(obstacles.shape[0]):
+        gap, nx, ny = box_gap(x, y, obstacles, row)
+        if gap < reach_m and gap - clearance_m < binding_m and count < MAX_ROWS:
+            normals[count, 0] = nx
+            normals[count, 1] = ny
+            limits[count] = max(0.0, gain * (gap - clearance_m))
+            count += 1
+    for side in range(4):
+        horizontal = side % 2 == 0
+        sign = -1.0 if side < 2 else 1.0
+        room = sign * (bounds_m[side] - (x if horizontal else y)) - clearance_m
+        if room < binding_m and count < MAX_ROWS:
+            normals[count, 0] = sign if horizontal else 0.0
+            normals[count, 1] = 0.0 if horizontal else sign
+            limits[count] = max(0.0, gain * room)
+            count += 1
+    return count
+
+
+@kernel
+def drive(
+    wished: Array, filtered: NDArray[np.bool_], pose: Array, radius: Array, speed_limit: Array, turn_limit: Array,
+    reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: float,
+    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array,
+    twists: Array,
+) -> None:  # fmt: skip
+    """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
+
+    Parameters
+    ----------
+    wished : (n, 2) m/s, world frame; NaN: no wish, the robot's twist is left alone
+    filtered : (n,) behind the filter or straight through the paper's map
+    pose : (n, 3) x, y, heading
+    radius, speed_limit, turn_limit, reverse : (n,) of each robot
+    gain : (n,) γ in 1/s
+    reach_m : obstacles farther than this are not sensed
+    start, other, predicted, heard : neighbours (see :mod:`fullswarm.agent.pairs`)
+    obstacles : (k, 6) rounded boxes
+    bounds_m : (4,) x_min, y_min, x_max, y_max
+    twists : (n, 2) out, m/s and rad/s, within the limits
+    """
+    normals = np.empty((MAX_ROWS, 2))
+    limits = np.empty(MAX_ROWS)
+    for i in range(wished.shape[0]):
+        ux = wished[i, 0]
+        uy = wished[i, 1]
+        if math.isnan(ux) or math.isnan(uy):
+            continue
+        size = math.hypot(ux, uy)
+        if size > speed_limit[i]:
+            ux *= speed_limit[i] / size
+            uy *= speed_limit[i] / size
+        low = -speed_limit[i] if reverse[i] else 0.0
+        high = speed_limit[i]
+        if filtered[i]:
+            count = half_planes(
+                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m, gain[i], speed_limit[i], start[i],
+                start[i + 1], other, predicted, heard, obstacles, bounds_m, normals, limits,
+            )  # fmt: skip
+            ux, uy = project(ux, uy, normals, limits, count)
+            cos_heading = math.cos(pose[i, 2])
+            sin_heading = math.sin(pose[i, 2])
+            for k in range(count):
+                slope = normals[k, 0] * cos_heading + normals[k, 1] * sin_heading
+                if slope > 1e-9:
+                    high = min(high, limits[k] / slope)
+                elif slope < -1e-9:
+                    low = max(low, limits[k] / slope)
+        speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
+        twists[i, 0] = clamp(speed, low, high)
+        twists[i, 1] = clamp(turn, -turn_limit[i], turn_limit[i])

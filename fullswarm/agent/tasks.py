@@ -1,0 +1,146 @@
+"""Which robot runs what: one task per robot, grouped so that a law is called once for all who run it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm import registry
+from fullswarm.errors import ConfigError
+from fullswarm.messages import ControlRequest, Value
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CENTRALISED = ""
+"""Law name of a task that has no law on board and obeys Command messages."""
+
+
+class Params:
+    """Parameters of a law as columns, one row per robot: ``params.gain`` (n, 1), ``params.goal`` (n, 2).
+
+    Words and lists of points come as they are, from the first robot of the group.
+    """
+
+    def __init__(self, rows: list[dict[str, Value]]) -> None:
+        for name, first in rows[0].items():
+            setattr(self, name, _column([row[name] for row in rows], first))
+
+    def __getattr__(self, name: str) -> Array:
+        """Tell which parameter a law misses (only called when it is not there)."""
+        raise ConfigError(f"the law needs a parameter '{name}' that the behaviour's record does not give")
+
+
+def _column(values: list[Value], first: Value) -> object:
+    if isinstance(first, bool | int | float):
+        return np.array(values, float).reshape(len(values), 1)
+    if isinstance(first, list) and len(first) == 2 and all(isinstance(each, int | float) for each in first):
+        return np.array(values, float)
+    return first
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What one robot was asked to run."""
+
+    request: ControlRequest
+    arrived_s: float
+
+    @property
+    def law(self) -> str:
+        """Name of the law on board, empty for a centralised behaviour."""
+        return CENTRALISED if self.request.centralised else self.request.law
+
+    @property
+    def lapses_s(self) -> float:
+        """When an intent runs out; never for a lasting request."""
+        return self.arrived_s + self.request.expires_s if self.request.expires_s > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Robots that run the same law."""
+
+    law: str
+    module: ModuleType
+    rows: Index
+    params: Params
+    hearing_m: float  # 0: the sensing radius
+
+
+@dataclass(slots=True)
+class Tasks:
+    """The tasks of n robots, and what the tick needs of them as arrays.
+
+    Attributes
+    ----------
+    active : (n,) a task is on
+    filtered : (n,) it runs behind the safety filter
+    survives_core : (n,) it goes on without the core
+    lapses_s : (n,) when it ends by itself; inf
+    """
+
+    count: int
+    of: list[Task | None] = field(init=False)
+    active: NDArray[np.bool_] = field(init=False)
+    filtered: NDArray[np.bool_] = field(init=False)
+    survives_core: NDArray[np.bool_] = field(init=False)
+    lapses_s: Array = field(init=False)
+    _groups: list[Group] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.of = [None] * self.count
+        self.active = np.zeros(self.count, bool)
+        self.filtered = np.zeros(self.count, bool)
+        self.survives_core = np.zeros(self.count, bool)
+        self.lapses_s = np.full(self.count, math.inf)
+
+    def enable(self, row: int, task: Task) -> None:
+        """Give robot `row` a task in place of the one it has.
+
+        Raises
+        ------
+        ConfigError
+            The robot has no such law.
+        """
+        if task.law != CENTRALISED:
+            registry.law_module(task.law)
+        request = task.request
+        self.of[row] = task
+        self.active[row] = True
+        self.filtered[row] = request.filtered
+        self.survives_core[row] = request.survives_core
+        self.lapses_s[row] = task.lapses_s
+        self._groups = None
+
+    def disable(self, row: int) -> None:
+        """Take robot `row`'s task away."""
+        self.of[row] = None
+        self.active[row] = self.filtered[row] = self.survives_core[row] = False
+        self.lapses_s[row] = math.inf
+        self._groups = None
+
+    def groups(self) -> list[Group]:
+        """Return the robots with a law on board, grouped by law and kind of parameters."""
+        if self._groups is None:
+            members: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+            for row, task in enumerate(self.of):
+                if task is not None and task.law != CENTRALISED:
+                    members.setdefault((task.law, tuple(sorted(task.request.parameters))), []).append(row)
+            self._groups = [self._group(law, rows) for (law, _), rows in members.items()]
+        return self._groups
+
+    def _group(self, law: str, rows: list[int]) -> Group:
+        parameters = [task.request.parameters for row in rows if (task := self.of[row]) is not None]
+        hearing = [value for each in parameters if isinstance(value := each.get("hearing_m", 0.0), int | float)]
+        return Group(
+            law=law,
+            module=registry.law_module(law),
+            rows=np.array(rows, np.int64),
+            params=Params(parameters),
+            hearing_m=float(max(hearing, default=0.0)),
+        )

@@ -1,0 +1,105 @@
+"""What a law may know: the own robots, the neighbours they sense, the arena. Arrays over n robots at once.
+
+Neighbours come as an edge list sorted by robot: edge e says that robot ``of[e]`` senses a neighbour at
+``offset[e]``. A law works on edges and folds them with :meth:`View.sum`, so one line of NumPy serves one robot on
+board and a thousand in a trial.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.agent import pairs
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class View:
+    """The world as n robots sense it at one moment. World frame, SI units.
+
+    Parameters
+    ----------
+    position : (n, 2) m
+    heading : (n,) rad
+    radius : (n,) m, footprints
+    start : (n + 1,) edges of robot i are ``start[i]:start[i + 1]``
+    other : (e,) rows of the neighbours in `heard` and `predicted`
+    predicted : (m, 2) m, positions of all robots heard, moved on to now
+    heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
+    bounds_m : x_min, y_min, x_max, y_max of the arena
+    """
+
+    def __init__(
+        self,
+        position: Array,
+        heading: Array,
+        radius: Array,
+        start: Index,
+        other: Index,
+        predicted: Array,
+        heard: Array,
+        bounds_m: tuple[float, float, float, float],
+    ) -> None:
+        self.position, self.heading, self.radius = position, heading, radius
+        self.bounds_m = bounds_m
+        self.start = start
+        self.other = other[: start[-1]]
+        self._predicted, self._heard = predicted, heard
+
+    @cached_property
+    def _edges(self) -> tuple[Index, Array, Array, Array]:
+        count = len(self.other)
+        edges = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
+        pairs.describe.run(self.position, self.start, self.other, self._predicted, self._heard, *edges)
+        return edges
+
+    @property
+    def of(self) -> Index:
+        """Robot of each edge, (e,)."""
+        return self._edges[0]
+
+    @property
+    def offset(self) -> Array:
+        """From the robot to its neighbour, ``d_ij = p_j - p_i`` of the paper, (e, 2) m."""
+        return self._edges[1]
+
+    @property
+    def distance(self) -> Array:
+        """Length of `offset`, (e,) m."""
+        return self._edges[2]
+
+    @property
+    def neighbour_heading(self) -> Array:
+        """Heading of the neighbour, (e,) rad."""
+        return self._edges[3]
+
+    @cached_property
+    def neighbours(self) -> Array:
+        """How many neighbours each robot senses, (n, 1)."""
+        return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
+
+    def sum(self, values: Array) -> Array:
+        """Add up edge values (e, 2) over the neighbours of each robot: (n, 2)."""
+        total = np.empty((len(self.position), 2))
+        pairs.fold.run(self.start, values, total)
+        return total
+
+    def select(self, rows: Index) -> View:
+        """Return the view of a part of the robots, `rows` (k,) ascending."""
+        counts = np.diff(self.start)[rows]
+        start = np.concatenate([[0], np.cumsum(counts)])
+        edges = [self.other[self.start[row] : self.start[row + 1]] for row in rows]
+        return View(
+            self.position[rows],
+            self.heading[rows],
+            self.radius[rows],
+            start,
+            np.concatenate(edges) if edges else self.other[:0],
+            self._predicted,
+            self._heard,
+            self.bounds_m,
+        )

@@ -1,0 +1,154 @@
+"""The kernels of the agent against slower or well-known references, and against their compiled selves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import osqp
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from fullswarm import kernels
+from fullswarm.agent import pairs
+from fullswarm.agent.behaviours import voronoi_coverage
+from fullswarm.agent.robot_controller import decide
+from fullswarm.agent.safety import barrier
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def _heard(rng: np.random.Generator, count: int, span_m: float) -> np.ndarray:
+    predicted = rng.uniform(0.0, span_m, (count, 2))
+    predicted[rng.random(count) < 0.1] = math.nan
+    return predicted
+
+
+@given(seeds, st.integers(1, 60), st.floats(1.0, 60.0), st.floats(0.5, 5.0))
+@settings(max_examples=60, deadline=None)
+def test_cells_find_the_pairs_that_trying_all_finds(seed: int, count: int, span_m: float, reach_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    predicted = _heard(rng, count, span_m)
+    position = rng.uniform(-2.0, span_m + 2.0, (5, 2))
+    own_row = np.array([0, min(1, count - 1), -1, -1, -1])
+    results = []
+    for search in (pairs.all_pairs, pairs.cell_pairs):
+        start, other = np.zeros(6, np.int64), np.zeros(5 * count, np.int64)
+        found = search(position, own_row, predicted, count, reach_m, start, other)
+        assert start[-1] == found
+        results.append([sorted(other[start[i] : start[i + 1]]) for i in range(5)])
+    assert results[0] == results[1]
+
+
+def test_a_list_that_is_too_short_says_how_many_there_are() -> None:
+    predicted = np.zeros((10, 2))
+    start, other = np.zeros(2, np.int64), np.zeros(3, np.int64)
+    assert pairs.all_pairs(np.zeros((1, 2)), np.array([-1]), predicted, 10, 1.0, start, other) == 10
+    assert start[-1] == 3
+
+
+@given(seeds, st.integers(1, 14))
+@settings(max_examples=40, deadline=None)
+def test_projection_equals_osqp(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-math.pi, math.pi, count)
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    limits = np.maximum(rng.uniform(-0.3, 1.0, count), 0.0)
+    wish = rng.uniform(-1.0, 1.0, 2)
+    x, y = barrier.project(wish[0], wish[1], normals, limits, count)
+    solver = osqp.OSQP()
+    solver.setup(
+        sparse.eye(2, format="csc"), -wish, sparse.csc_matrix(normals), np.full(count, -np.inf), limits,
+        eps_abs=1e-8, eps_rel=1e-8, max_iter=200_000, polishing=True, verbose=False,
+    )  # fmt: skip
+    answer = solver.solve(raise_error=True)
+    assert (normals @ [x, y] <= limits + 1e-9).all()
+    assert [x, y] == pytest.approx(answer.x, abs=2e-4)
+
+
+@given(seeds, st.integers(0, 8))
+@settings(max_examples=40, deadline=None)
+def test_a_cell_equals_shapelys(seed: int, neighbours: int) -> None:
+    rng = np.random.default_rng(seed)
+    sites = rng.uniform(0.5, 9.5, (neighbours + 1, 2))
+    offset = sites[1:] - sites[0]
+    centroid = np.zeros((1, 2))
+    voronoi_coverage.centroids(
+        sites[:1], np.array([0, neighbours]), offset, np.array([0.0, 0.0, 10.0, 10.0]), np.array([50.0]), centroid
+    )
+    arena = shapely.box(0, 0, 10, 10)
+    if neighbours == 0:
+        expected = arena.centroid
+    else:
+        cells = shapely.voronoi_polygons(shapely.MultiPoint(sites), extend_to=shapely.box(-100, -100, 110, 110))
+        mine = next(cell for cell in cells.geoms if cell.contains(shapely.Point(sites[0])))
+        expected = mine.intersection(arena).centroid
+    assert centroid[0] == pytest.approx([expected.x, expected.y], abs=1e-6)
+
+
+@given(seeds)
+@settings(max_examples=60, deadline=None)
+def test_the_gap_to_a_box_equals_shapelys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    half, yaw, corner = rng.uniform(0.1, 1.0, 2), rng.uniform(-3, 3), rng.uniform(0, 0.3)
+    obstacles = np.array([[1.0, 2.0, half[0], half[1], yaw, corner]])
+    x, y = rng.uniform(-3, 6, 2)
+    gap, nx, ny = barrier.box_gap(x, y, obstacles, 0)
+    box = shapely.affinity.translate(
+        shapely.affinity.rotate(
+            shapely.box(-half[0], -half[1], half[0], half[1]), yaw, origin=(0, 0), use_radians=True
+        ),
+        1.0,
+        2.0,
+    )
+    point = shapely.Point(x, y)
+    if not box.contains(point):
+        assert gap == pytest.approx(box.distance(point) - corner, abs=1e-9)
+        assert box.distance(shapely.Point(x + 0.01 * nx, y + 0.01 * ny)) <= box.distance(point)
+    assert math.hypot(nx, ny) == pytest.approx(1.0)
+
+
+def _drive(seed: int, run: object) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    count = 6
+    pose = np.concatenate([rng.uniform(0.5, 4.5, (count, 2)), rng.uniform(-3, 3, (count, 1))], axis=1)
+    heard = np.concatenate([pose, rng.uniform(-0.5, 0.5, (count, 2)), np.full((count, 1), 0.17)], axis=1)
+    predicted = np.ascontiguousarray(pose[:, :2])
+    start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
+    pairs.all_pairs(predicted, np.arange(count), predicted, count, 3.0, start, other)
+    twists = np.zeros((count, 2))
+    assert callable(run)
+    run(
+        rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.full(count, 0.17), np.full(count, 0.5),
+        np.full(count, 4.0), np.ones(count, bool), 1.0, 3.0, np.full(count, 2.0), 0.03, 3.0, start, other, predicted,
+        heard, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0]), twists,
+    )  # fmt: skip
+    return twists
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_filtered_twists_close_no_gap_faster_than_allowed(seed: int) -> None:
+    twists = _drive(seed, barrier.drive)
+    rng = np.random.default_rng(seed)
+    pose = np.concatenate([rng.uniform(0.5, 4.5, (6, 2)), rng.uniform(-3, 3, (6, 1))], axis=1)
+    velocity = twists[:, :1] * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    assert (np.abs(twists[:, 0]) <= 0.5 + 1e-9).all()
+    for i in range(6):
+        for j in range(6):
+            offset = pose[j, :2] - pose[i, :2]
+            distance = np.hypot(*offset)
+            if i != j and distance <= 3.0:
+                allowed = max(0.0, 2.0 / 2 * (distance - 0.34 - 0.03))
+                assert velocity[i] @ offset / distance <= allowed + 1e-9
+
+
+def test_compiled_and_plain_agree() -> None:
+    kernels.compile_all()
+    for kernel, call in ((barrier.drive, _drive),):
+        for seed in range(5):
+            np.testing.assert_allclose(call(seed, kernel), call(seed, kernel.plain), atol=1e-12)
+    assert decide.run is not decide.plain

@@ -1,0 +1,248 @@
+"""The agent in a simulated world: it does what it is asked and stops when it must."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fullswarm.messages import ControlRequest
+from tests.unit.agent_bench import TICK_S, Bench
+
+GOAL = {"goal": [15.0, 5.0], "gain": 1.0, "arrive_radius_m": 0.2}
+SLACK_S = TICK_S
+"""Set-points are looked at once per tick, so a figure may be one tick too long."""
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench([(5.0, 5.0, 0.0)])
+
+
+def driving(bench: Bench, **fields: Any) -> Bench:
+    bench.enable("move_to_goal", GOAL, **fields)
+    bench.run(1.0)
+    assert bench.commanded[0, 0] > 0.4
+    return bench
+
+
+def test_it_drives_to_the_goal_and_stands_there(bench: Bench) -> None:
+    bench.enable("move_to_goal", {**GOAL, "goal": [7.0, 6.0]})
+    bench.run(12.0)
+    assert math.dist(bench.agent.pose[0, :2], (7.0, 6.0)) <= 0.21
+    assert not bench.commanded.any()
+
+
+def test_without_a_task_it_stands(bench: Bench) -> None:
+    bench.run(1.0)
+    assert not bench.commanded.any()
+
+
+def test_a_silent_core_stops_it_after_a_second_and_its_return_starts_it_again(bench: Bench) -> None:
+    driving(bench).beating = False
+    assert 0.85 <= bench.time_to_zero_s() <= 1.0 + TICK_S + SLACK_S
+    bench.run(2.0)
+    assert not bench.commanded.any()
+    bench.beating = True
+    bench.run(0.5)
+    assert bench.commanded[0, 0] > 0.0
+
+
+def test_a_behaviour_whose_record_says_so_goes_on_without_the_core(bench: Bench) -> None:
+    driving(bench, survives_core=True).beating = False
+    bench.run(3.0)
+    assert bench.commanded[0, 0] > 0.4
+
+
+def test_a_lost_hub_stops_it_at_the_next_tick(bench: Bench) -> None:
+    driving(bench).bus.hub = False
+    assert bench.time_to_zero_s() <= TICK_S + SLACK_S
+    bench.bus.hub = True
+    bench.run(0.5)
+    assert bench.commanded[0, 0] > 0.0
+
+
+def centralised(bench: Bench) -> None:
+    bench.enable("central", centralised=True)
+    for number in range(20):
+        bench.command(0.4, number)
+        bench.run(0.05)
+    assert bench.commanded[0, 0] == pytest.approx(0.4)
+
+
+def test_a_command_lives_for_its_ttl(bench: Bench) -> None:
+    centralised(bench)
+    # The last command came one period of 0.05 s ago.
+    assert 0.2 <= bench.time_to_zero_s() <= 0.25 + TICK_S + SLACK_S
+
+
+def test_a_command_that_waited_in_a_queue_is_not_obeyed(bench: Bench) -> None:
+    centralised(bench)
+    bench.time_to_zero_s()
+    bench.run(3.0)
+    bench.command(0.4, 100, stamp_s=bench.runtime.now_s() - 2.0)
+    bench.run(TICK_S)
+    assert not bench.commanded.any()
+    bench.command(0.4, 101)
+    bench.run(TICK_S)
+    assert bench.commanded[0, 0] > 0.0
+
+
+@pytest.mark.parametrize("number", [0, 19, -5])
+def test_an_old_command_is_not_obeyed_again(bench: Bench, number: int) -> None:
+    centralised(bench)
+    bench.time_to_zero_s()
+    bench.command(0.4, number)
+    bench.run(TICK_S)
+    assert not bench.commanded.any()
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_is_not_obeyed(bench: Bench, speed: float) -> None:
+    bench.enable("central", centralised=True)
+    bench.command(speed, 1)
+    bench.run(0.1)
+    assert not bench.commanded.any()
+
+
+def test_an_intent_lapses(bench: Bench) -> None:
+    parameters = {"magnitude": 1.0, "speed_m_s": 0.5, "direction": [1.0, 0.0]}
+    for _ in range(10):
+        bench.enable("move", parameters, expires_s=0.3)
+        bench.run(0.05)
+    assert bench.commanded[0, 0] > 0.2
+    assert 0.2 <= bench.time_to_zero_s() <= 0.3 + TICK_S + SLACK_S
+
+
+def test_a_repeated_request_changes_nothing_but_is_answered_again(bench: Bench) -> None:
+    request = ControlRequest(
+        request_id="q", robot="r1", behaviour="drive", law="drive", enable=True, core="c", sequence=7, expires_s=0.3,
+        parameters={"linear": 1.0, "angular": 0.0, "speed_m_s": 0.5, "turn_rad_s": 1.0},
+    )  # fmt: skip
+    for _ in range(8):
+        bench.bus.publish(bench.keys.control_requests("r1", "drive"), request)
+        bench.run(0.1)
+    # Repeating an intent's delivery must not lengthen its life.
+    assert not bench.commanded.any()
+    assert len(bench.acks) == 8
+    assert all(ack == bench.acks[0] and ack.accepted for ack in bench.acks)
+
+
+def test_an_older_request_of_the_same_core_is_ignored(bench: Bench) -> None:
+    driving(bench)
+    bench.enable("stop", sequence=0)
+    bench.run(0.5)
+    assert bench.commanded[0, 0] > 0.4
+
+
+def test_estop_latches_confirms_and_refuses_until_released(bench: Bench) -> None:
+    driving(bench)
+    bench.estop(True, "e1")
+    assert [(receipt.robot, receipt.standing) for receipt in bench.receipts] == [("r1", False)]
+    assert not bench.commanded.any()
+    bench.run(1.0)
+    standing = bench.receipts[-1]
+    assert standing.standing
+    # 0.5 m/s braked with 2 m/s² rolls 62 mm, and up to a tick at full speed before.
+    assert 0.05 <= standing.rolled_m <= 0.0625 + 0.5 * 2 * TICK_S
+    bench.enable("move_to_goal", GOAL)
+    bench.run(0.5)
+    assert not bench.commanded.any()
+    assert not bench.acks[-1].accepted
+    assert "estop --clear" in bench.acks[-1].reason
+    bench.estop(True, "e1")
+    assert bench.receipts[-1] == standing, "a repeated order is confirmed, not carried out again"
+    bench.estop(False, "e2")
+    bench.run(1.0)
+    assert bench.receipts[-1].id == "e2"
+    assert not bench.commanded.any(), "released, but nobody asked it to drive"
+    driving(bench)
+
+
+def test_estop_of_one_robot_leaves_the_others(bench: Bench) -> None:
+    bench = Bench([(5.0, 5.0, 0.0), (5.0, 8.0, 0.0)])
+    bench.enable("move_to_goal", GOAL)
+    bench.run(1.0)
+    bench.estop(True, "e1", ("r2",))
+    bench.run(0.5)
+    assert bench.commanded[0, 0] > 0.0
+    assert not bench.commanded[1].any()
+
+
+def test_stop_ends_the_task_once(bench: Bench) -> None:
+    driving(bench).stop("s1")
+    assert bench.time_to_zero_s() <= TICK_S + SLACK_S
+    driving(bench).stop("s1")
+    bench.run(0.1)
+    assert bench.commanded[0, 0] > 0.0, "the repetition of an earlier stop must not end a later task"
+
+
+def test_an_unknown_law_is_refused_with_a_near_match(bench: Bench) -> None:
+    bench.enable("flokking")
+    bench.run(0.1)
+    assert not bench.acks[-1].accepted
+    assert "did you mean 'flocking'?" in bench.acks[-1].reason
+
+
+def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> None:
+    driving(bench)
+    bench.enable("move_to_goal", {"goal": [1.0, 1.0]})
+    assert bench.time_to_zero_s() <= TICK_S + SLACK_S
+    assert "needs a parameter" in bench.agent.law_error[0]
+    driving(bench)
+
+
+def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench) -> None:
+    driving(bench)
+    bench.enable("move_to_goal", {**GOAL, "goal": [math.nan, 1.0]})
+    assert bench.time_to_zero_s() <= TICK_S + SLACK_S
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+@settings(max_examples=25, deadline=None)
+def test_set_points_stay_within_limits_whatever_is_wished(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bench = Bench([(10.0, 10.0, 0.0)], agent_settings={"speed_limit_m_s": 0.3, "turn_limit_rad_s": 1.0})
+    before = bench.commanded.copy()
+    for _ in range(30):
+        parameters = {
+            "linear": rng.uniform(-1, 1), "angular": rng.uniform(-1, 1), "speed_m_s": 50.0, "turn_rad_s": 50.0,
+        }  # fmt: skip
+        bench.enable("drive", parameters)
+        bench.run(TICK_S)
+        now = bench.commanded
+        assert abs(now[0, 0]) <= 0.3 + 1e-9
+        assert abs(now[0, 1]) <= 1.0 + 1e-9
+        same_way = max(before[0, 0] * np.sign(now[0, 0]), 0.0)
+        assert abs(now[0, 0]) - same_way <= 2.0 * TICK_S + 1e-9, "accelerates harder than the wheels can"
+        before = now.copy()
+
+
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_filtered_robots_never_touch_each_other_a_box_or_a_wall(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    spots = [(x, y) for x in (0.5, 1.5, 2.5, 3.5) for y in (0.5, 1.5, 3.5)]
+    rng.shuffle(spots)
+    poses = [(x, y, rng.uniform(-math.pi, math.pi)) for x, y in spots[:6]]
+    world = {"bounds_m": [0, 0, 4, 4], "boxes": [[2.0, 2.5, 0.6, 0.4, 0.5]]}
+    bench = Bench(poses, world=world)
+    for row in range(6):
+        goal = rng.uniform(-0.5, 4.5, 2).tolist()
+        bench.enable("move_to_goal", {**GOAL, "goal": goal}, robot=f"r{row + 1}", filtered=True)
+    bench.run(15.0)
+    assert bench.agent.calculators.collisions.sum() == 0
+
+
+def test_unfiltered_robots_do_touch() -> None:
+    bench = Bench([(5.0, 5.0, 0.0), (7.0, 5.0, math.pi)])
+    bench.enable("move_to_goal", {**GOAL, "goal": [6.0, 5.0], "arrive_radius_m": 0.0})
+    bench.run(5.0)
+    assert bench.agent.calculators.collisions.sum() > 0
