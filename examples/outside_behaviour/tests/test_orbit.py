@@ -1,0 +1,73 @@
+"""The law by itself, and the whole way in lockstep: record into the database, request, robots on the circle."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fullswarm.agent.tasks import Params
+from fullswarm.agent.view import View
+from fullswarm.config import SwarmConfig
+from fullswarm.keys import Keys
+from fullswarm.launch.lockstep import Lockstep
+from fullswarm.messages import ParamReply, ParamRequest, RequestStatus
+from fullswarm.operator.client import Operator
+
+from fullswarm_orbit import orbit
+
+RECORD = tomllib.loads(Path(__file__).parents[1].joinpath("orbit.toml").read_text(encoding="utf-8"))
+CENTRE = [5.0, 5.0]
+
+
+def test_law_points_along_the_tangent_on_the_circle_and_inwards_outside_of_it() -> None:
+    position = np.array([[2.0, 0.0], [0.0, 4.0]])
+    view = View(
+        position,
+        np.zeros(2),
+        np.full(2, 0.17),
+        np.zeros(3, np.int64),
+        np.zeros(0, np.int64),
+        np.zeros((0, 2)),
+        np.zeros((0, 6)),
+        (-9.0, -9.0, 9.0, 9.0),
+    )
+    params = Params([{"centre": [0.0, 0.0], "radius_m": 2.0, "speed_m_s": 0.3, "gain": 1.0}] * 2)
+    assert orbit.velocity(view, params) == pytest.approx(np.array([[0.0, 0.3], [-0.3, -2.0]]))
+
+
+def test_robots_go_round() -> None:
+    robots = [{"id": f"r{k}", "pose": [3.0 + 2.0 * k, 2.0, 0.0]} for k in (1, 2)]
+    config = SwarmConfig.model_validate({"world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]}, "robot": robots})
+    keys, replies, statuses = Keys(config.swarm), list[ParamReply](), list[RequestStatus]()
+    lockstep = Lockstep(config)
+    try:
+        bus = lockstep.bus
+        bus.subscribe(keys.param_reply("core"), ParamReply, replies.append)
+        operator = Operator(bus, keys, lockstep.runtime, "test")
+        lockstep.run(1.0)
+        for number, (name, record) in enumerate(
+            {"orbit": RECORD, "orbit_bc": {"like": "orbit", "filtered": True}}.items()
+        ):
+            request = ParamRequest(id=f"p{number}", op="set", key=f"behaviour/{name}", value=record, author="test")
+            bus.publish(keys.param_request("core"), request)
+        operator.request("orbit_bc", (), {"centre": CENTRE}, statuses.append)
+        lockstep.run(15.0)
+        before = _angles(lockstep)
+        lockstep.run(5.0)
+        turned = np.angle(np.exp(1j * (_angles(lockstep) - before)))
+        distance = np.hypot(*(lockstep.world.pose[:, :2] - CENTRE).T)
+    finally:
+        lockstep.close()
+    assert [reply.reason for reply in replies] == ["", ""]
+    assert statuses[-1].running == ("r1", "r2")
+    assert distance == pytest.approx([2.0, 2.0], abs=0.2)
+    assert turned == pytest.approx([0.3 * 5.0 / 2.0] * 2, rel=0.15)  # speed x time / radius
+    assert (lockstep.world.contacts == 0).all()
+
+
+def _angles(lockstep: Lockstep) -> np.ndarray:
+    x, y = (lockstep.world.pose[:, :2] - CENTRE).T
+    return np.array([math.atan2(b, a) for a, b in zip(x, y, strict=True)])

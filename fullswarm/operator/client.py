@@ -1,0 +1,183 @@
+"""Asks the core and the robots: requests until answered, stops in a burst, e-stops until confirmed."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from fullswarm.bus.base import Bus
+from fullswarm.keys import Keys
+from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, Message, RequestStatus, StopRequest, Value
+from fullswarm.operator.estop import EStopOrder
+from fullswarm.runtime import Scheduler, Timer
+
+RESEND_S = 0.2
+STOP_SENDS = 5
+STOP_SPACING_S = 0.1
+FINAL_PHASES = frozenset({"refused", "superseded", "ended"})
+
+StatusHandler = Callable[[RequestStatus], None]
+
+
+def short_id() -> str:
+    """Return a fresh id: 48 random bits are plenty for one swarm and still fit a log line."""
+    return uuid.uuid4().hex[:12]
+
+
+@dataclass(slots=True)
+class Asked:
+    """A request on its way; `status` is the newest answer."""
+
+    request: BehaviourRequest
+    on_status: StatusHandler | None = None
+    status: RequestStatus | None = None
+    sent: int = 0
+    _timer: Timer | None = field(default=None, repr=False)
+
+    def close(self) -> None:
+        """Do not send it again. What the core already has goes on."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+
+@dataclass(slots=True)
+class Burst:
+    """A message that is sent a few times because it has no answer."""
+
+    left: int
+    on_done: Callable[[], None] | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether all have been sent."""
+        return self.left == 0
+
+
+class Operator:
+    """One operator's line to a swarm. All calls return at once; answers come through the callbacks."""
+
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, source: str, *, new_id: Callable[[], str] = short_id
+    ) -> None:
+        self._bus, self._keys, self._scheduler, self.source = bus, keys, scheduler, source
+        self._new_id = new_id
+        self._asked: dict[str, Asked] = {}
+        self._orders: dict[str, EStopOrder] = {}
+        self._subscriptions = [
+            bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
+            bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
+        ]
+
+    def request(
+        self,
+        behaviour: str,
+        robots: Iterable[str] = (),
+        parameters: Mapping[str, Value] | None = None,
+        on_status: StatusHandler | None = None,
+        *,
+        resend: bool = True,
+    ) -> Asked:
+        """Ask for `behaviour`; send again every 0.2 s until the core has answered that id once.
+
+        No `robots` means the whole swarm. `on_status` hears every status of the request until a final one.
+        With ``resend=False`` it is sent once, for streams whose next message replaces this one.
+        """
+        request = BehaviourRequest(
+            id=self._new_id(),
+            behaviour=behaviour,
+            robots=tuple(robots),
+            parameters=dict(parameters or {}),
+            source=self.source,
+            stamp_s=self._scheduler.now_s(),
+        )
+        asked = Asked(request, on_status)
+        self._asked[request.id] = asked
+
+        def send() -> None:
+            asked.sent += 1
+            self._bus.publish(self._keys.behaviour_request, request)
+
+        send()
+        if resend:
+            asked._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
+        return asked
+
+    def forget(self, asked: Asked) -> None:
+        """Stop sending a request and hear no more of it."""
+        asked.close()
+        self._asked.pop(asked.request.id, None)
+
+    def stop(self, robots: Iterable[str] = (), on_done: Callable[[], None] | None = None) -> Burst:
+        """Tell robots to stand still: five times over 0.4 s with one id, since nobody answers a stop."""
+        message = StopRequest(id=self._new_id(), robots=tuple(robots), source=self.source)
+        return self._burst(self._keys.stop, message, on_done)
+
+    def estop(
+        self,
+        engaged: bool,
+        robots: Iterable[str] = (),
+        reason: str = "",
+        *,
+        known: Callable[[], Iterable[str]] = tuple,
+        deadline_s: float = 5.0,
+        on_receipt: Callable[[EStopReceipt], None] | None = None,
+        on_done: Callable[[EStopOrder], None] | None = None,
+    ) -> EStopOrder:
+        """Engage or release the latched e-stop; repeat until all robots have confirmed or `deadline_s` is over.
+
+        No `robots` means all: then `known` tells who must confirm, asked anew each time, because robots may
+        be heard of after the order went out.
+        """
+        message = EStop(id=self._new_id(), engaged=engaged, robots=tuple(robots), source=self.source, reason=reason)
+        order = EStopOrder(
+            message,
+            send=lambda: self._bus.publish(self._keys.estop, message),
+            scheduler=self._scheduler,
+            known=known,
+            deadline_s=deadline_s,
+            on_receipt=on_receipt,
+            on_done=on_done,
+        )
+        self._orders[message.id] = order
+        order.start()
+        return order
+
+    def close(self) -> None:
+        """Send nothing more and hear nothing more."""
+        for asked in self._asked.values():
+            asked.close()
+        for order in self._orders.values():
+            order.close()
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    def _burst(self, key: str, message: Message, on_done: Callable[[], None] | None) -> Burst:
+        burst = Burst(STOP_SENDS, on_done)
+
+        def send() -> None:
+            self._bus.publish(key, message)
+            burst.left -= 1
+            if not burst.done:
+                self._scheduler.after(STOP_SPACING_S, send)
+            elif burst.on_done is not None:
+                burst.on_done()
+
+        send()
+        return burst
+
+    def _on_status(self, status: RequestStatus) -> None:
+        asked = self._asked.get(status.request_id)
+        if asked is None:
+            return
+        asked.close()
+        asked.status = status
+        if status.phase in FINAL_PHASES:
+            del self._asked[status.request_id]
+        if asked.on_status is not None:
+            asked.on_status(status)
+
+    def _on_receipt(self, receipt: EStopReceipt) -> None:
+        order = self._orders.get(receipt.id)
+        if order is not None:
+            order.receive(receipt)

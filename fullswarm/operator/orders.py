@@ -1,0 +1,259 @@
+"""The commands that make robots do something: request, stop, estop, drive, mock. Each returns its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import msgspec
+
+from fullswarm.errors import ConfigError, RequestRefused, SafetyStop, Unreachable
+from fullswarm.messages import ROBOT_ID, EStopReceipt, RequestStatus, Value
+from fullswarm.operator import output, session
+from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.mock import MockPublisher
+from fullswarm.operator.session import Target
+from fullswarm.operator.teleop import Teleop
+from fullswarm.operator.view import FleetView
+
+COMPLAIN_S = 0.5
+"""An e-stop that is not confirmed by then names who is missing."""
+
+
+def robot_ids(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the ids in ``a,b c`` and the like, each once; none means all.
+
+    Raises
+    ------
+    ConfigError
+        A name that no robot can have.
+    """
+    ids = [part.strip() for name in names for part in name.split(",")]
+    for each in ids:
+        if not ROBOT_ID.match(each):
+            raise ConfigError(f"'{each}' cannot name a robot", where="--robots", hint="e.g. --robots r1,r2")
+    return tuple(dict.fromkeys(ids))
+
+
+def request(
+    target: Target,
+    behaviour: str,
+    robots: Iterable[str],
+    parameters: Mapping[str, Value],
+    *,
+    wait: bool,
+    timeout_s: float,
+    as_json: bool,
+) -> int:
+    """Ask for a behaviour and print who accepted it; with `wait` until all present robots have confirmed."""
+    newest: RequestStatus | None = None
+    with session.connect(target) as line:
+
+        def receive(status: RequestStatus) -> None:
+            nonlocal newest
+            newest = status
+            if wait and status.phase != "refused":
+                output.progress(f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed")
+            if not wait or settled(status):
+                line.finish()
+
+        line.operator.request(behaviour, robot_ids(robots), parameters, receive)
+        line.run(timeout_s)
+        if newest is None:
+            raise line.no_core(timeout_s)
+    if as_json:
+        output.data_json(msgspec.to_builtins(newest))
+    elif newest.phase != "refused":
+        output.data("\n".join(status_lines(newest)))
+    if newest.phase == "refused":
+        raise refusal(newest)
+    if not wait or (newest.phase == "running" and settled(newest) and not newest.refused_by):
+        return 0
+    late = unconfirmed(newest)
+    if late and not settled(newest):
+        output.progress(f"not confirmed within {timeout_s:g} s: {', '.join(late)}")
+    return 1
+
+
+def refusal(status: RequestStatus) -> RequestRefused:
+    """Return the error for a request that the core refused."""
+    # The core's reason mostly ends with what to do; two hints would be one too many.
+    hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` shows what can be asked for"
+    return RequestRefused(status.reason or "refused without a reason", where=status.behaviour, hint=hint)
+
+
+def unconfirmed(status: RequestStatus) -> tuple[str, ...]:
+    """Return who is present and has not answered yet."""
+    answered = {*status.running, *status.refused_by, *status.missing}
+    return tuple(robot for robot in status.robots if robot not in answered)
+
+
+def settled(status: RequestStatus) -> bool:
+    """Tell whether nothing more is to be expected soon."""
+    if status.phase in ("refused", "superseded", "ended"):
+        return True
+    return bool(status.running or status.refused_by) and not unconfirmed(status)
+
+
+def status_lines(status: RequestStatus) -> list[str]:
+    """Return a request's status in words, the robots by name."""
+    robots = ", ".join(status.robots) or "no robot"
+    lines = [f"{status.phase} {status.request_id}: {status.behaviour} for {robots}"]
+    if status.reason:
+        lines.append(f"reason: {status.reason}")
+    for title, names in (
+        ("confirmed by", status.running),
+        ("refused by", status.refused_by),
+        ("missing, will get it when they join", status.missing),
+    ):
+        if names:
+            lines.append(f"{title}: {', '.join(names)}")
+    return lines
+
+
+def stop(target: Target, robots: Sequence[str]) -> int:
+    """Tell robots to stand still."""
+    ids = robot_ids(robots)
+    with session.connect(target) as line:
+        line.operator.stop(ids, on_done=line.finish)
+        line.run()
+    output.progress(f"stop sent to {', '.join(ids) or 'all robots'}")
+    return 0
+
+
+def estop(target: Target, robots: Sequence[str], *, engaged: bool, reason: str, timeout_s: float, as_json: bool) -> int:
+    """Engage or release the e-stop, print every receipt, name who did not confirm."""
+    ids = robot_ids(robots)
+    with session.connect(target) as line:
+        view = FleetView(line.bus, line.keys, line.runtime)
+
+        def receive(receipt: EStopReceipt) -> None:
+            if not as_json:
+                output.data(receipt_line(receipt))
+
+        def complain() -> None:
+            if not order.done and order.unconfirmed():
+                output.progress(f"not confirmed after {COMPLAIN_S} s: {', '.join(order.unconfirmed())}; trying on")
+
+        order = line.operator.estop(
+            engaged,
+            ids,
+            reason,
+            known=view.robots,
+            deadline_s=timeout_s,
+            on_receipt=receive,
+            on_done=lambda _: line.finish(),
+        )
+        line.runtime.after(COMPLAIN_S, complain)
+        line.run()
+        if as_json:
+            output.data_json(_order_as_dict(order))
+        if not order.concerned():
+            raise Unreachable("no robot was heard", where=line.hub, hint="are agents running in this swarm?")
+    if order.unconfirmed():
+        raise _not_confirmed(order, timeout_s)
+    return 0
+
+
+def _not_confirmed(order: EStopOrder, timeout_s: float) -> SafetyStop:
+    """Return the error that names the robots that are silent, and those that answered without standing."""
+    silent = [robot for robot in order.unconfirmed() if robot not in order.receipts]
+    answered = [robot for robot in order.unconfirmed() if robot in order.receipts]
+    parts = []
+    if silent:
+        parts.append(f"no answer from {', '.join(silent)}")
+    if answered:
+        state = "latched, but not seen standing" if order.message.engaged else "not released"
+        parts.append(f"{state}: {', '.join(answered)}")
+    hint = "go there: they may still move" if order.message.engaged else "they stay stopped; try again"
+    return SafetyStop(f"after {timeout_s:g} s {'; '.join(parts)}", hint=hint)
+
+
+def receipt_line(receipt: EStopReceipt) -> str:
+    """Return a receipt in words."""
+    if not receipt.engaged:
+        return f"{receipt.robot}: released"
+    if receipt.standing:
+        return f"{receipt.robot}: stands, rolled {receipt.rolled_m:.3f} m"
+    return f"{receipt.robot}: stopping"
+
+
+def _order_as_dict(order: EStopOrder) -> dict[str, object]:
+    return {
+        "id": order.message.id,
+        "engaged": order.message.engaged,
+        "receipts": [msgspec.to_builtins(order.receipts[robot]) for robot in sorted(order.receipts)],
+        "unconfirmed": list(order.unconfirmed()),
+    }
+
+
+def drive(
+    target: Target, linear: float, angular: float, robots: Iterable[str], seconds: float | None, timeout_s: float
+) -> int:
+    """Stream the intent to drive for `seconds` or until Ctrl-C, then zero."""
+    refused: RequestStatus | None = None
+    answered = False
+    with session.connect(target) as line:
+
+        def receive(status: RequestStatus) -> None:
+            nonlocal refused, answered
+            answered = True
+            if status.phase == "refused":
+                refused = status
+                teleop.release(line.finish)
+
+        def check() -> None:
+            if not answered:
+                teleop.release(line.finish)
+
+        def end() -> None:
+            teleop.release(line.finish)
+
+        teleop = Teleop(line.operator, line.runtime, robot_ids(robots), on_status=receive)
+        line.on_interrupt = end
+        teleop.hold(linear, angular)
+        line.runtime.after(timeout_s, check)
+        if seconds is not None:
+            line.runtime.after(seconds, end)
+        else:
+            output.progress("driving; Ctrl-C stops")
+        line.run()
+        if refused is not None:
+            raise refusal(refused)
+        if not answered:
+            raise line.no_core(timeout_s)
+    return 0
+
+
+def mock(
+    target: Target,
+    behaviour: str,
+    robots: Iterable[str],
+    parameters: Mapping[str, Value],
+    *,
+    rate_hz: float,
+    count: int,
+    timeout_s: float,
+) -> int:
+    """Send the same request again and again, print what became of each."""
+    with session.connect(target) as line:
+        publisher = MockPublisher(
+            line.operator,
+            line.runtime,
+            behaviour,
+            robot_ids(robots),
+            parameters,
+            rate_hz=rate_hz,
+            count=count,
+            on_status=lambda status: output.data(status_lines(status)[0]),
+            on_answered=line.finish,
+        )
+        line.on_interrupt = line.finish
+        publisher.start()
+        # Without an end in sight only Ctrl-C ends it.
+        line.run(count / rate_hz + timeout_s if count else None)
+        output.progress(f"{publisher.sent} sent, {publisher.answered} answered, {len(publisher.refused)} refused")
+        if publisher.answered == 0:
+            raise line.no_core(timeout_s)
+        if publisher.refused:
+            raise refusal(publisher.refused[0])
+    return 0 if publisher.answered == publisher.sent else 1

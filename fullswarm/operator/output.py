@@ -1,0 +1,28 @@
+"""stdout is data, stderr is progress."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+from rich.console import Console, RenderableType
+
+
+def data(text: str) -> None:
+    """Print a line of results."""
+    typer.echo(text)
+
+
+def data_json(value: object) -> None:
+    """Print results for programs."""
+    typer.echo(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False))
+
+
+def data_table(table: RenderableType) -> None:
+    """Print results for people, at the width of the terminal, or 80 columns into a file."""
+    Console(highlight=False).print(table)
+
+
+def progress(text: str) -> None:
+    """Tell what is going on."""
+    typer.echo(text, err=True)

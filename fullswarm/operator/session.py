@@ -1,0 +1,108 @@
+"""A command's connection to a swarm: bus, keys and runtime, with Ctrl-C in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+
+import structlog
+
+from fullswarm.bus.base import Bus
+from fullswarm.clock import MonotonicClock
+from fullswarm.config import DEFAULT_HUB
+from fullswarm.errors import Unreachable
+from fullswarm.keys import Keys
+from fullswarm.operator.client import Operator
+from fullswarm.runtime import Runtime
+
+CONNECT_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Which swarm a command talks to; no `hub` means the one on this machine."""
+
+    hub: str | None = None
+    swarm: str = "swarm"
+
+
+class Session:
+    """A connected command. It runs once: :meth:`run` until :meth:`finish`, a time limit or Ctrl-C."""
+
+    def __init__(self, bus: Bus, keys: Keys, runtime: Runtime, hub: str) -> None:
+        self.bus, self.keys, self.runtime, self.hub = bus, keys, runtime, hub
+        self.source = f"cli@{socket.gethostname()}:{os.getpid()}"
+        self.operator = Operator(bus, keys, runtime, self.source)
+        self.on_interrupt: Callable[[], None] | None = None
+        """What Ctrl-C does; None: end the command with code 130. It must lead to :meth:`finish`."""
+
+    def finish(self) -> None:
+        """End :meth:`run`."""
+        self.runtime.stop()
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Serve the bus; Ctrl-C or SIGTERM once ends in order, twice at once.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C, unless `on_interrupt` says what to do instead.
+        """
+        interrupted = False
+
+        def on_signal(_number: int, _frame: FrameType | None) -> None:
+            nonlocal interrupted
+            if interrupted:
+                raise KeyboardInterrupt
+            interrupted = True
+            act = self.on_interrupt or self.finish
+            self.runtime.mailbox.put(lambda _: act(), None)
+
+        before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            self.runtime.run(duration_s)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        if interrupted and self.on_interrupt is None:
+            raise KeyboardInterrupt
+
+    def no_core(self, timeout_s: float) -> Unreachable:
+        """Return the error for a core that does not answer."""
+        return Unreachable(
+            f"the core of swarm '{self.keys.swarm}' did not answer within {timeout_s:g} s",
+            where=self.hub,
+            hint="is it running? start it with `fullswarm core`, or name the swarm with --swarm",
+        )
+
+
+@contextmanager
+def connect(target: Target) -> Iterator[Session]:
+    """Open the bus for one command.
+
+    Raises
+    ------
+    Unreachable
+        No hub answers.
+    ConfigError
+        The hub's address or the swarm's name is malformed.
+    """
+    from fullswarm.bus.zenoh_bus import ZenohBus
+
+    if not structlog.is_configured():  # its default writes to stdout, which is for data
+        structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    keys = Keys(target.swarm)
+    runtime = Runtime(MonotonicClock())
+    hub = target.hub or DEFAULT_HUB
+    bus = ZenohBus(runtime.mailbox, hub=hub)
+    try:
+        bus.wait_connected(CONNECT_S)
+        yield Session(bus, keys, runtime, hub)
+    finally:
+        bus.close()

@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import io
+import json
+import math
+
+import pytest
+from rich.console import Console
+
+from fullswarm.bus import LocalBus
+from fullswarm.clock import SimClock
+from fullswarm.keys import Keys
+from fullswarm.messages import HealthReport, Heartbeat, RequestStatus, RobotHealth, RobotStates, Summary
+from fullswarm.operator.render import fleet_table, row_state
+from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
+from fullswarm.runtime import Runtime
+
+KEYS = Keys("lab")
+
+
+def health(robot: str, **fields: object) -> RobotHealth:
+    plain: dict[str, object] = {
+        "robot": robot,
+        "driver": f"sim://{robot}",
+        "make": "sim",
+        "model": "disc",
+        "firmware": "1",
+        "lifecycle": "ACTIVE",
+    }
+    return RobotHealth(**{**plain, **fields})  # type: ignore[arg-type]  # keyword fields by name
+
+
+def row(robot: str = "r1", age_s: float = 0.1, **fields: object) -> RobotRow:
+    return RobotRow(robot, age_s, 1.0, -2.5, math.pi / 2, 0.25, health(robot, **fields))
+
+
+def text_of(snapshot: Snapshot, width: int = 80, max_rows: int | None = None) -> str:
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    console.print(fleet_table(snapshot, max_rows))
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+class Listening:
+    def __init__(self) -> None:
+        self.runtime = Runtime(SimClock(10.0))
+        self.bus = LocalBus(self.runtime.mailbox)
+        self.view = FleetView(self.bus, KEYS, self.runtime, expected=("r1", "r9"))
+
+    def report(self, host: str, *robots: RobotHealth) -> None:
+        message = HealthReport(host=host, process="p", version="1", robots=robots)
+        self.bus.publish(KEYS.health(host), message)
+
+    def states(self, host: str, *robots: str, x_m: float = 1.0) -> None:
+        ones = (x_m,) * len(robots)
+        message = RobotStates(
+            host=host,
+            sequence=1,
+            stamp_s=0.0,
+            robots=robots,
+            x_m=ones,
+            y_m=ones,
+            heading_rad=ones,
+            speed_m_s=ones,
+            turn_rad_s=ones,
+            radius_m=ones,
+        )
+        self.bus.publish(KEYS.state("0_0", host), message)
+
+
+@pytest.fixture
+def listening() -> Listening:
+    return Listening()
+
+
+def test_ages_count_from_the_newest_message_of_a_robot(listening: Listening) -> None:
+    listening.report("h", health("r1"), health("r2"))
+    listening.runtime.run(0.5)
+    listening.states("h", "r2", "r3", x_m=4.0)
+    listening.runtime.run(1.75)
+    snapshot = listening.view.snapshot()
+    assert [(each.robot, each.age_s, each.x_m) for each in snapshot.robots if each.robot != "r1"] == [
+        ("r2", 1.75, 4.0),
+        ("r3", 1.75, 4.0),
+    ]
+    assert snapshot.robots[0].age_s == 2.25
+    assert math.isnan(snapshot.robots[0].x_m)
+    assert snapshot.robots[2].health is None
+    assert snapshot.silent == ("r1",)  # heard, but too long ago
+    assert snapshot.missing == ("r9",)  # expected, never heard
+
+
+def test_the_newest_of_everything_is_kept(listening: Listening) -> None:
+    for behaviour in ("flocking", "stop"):
+        listening.report("h", health("r1", behaviour=behaviour))
+        listening.bus.publish(KEYS.summary("work"), Summary(metric="work", values={"total_m": len(behaviour)}))
+        listening.bus.publish(KEYS.heartbeat("core"), Heartbeat(node="core", process="p", sequence=1))
+        status = RequestStatus(request_id=behaviour, behaviour=behaviour, phase="running", missing=("r1", "r7"))
+        listening.bus.publish(KEYS.behaviour_status, status)
+    listening.runtime.run(0.25)
+    snapshot = listening.view.snapshot()
+    assert snapshot.robots[0].health == health("r1", behaviour="stop")
+    assert [each.values for each in snapshot.summaries] == [{"total_m": 4}]
+    assert snapshot.nodes == (NodeRow("core", 0.25, ()),)
+    assert snapshot.request is not None
+    assert snapshot.request.request_id == "stop"
+    assert snapshot.missing == ("r7", "r9")  # r1 has joined since
+
+
+def test_a_snapshot_is_json_without_nan(listening: Listening) -> None:
+    listening.report("h", health("r1", fault="wheel stuck"))
+    listening.runtime.run(0.5)
+    plain = json.loads(json.dumps(listening.view.snapshot().as_dict(), allow_nan=False))
+    assert plain["robots"][0]["x_m"] is None
+    assert plain["robots"][0]["fault"] == "wheel stuck"
+    assert plain["robots"][0]["age_s"] == 0.5
+    assert plain["missing"] == ["r9"]
+    assert plain["request"] is None
+
+
+def test_a_closed_view_hears_nothing(listening: Listening) -> None:
+    listening.view.close()
+    listening.report("h", health("r1"))
+    listening.runtime.run(0.1)
+    assert listening.view.robots() == ()
+    assert listening.view.present() == ("r1", "r9")
+
+
+@pytest.mark.parametrize(
+    ("fields", "state"),
+    [
+        ({"moving": True}, ("moving", False)),
+        ({}, ("standing", False)),
+        ({"estop": True}, ("E-STOP", True)),
+        ({"estop": True, "moving": True}, ("E-STOP, still rolling", True)),
+        ({"estop": True, "fault": "port gone"}, ("E-STOP, FAULT: port gone", True)),
+        ({"stop_reason": "the hub is lost"}, ("STOPPED: the hub is lost", True)),
+        ({"lifecycle": "FAULT"}, ("FAULT: no reason given", True)),
+        ({"lifecycle": "OPEN"}, ("open, not ready", False)),
+        ({"contacts": 1, "moving": True}, ("moving, TOUCHING", True)),
+        ({"battery": 0.1}, ("standing, BATTERY 10%", True)),
+    ],
+)
+def test_states_are_said_in_words(fields: dict[str, object], state: tuple[str, bool]) -> None:
+    assert row_state(row("r1", 0.1, **fields)) == state
+
+
+def test_silence_comes_before_what_was_last_heard() -> None:
+    assert row_state(row("r1", 7.0, moving=True)) == ("SILENT for 7 s", True)
+    assert row_state(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, None)) == ("no health report", True)
+
+
+def full_snapshot() -> Snapshot:
+    return Snapshot(
+        swarm="lab",
+        connected=True,
+        robots=(
+            row("r1", behaviour="flocking_bc", moving=True),
+            row("r2", behaviour="flocking_bc", collisions=3, stop_reason="the core's heartbeat is silent"),
+            RobotRow("r3", 12.0, math.nan, math.nan, math.nan, math.nan, health("r3")),
+        ),
+        nodes=(NodeRow("core", 0.1, ()), NodeRow("centralised", 5.0, ())),
+        summaries=(
+            Summary(metric="coverage", values={"fraction": 0.254, "area_m2": 101.6}),
+            Summary(metric="work", values={"total_m": 12.345}, finished=True, reason="60 s are over"),
+        ),
+        request=RequestStatus(request_id="ab12", behaviour="flocking_bc", phase="running"),
+        missing=("r4",),
+    )
+
+
+def test_the_table_says_all_of_it_in_80_columns() -> None:
+    text = text_of(full_snapshot())
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert lines == [
+        "swarm lab: 3 robots, hub connected, centralised SILENT, alive: core",
+        "robot behaviour      x m    y m head °   m/s age s hits state",
+        "r1    flocking_bc   1.00  -2.50     90  0.25   0.1    0 moving",
+        "r2    flocking_bc   1.00  -2.50     90  0.25   0.1    3 STOPPED: the core's",
+        "                                                        heartbeat is silent",
+        "r3    -                -      -      -     -  12.0    0 SILENT for 12 s",
+        "coverage: 25.4% of the area, area 101.60 m²",
+        "work: total 12.35 m; finished: 60 s are over",
+        "request ab12: flocking_bc running",
+        "MISSING, never heard: r4",
+        "SILENT, heard before: r3",
+    ]
+
+
+def test_an_empty_swarm_says_what_is_not_there() -> None:
+    text = text_of(Snapshot("lab", connected=False))
+    assert text.splitlines()[0].rstrip() == "swarm lab: 0 robots, HUB LOST, NO CORE heard"
+
+
+def test_a_long_table_shows_trouble_first_and_counts_the_rest() -> None:
+    rows = (*(row(f"r{number}") for number in range(5)), row("z", estop=True))
+    lines = [line.split() for line in text_of(Snapshot("lab", True, rows), max_rows=3).splitlines()]
+    assert [line[0] for line in lines[2:5]] == ["z", "r0", "…"]
+    assert lines[4] == ["…", "4", "more"]
+
+
+def test_names_with_brackets_are_not_markup() -> None:
+    snapshot = Snapshot("lab", True, (row("r1", behaviour="[red]x", stop_reason="[bold]why[/]"),))
+    assert "[red]x" in text_of(snapshot)
+    assert "[bold]why[/]" in text_of(snapshot)
