@@ -1,0 +1,246 @@
+"""From an operator's publish to the twist at the driver, across four processes, beside a bare zenoh hop.
+
+Operator, core and agent are real processes on one hub, as on robots: request → main controller → request handler →
+agent → driver. The reference is one zenoh put from this process to another through the same hub, in the same run and
+interleaved. All stamps come from one machine's monotonic clock. Target: at most 3 bare hops, at p50 and at p99.
+
+    python -m benchmarks.latency [--seconds 20] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import zenoh
+
+from fullswarm.bus import Bus
+from fullswarm.bus.session import client_config
+from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.clock import MonotonicClock
+from fullswarm.config import SwarmConfig
+from fullswarm.config.write import write_swarm
+from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.keys import Keys
+from fullswarm.launch import nodes, processes
+from fullswarm.launch.demo import on_free_ports
+from fullswarm.messages import BehaviourRequest
+from fullswarm.operator.view import FleetView
+from fullswarm.runtime import Mailbox, Runtime
+
+STAMP = struct.Struct("<Bdd")  # which, value, seconds
+HOP, TWIST = 0, 1
+HOP_KEY = "benchmark/hop"
+RATE_HZ = 20.0
+
+
+class StampingDriver:
+    """A driver that reports each new set-point and when it came; no limits, so that values stay recognisable."""
+
+    url = "null://latency"
+    description = Description("benchmark", "stamping", 0.17, Limits(1e3, 1e3, 1e9, 1e9), senses_pose=True)
+    fault = firmware = ""
+
+    def __init__(self, port: int) -> None:
+        self.state = Lifecycle.CLOSED
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._to = ("127.0.0.1", port)
+        self._last = 0.0
+
+    def open(self) -> None:
+        """Be ready at once."""
+        self.state = Lifecycle.READY
+
+    def activate(self) -> None:
+        """Take set-points."""
+        self.state = Lifecycle.ACTIVE
+
+    def deactivate(self) -> None:
+        """Take none."""
+        self.state = Lifecycle.READY
+
+    def read(self) -> Reading:
+        """Return a pose at the origin, read now."""
+        return Reading(stamp_s=time.monotonic(), odometry=Pose(0, 0, 0), twist=Twist(), pose=Pose(0, 0, 0))
+
+    def command(self, twist: Twist) -> Twist:
+        """Report a new set-point."""
+        if twist.linear_m_s not in (0.0, self._last):
+            self._last = twist.linear_m_s
+            self._socket.sendto(STAMP.pack(TWIST, twist.linear_m_s, time.monotonic()), self._to)
+        return twist
+
+    def close(self) -> None:
+        """Give up the socket."""
+        self._socket.close()
+
+
+def serve_agent(fleet: Path, port: int) -> None:
+    """Run an agent with the stamping driver."""
+    from fullswarm.agent.node import Identity
+    from fullswarm.config import load_swarm
+    from fullswarm.drivers.fleet import OneRobot
+
+    config = load_swarm(fleet)
+
+    def build(bus: Bus, runtime: Runtime) -> list[nodes.Node]:
+        robot = OneRobot("r1", StampingDriver(port))
+        return [nodes.agent(bus, runtime, config, robot, Identity("r1", "r1-0"), runtime.stats)]
+
+    processes.serve_on_bus(config, True, build)
+
+
+def serve_hop(endpoint: str, port: int) -> None:
+    """Report when each bare put arrives."""
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def received(sample: zenoh.Sample) -> None:
+        now_s = time.monotonic()
+        _, value, _ = STAMP.unpack(sample.payload.to_bytes())
+        out.sendto(STAMP.pack(HOP, value, now_s), ("127.0.0.1", port))
+
+    with zenoh.open(client_config(endpoint, multicast=False)) as session:
+        session.declare_subscriber(HOP_KEY, zenoh.handlers.Callback(received, indirect=False))
+        sys.stdin.read()
+
+
+def measure(seconds: float) -> dict[str, dict[str, float]]:
+    """Run everything; return p50, p99 and count in µs for the hop, the request and their ratio."""
+    config = on_free_ports(SwarmConfig.model_validate({"robot": [{"id": "r1", "driver": "null://r1"}]}))
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.bind(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+    arrived: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}}
+
+    def collect() -> None:
+        while True:
+            which, value, at_s = STAMP.unpack(listener.recv(64))
+            if which > TWIST:
+                return
+            arrived[which][round(value, 6)] = at_s
+
+    collector = threading.Thread(target=collect, daemon=True)
+    collector.start()
+    with tempfile.TemporaryDirectory() as folder:
+        fleet = Path(folder) / "fleet.toml"
+        write_swarm(config, fleet)
+        own = [sys.executable, "-m", "benchmarks.latency"]
+        tool = [sys.executable, "-m", "fullswarm"]
+        commands = [
+            [*tool, "hub", "--listen", config.hub.endpoint],
+            [*tool, "core", "--fleet", str(fleet)],
+            [*own, "--agent", str(fleet), "--port", str(port)],
+            [*own, "--hop", config.hub.endpoint, "--port", str(port)],
+        ]
+        children = [subprocess.Popen(command, stdin=subprocess.PIPE) for command in commands]
+        try:
+            sent = _send(config, seconds)
+        finally:
+            for child in reversed(children):
+                child.terminate()
+            for child in children:
+                child.wait()
+                if child.stdin:
+                    child.stdin.close()
+    socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(STAMP.pack(9, 0, 0), ("127.0.0.1", port))
+    collector.join()
+    listener.close()
+    return _evaluate(sent, arrived)
+
+
+def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+    bus, keys = ZenohBus(mailbox, hub=config.hub.endpoint), Keys(config.swarm)
+    view = FleetView(bus, keys, runtime, ("r1",))
+    sent: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}}
+    bus.wait_connected(20.0)
+    with zenoh.open(client_config(config.hub.endpoint, multicast=False)) as session:
+        publisher = session.declare_publisher(HOP_KEY, congestion_control=zenoh.CongestionControl.DROP)
+        count = 0
+
+        def ready() -> bool:
+            snapshot = view.snapshot()
+            return bool(snapshot.robots) and any(node.node == "core" for node in snapshot.nodes)
+
+        def both() -> None:
+            nonlocal count
+            if not ready():
+                return
+            count += 1
+            value = round(1e-6 * count + 0.1, 6)
+            request = BehaviourRequest(
+                id=f"b{count}", behaviour="drive", robots=("r1",),
+                parameters={"linear": value, "angular": 0.0, "speed_m_s": 1.0, "turn_rad_s": 1.0},
+                source="benchmark", stamp_s=runtime.now_s(),
+            )  # fmt: skip
+            # The hop goes out half a period later, so that the two never wait for each other.
+            runtime.after(0.5 / RATE_HZ, lambda: hop(value))
+            sent[TWIST][value] = time.monotonic()
+            bus.publish(keys.behaviour_request, request)
+
+        def hop(value: float) -> None:
+            sent[HOP][value] = time.monotonic()
+            publisher.put(STAMP.pack(HOP, value, 0.0))
+
+        runtime.every(1.0 / RATE_HZ, both)
+        runtime.run(seconds + 3.0)
+    bus.close()
+    return sent
+
+
+def _evaluate(
+    sent: dict[int, dict[float, float]], arrived: dict[int, dict[float, float]]
+) -> dict[str, dict[str, float]]:
+    figures: dict[str, dict[str, float]] = {}
+    for which, name in ((HOP, "bare hop"), (TWIST, "request to twist")):
+        times_s = [arrived[which][value] - at_s for value, at_s in sent[which].items() if value in arrived[which]]
+        late = np.array(times_s[len(times_s) // 10 :]) * 1e6  # the first tenth warms up
+        figures[name] = {
+            "p50_us": float(np.percentile(late, 50)),
+            "p99_us": float(np.percentile(late, 99)),
+            "arrived": len(times_s),
+            "sent": len(sent[which]),
+        }
+    hop, ours = figures["bare hop"], figures["request to twist"]
+    figures["ratio"] = {name: ours[name] / hop[name] for name in ("p50_us", "p99_us")}
+    return figures
+
+
+def main() -> None:
+    """Run as the benchmark or, with a hidden option, as one of its processes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--agent", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--hop", help=argparse.SUPPRESS)
+    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.agent:
+        serve_agent(options.agent, options.port)
+    elif options.hop:
+        serve_hop(options.hop, options.port)
+    else:
+        figures = measure(options.seconds)
+        if options.json:
+            print(json.dumps(figures, indent=2))
+            return
+        for name in ("bare hop", "request to twist"):
+            row = figures[name]
+            print(f"{name:18} p50 {row['p50_us']:7.0f} µs   p99 {row['p99_us']:7.0f} µs   {row['arrived']:.0f} of "
+                  f"{row['sent']:.0f} arrived")  # fmt: skip
+        ratio = figures["ratio"]
+        print(f"ratio              p50 {ratio['p50_us']:7.2f}      p99 {ratio['p99_us']:7.2f}      (target 3)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""The ``fullswarm`` command. Imports what a command needs when it runs: help must come at once."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fullswarm import __version__
+from fullswarm.operator.cli import operator_app, run_guarded
+
+if TYPE_CHECKING:
+    from fullswarm.config import SwarmConfig
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
+)
+app.add_typer(operator_app)
+
+Fleet = Annotated[Path, typer.Option("--fleet", metavar="FILE", help="The fleet file (TOML).")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a setting: agent.control_rate_hz=20.")
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can drive the robots.")
+]
+WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+Debug = Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")]
+START, RUN = "Start", "Single processes"
+
+
+def _run(debug: bool, command: Callable[[], int]) -> None:
+    raise typer.Exit(run_guarded(command, debug))
+
+
+def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
+    from fullswarm.config import load_swarm
+
+    return load_swarm(fleet, tuple(overrides or ()))
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
+) -> None:
+    if version:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.command(rich_help_panel=START)
+def demo(
+    seconds: Annotated[float, typer.Option(min=4, max=3600, help="How long the show lasts.")] = 45.0,
+    headless: Annotated[bool, typer.Option("--headless", help="No live table.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")] = False,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="One process, simulated clock, repeatable.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the lockstep run.")] = 0,
+    fleet: Annotated[Path | None, typer.Option("--fleet", metavar="FILE", help="Another fleet than eight.")] = None,
+    overrides: Overrides = None,
+    debug: Debug = False,
+) -> None:
+    """Eight simulated robots drive to a goal, flock, and meet; then a summary."""
+
+    def command() -> int:
+        from fullswarm.launch import demo as show
+
+        config = show.demo_config(fleet, tuple(overrides or ()))
+        if lockstep:
+            return show.run_lockstep(config, seconds, seed, as_json)
+        return show.run_live(config, seconds, as_json, headless or as_json)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=START)
+def up(
+    fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
+    overrides: Overrides = None,
+    insecure_network: Insecure = False,
+    debug: Debug = False,
+) -> None:
+    """Start all that a fleet file names on this machine: hub, core, world, one agent per robot."""
+
+    def command() -> int:
+        from fullswarm.launch.up import run
+
+        return run(_load(fleet, overrides), insecure_network)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def hub(
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where to listen.")] = "tcp/127.0.0.1:7447",
+    insecure_network: Insecure = False,
+    with_parent: WithParent = False,
+    debug: Debug = False,
+) -> None:
+    """Run the hub that carries the messages."""
+
+    def command() -> int:
+        from fullswarm.launch import processes
+
+        return processes.hub(listen, insecure_network, with_parent)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def core(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False, debug: Debug = False) -> None:
+    """Run the core: main controller, request handler, database, summarizers."""
+
+    def command() -> int:
+        from fullswarm.launch import processes
+
+        return processes.core(_load(fleet, overrides), with_parent)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def centralised(
+    fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False, debug: Debug = False
+) -> None:
+    """Run the centralised behaviours."""
+
+    def command() -> int:
+        from fullswarm.launch import processes
+
+        return processes.centralised(_load(fleet, overrides), with_parent)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def agent(
+    robot: Annotated[str, typer.Argument(help="The robot's id in the fleet file.")],
+    fleet: Fleet,
+    overrides: Overrides = None,
+    with_parent: WithParent = False,
+    debug: Debug = False,
+) -> None:
+    """Run the agent of one robot: on its companion computer, or here for a simulated one."""
+
+    def command() -> int:
+        from fullswarm.launch import processes
+
+        return processes.agent(_load(fleet, overrides), robot, with_parent)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def sim(
+    fleet: Fleet,
+    overrides: Overrides = None,
+    insecure_network: Insecure = False,
+    with_parent: WithParent = False,
+    debug: Debug = False,
+) -> None:
+    """Run the simulated world that the fleet file describes, in real time."""
+
+    def command() -> int:
+        from fullswarm.launch import processes
+
+        return processes.world(_load(fleet, overrides), insecure_network, with_parent)
+
+    _run(debug, command)
+
+
+def main() -> None:
+    """Run the command line; the entry point of the ``fullswarm`` script."""
+    import structlog
+
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    app(prog_name="fullswarm")

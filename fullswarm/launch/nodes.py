@@ -1,0 +1,80 @@
+"""Builds the nodes of each layer. Live processes and lockstep call the same functions: they cannot differ."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.bus.base import Bus
+from fullswarm.clock import wall_time_s
+from fullswarm.config import SwarmConfig
+from fullswarm.core.centralised.node import CentralisedNode
+from fullswarm.core.node import CoreNode
+from fullswarm.core.settings import Settings
+from fullswarm.drivers.base import Fleet
+from fullswarm.keys import Keys
+from fullswarm.perf.performance_node import PerformanceNode
+from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer
+from fullswarm.runtime import LoopStats, Scheduler
+from fullswarm.store import Store
+
+
+class Node(Protocol):
+    """Anything with an end."""
+
+    def close(self) -> None:
+        """End it in order."""
+        ...
+
+
+def process_id(name: str) -> str:
+    """Return a name that no other start of this process has."""
+    return f"{name}-{uuid.uuid4().hex[:8]}"
+
+
+def core(
+    bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, wall_s: Callable[[], float] = wall_time_s
+) -> list[Node]:
+    """Build the core: main controller, request handler, database, summarizers, performance node."""
+    keys = Keys(config.swarm)
+    store = Store(config.core.store, wall_s)
+    settings = Settings(store, config)
+
+    extra: list[Node] = [
+        summarizer(bus, keys, scheduler, lambda: settings.performance)
+        for summarizer in (WorkSummarizer, CollisionSummarizer, CoverageSummarizer)
+    ]
+    extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
+    return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
+
+
+def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> list[Node]:
+    """Build the centralised behaviours' node."""
+    return [CentralisedNode(bus, scheduler, config, process)]
+
+
+def agent(
+    bus: Bus,
+    scheduler: Scheduler,
+    config: SwarmConfig,
+    fleet: Fleet,
+    identity: Identity,
+    loop: Callable[[], LoopStats],
+) -> AgentNode:
+    """Build the agent that carries the robots of `fleet`."""
+    poses = {each.id: each.pose for each in config.robot}
+    start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
+    return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
+
+
+def start_poses(config: SwarmConfig) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Return where the simulated robots stand at first, (n, 3); those the file does not place get a free place."""
+    from fullswarm.drivers.sim.starts import default_starts
+
+    world = config.world_or_default
+    free = default_starts(world, len(config.robot))
+    return np.array([each.pose or tuple(free[row]) for row, each in enumerate(config.robot)], float)

@@ -1,0 +1,146 @@
+"""One function per process. Each serves until Ctrl-C, SIGTERM or the death of the process that started it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterable
+from urllib.parse import urlsplit
+
+from fullswarm import registry
+from fullswarm.bus.base import Bus
+from fullswarm.clock import MonotonicClock
+from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.keys import Keys
+from fullswarm.launch.nodes import Node, process_id
+from fullswarm.messages import Heartbeat
+from fullswarm.runtime import Mailbox, Runtime
+
+INTERRUPTED = 130
+WORLD_HEARTBEAT_S = 0.5
+PARENT_CHECK_S = 0.25
+
+
+def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
+    """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447``."""
+    from fullswarm.bus.hub import Hub
+
+    runtime = Runtime(MonotonicClock())
+    with Hub(endpoint, insecure_network=insecure_network):
+        return _serve(runtime, [], with_parent)
+
+
+def core(config: SwarmConfig, with_parent: bool) -> int:
+    """Serve as the core."""
+    from fullswarm.launch import nodes
+
+    return serve_on_bus(config, with_parent, lambda bus, runtime: nodes.core(bus, runtime, config, process_id("core")))
+
+
+def centralised(config: SwarmConfig, with_parent: bool) -> int:
+    """Serve the centralised behaviours."""
+    from fullswarm.launch import nodes
+
+    return serve_on_bus(
+        config, with_parent, lambda bus, runtime: nodes.centralised(bus, runtime, config, process_id("centralised"))
+    )
+
+
+def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
+    """Serve as the agent of one robot."""
+    from fullswarm.agent.node import Identity
+    from fullswarm.drivers.fleet import OneRobot
+    from fullswarm.launch import nodes
+
+    entry = _entry(config, robot)
+    url = driver_url(config, entry)
+    fleet = OneRobot(robot, registry.driver_class(url)(url))
+
+    def build(bus: Bus, runtime: Runtime) -> list[Node]:
+        identity = Identity(robot, process_id(robot))
+        return [nodes.agent(bus, runtime, config, fleet, identity, runtime.stats)]
+
+    return serve_on_bus(config, with_parent, build)
+
+
+def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:
+    """Serve the simulated world on its UDP port, in real time."""
+    from fullswarm import kernels
+    from fullswarm.drivers.sim.emulator import WorldServer
+    from fullswarm.drivers.sim.world import World
+    from fullswarm.launch import nodes
+
+    settings = config.world_or_default
+    kernels.compile_all()
+    ids = config.robots
+    simulated = World(settings, ids, nodes.start_poses(config))
+    server = WorldServer(simulated, settings.address, insecure_network=insecure_network)
+
+    def build(bus: Bus, runtime: Runtime) -> list[Node]:
+        steps = 0
+
+        def step() -> None:
+            nonlocal steps
+            server.tick()
+            steps += 1
+
+        def beat() -> None:
+            message = Heartbeat(node="world", process=process, sequence=steps, stamp_s=runtime.now_s())
+            bus.publish(Keys(config.swarm).heartbeat("world"), message)
+
+        process = process_id("world")
+        runtime.every(1.0 / settings.rate_hz, step)
+        runtime.every(WORLD_HEARTBEAT_S, beat, first_s=0.0)
+        return [simulated, server]
+
+    return serve_on_bus(config, with_parent, build)
+
+
+def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
+    """Return the URL of a robot's driver; a simulated one gets the world's address unless it names its own."""
+    url = urlsplit(robot.url)
+    if url.scheme != "sim" or url.path.strip("/"):
+        return robot.url
+    from fullswarm.drivers.sim.url import url_for
+
+    return url_for(config.world_or_default, url.netloc or robot.id, config.agent.sensing_radius_m)
+
+
+def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
+    for each in config.robot:
+        if each.id == robot:
+            return each
+    raise ConfigError(f"the fleet file has no robot '{robot}'", hint=did_you_mean(robot, config.robots))
+
+
+def serve_on_bus(config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]]) -> int:
+    """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code."""
+    from fullswarm.bus.zenoh_bus import ZenohBus
+
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+    bus = ZenohBus(mailbox, hub=config.hub.endpoint)
+    try:
+        return _serve(runtime, build(bus, runtime), with_parent)
+    finally:
+        bus.close()
+
+
+def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
+    """Run until told to end; then close the nodes, the last one first."""
+    runtime.stop_on_signals()
+    if with_parent:
+        parent = os.getppid()
+
+        def leave_with_parent() -> None:
+            if os.getppid() != parent:
+                runtime.stop()
+
+        runtime.every(PARENT_CHECK_S, leave_with_parent)
+    try:
+        runtime.run()
+    finally:
+        for node in reversed(list(nodes)):
+            node.close()
+    return INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0

@@ -1,0 +1,179 @@
+"""The demonstration: eight robots drive to a goal, flock, and meet, switched by requests like anybody's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from fullswarm.bus.base import Bus
+from fullswarm.config import SwarmConfig
+from fullswarm.keys import Keys
+from fullswarm.messages import Heartbeat, RequestStatus, Value
+from fullswarm.operator.client import Operator
+from fullswarm.operator.view import FleetView
+from fullswarm.runtime import Scheduler
+
+STOP_S = 1.0
+"""At the end the robots get this long to stand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """One request of the show and how much of the time it gets."""
+
+    behaviour: str
+    parameters: dict[str, Value]
+    share: float
+
+
+ACTS = (
+    Act("move_to_goal_bc", {"goal": [7.0, 7.0], "arrive_radius_m": 1.5}, 0.4),
+    Act("flocking_bc", {"cruise_m_s": 0.3}, 0.3),
+    Act("rendezvous_bc", {}, 0.3),
+)
+
+
+@dataclass(slots=True)
+class Sent:
+    """A request of the show and its answer."""
+
+    act: Act
+    request_id: str
+    sent_s: float
+    acknowledged_s: float | None = None
+    status: RequestStatus | None = None
+
+    def document(self) -> dict[str, object]:
+        """Return plain values for JSON."""
+        status = self.status
+        return {
+            "id": self.request_id,
+            "behaviour": self.act.behaviour,
+            "phase": status.phase if status else "unanswered",
+            "acknowledged_after_s": None if self.acknowledged_s is None else round(self.acknowledged_s, 4),
+            "running": sorted(status.running) if status else [],
+            "missing": sorted(status.missing) if status else [],
+            "reason": status.reason if status else "",
+        }
+
+
+@dataclass(slots=True)
+class Show:
+    """Asks for one act after the other and keeps what came of it.
+
+    Parameters
+    ----------
+    seconds : length of the whole show
+    operator : asks; its ids are the caller's choice, so that a lockstep run repeats to the byte
+    """
+
+    bus: Bus
+    scheduler: Scheduler
+    config: SwarmConfig
+    operator: Operator
+    seconds: float
+    acts: tuple[Act, ...] = ACTS
+    sent: list[Sent] = field(default_factory=list)
+    view: FleetView = field(init=False)
+    done: bool = False
+    began_s: float = 0.0
+    _world: list[tuple[float, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        keys = Keys(self.config.swarm)
+        self.view = FleetView(self.bus, keys, self.scheduler, self.config.robots)
+        self.bus.subscribe(keys.heartbeat("world"), Heartbeat, self._on_world, latest=True)
+
+    def ready(self) -> bool:
+        """Tell whether all robots have been heard, are READY and the core is alive."""
+        snapshot = self.view.snapshot()
+        present = [row for row in snapshot.robots if row.health and row.health.lifecycle in ("READY", "ACTIVE")]
+        nodes = {node.node for node in snapshot.nodes if node.age_s < 1.0}
+        return len(present) == len(self.config.robots) and {"core", "centralised"} <= nodes
+
+    def start(self) -> None:
+        """Set the times of all acts, from now."""
+        self.began_s = self.scheduler.now_s()
+        time_s = 0.0
+        for act in self.acts:
+            self.scheduler.after(time_s, lambda act=act: self._ask(act))  # type: ignore[misc]  # bound per turn
+            time_s += act.share * (self.seconds - STOP_S)
+        self.scheduler.after(time_s, self._stop)
+        self.scheduler.after(self.seconds, self._end)
+
+    def _ask(self, act: Act) -> None:
+        now_s = self.scheduler.now_s()
+
+        def on_status(status: RequestStatus) -> None:
+            sent.status = status
+            if status.phase == "running" and sent.acknowledged_s is None:
+                sent.acknowledged_s = self.scheduler.now_s() - now_s
+
+        sent = Sent(act, "", now_s)
+        self.sent.append(sent)
+        sent.request_id = self.operator.request(act.behaviour, (), act.parameters, on_status).request.id
+
+    def _stop(self) -> None:
+        self.operator.stop()
+
+    def _end(self) -> None:
+        self.done = True
+
+    def _on_world(self, beat: Heartbeat) -> None:
+        self._world.append((beat.stamp_s, beat.sequence))
+
+    def real_time_factor(self) -> float | None:
+        """Return simulated seconds per real second, from the world's own heartbeats; None without them."""
+        beats = [beat for beat in self._world if beat[0] >= self.began_s]
+        if len(beats) < 2 or beats[-1][0] <= beats[0][0]:
+            return None
+        steps, seconds = beats[-1][1] - beats[0][1], beats[-1][0] - beats[0][0]
+        return steps / self.config.world_or_default.rate_hz / seconds
+
+    def summary(self, metric: str, value: str) -> float | None:
+        """Return one value of a summarizer; None when it was never heard."""
+        for summary in self.view.snapshot().summaries:
+            if summary.metric == metric and value in summary.values:
+                return summary.values[value]
+        return None
+
+    def document(self, real_time_factor: float | None) -> dict[str, object]:
+        """Return the result of the show as one JSON document."""
+        factor = real_time_factor if real_time_factor is None else round(real_time_factor, 3)
+        return {
+            "swarm": self.config.swarm,
+            "seconds": self.seconds,
+            "robots": [self._robot(robot) for robot in self.config.robots],
+            "requests": [each.document() for each in self.sent],
+            "work_m": _rounded(self.summary("work", "total_m")),
+            "coverage": _rounded(self.summary("coverage", "fraction")),
+            "collisions": _whole(self.summary("collisions", "events")),
+            "real_time_factor": factor,
+        }
+
+    def _robot(self, robot: str) -> dict[str, object]:
+        rows = {row.robot: row for row in self.view.snapshot().robots}
+        row = rows.get(robot)
+        if row is None or row.health is None:
+            return {"id": robot, "driver": "", "make": "", "firmware": "", "state": "MISSING"}
+        health = row.health
+        return {
+            "id": robot,
+            "driver": health.driver,
+            "make": health.make,
+            "model": health.model,
+            "firmware": health.firmware,
+            "state": health.lifecycle,
+            "behaviour": health.behaviour,
+            "pose": [_rounded(value) for value in (row.x_m, row.y_m, row.heading_rad)],
+            "collisions": health.collisions,
+            "fault": health.fault,
+        }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, 4)
+
+
+def _whole(value: float | None) -> int | None:
+    return None if value is None else int(value)

@@ -1,0 +1,162 @@
+"""Starts the processes of a swarm on this machine, watches them, starts the dead again, ends them in order."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import structlog
+
+from fullswarm.config import SwarmConfig
+from fullswarm.config.write import write_swarm
+from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.runtime import Scheduler
+
+log = structlog.get_logger()
+
+WATCH_S = 0.1
+FIRST_BACKOFF_S = 0.3
+LAST_BACKOFF_S = 5.0
+END_S = 2.0
+"""How long a process may take to end before it is killed; ours take well under a second."""
+USAGE = 2
+"""Exit code of a process that will not come up however often it is started: its settings are wrong."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One process of the swarm."""
+
+    name: str
+    arguments: tuple[str, ...]
+    process: subprocess.Popen[bytes] | None = None
+    starts: int = 0
+    backoff_s: float = FIRST_BACKOFF_S
+    again_s: float = 0.0
+    given_up: str = ""
+
+
+@dataclass(slots=True)
+class Supervisor:
+    """The processes of one fleet file on this machine.
+
+    Parameters
+    ----------
+    restart : start a process again when it has died
+    world : start the world, if the fleet has simulated robots
+    """
+
+    config: SwarmConfig
+    scheduler: Scheduler
+    restart: bool = True
+    world: bool = True
+    insecure_network: bool = False
+    children: dict[str, Child] = field(default_factory=dict)
+    folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="fullswarm-")))
+
+    def start(self) -> None:
+        """Write the fleet file for the children and start them all."""
+        fleet = self.folder / "fleet.toml"
+        write_swarm(self.config, fleet)
+        network = ("--insecure-network",) if self.insecure_network else ()
+        file = ("--fleet", str(fleet))
+        self._add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
+        self._add("core", "core", *file)
+        self._add("centralised", "centralised", *file)
+        if self.world and any(each.url.startswith("sim:") for each in self.config.robot):
+            self._add("world", "sim", *file, *network)
+        for robot in self.config.robots:
+            self._add(robot, "agent", robot, *file)
+        for child in self.children.values():
+            self._spawn(child)
+        self.scheduler.every(WATCH_S, self._watch)
+
+    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
+        """Send a signal to a child: what a crash, a power cut or an operator does."""
+        process = self.children[name].process
+        if process is not None:
+            process.send_signal(number)
+            if number == signal.SIGKILL:
+                process.wait()
+
+    def revive(self, name: str) -> None:
+        """Start a dead child again now."""
+        self._spawn(self.children[name])
+
+    def alive(self, name: str) -> bool:
+        """Tell whether a child runs."""
+        process = self.children[name].process
+        return process is not None and process.poll() is None
+
+    def log_tail(self, name: str, lines: int = 5) -> str:
+        """Return the end of what a child wrote to stderr."""
+        path = self.folder / f"{name}.log"
+        return "\n".join(path.read_text(errors="replace").splitlines()[-lines:]) if path.exists() else ""
+
+    def close(self) -> None:
+        """End all: robots first, so that each stops its own wheels while the rest is still there."""
+        support = ("world", "centralised", "core", "hub")
+        robots = [each for each in self.children.values() if each.name not in support]
+        rest = [self.children[name] for name in support if name in self.children]
+        for group in (robots, rest):
+            for child in group:
+                if child.process is not None and child.process.poll() is None:
+                    child.process.terminate()
+            for child in group:
+                _reap(child)
+
+    def _add(self, name: str, *arguments: str) -> None:
+        if name in self.children:
+            raise ConfigError(f"a robot cannot be called '{name}': a process of the swarm is", where="robot.id")
+        self.children[name] = Child(name, arguments)
+
+    def _spawn(self, child: Child) -> None:
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        with (self.folder / f"{child.name}.log").open("ab") as sink:
+            child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
+                [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=sink,
+                env=environment,
+                start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
+            )
+        child.starts += 1
+
+    def _watch(self) -> None:
+        now_s = self.scheduler.now_s()
+        for child in self.children.values():
+            if child.process is None or child.given_up:
+                continue
+            code = child.process.poll()
+            if code is None:
+                continue
+            if code == USAGE or not self.restart:
+                child.given_up = self.log_tail(child.name) or f"ended with code {code}"
+                if code == USAGE:
+                    raise FullswarmError(child.given_up.removeprefix("error: "), where=child.name)
+            elif child.again_s == 0.0:
+                log.warning("a process died and is started again", process=child.name, code=code)
+                child.again_s = now_s + child.backoff_s
+            elif now_s >= child.again_s:
+                child.again_s = 0.0
+                child.backoff_s = min(2.0 * child.backoff_s, LAST_BACKOFF_S)
+                self._spawn(child)
+
+
+def _reap(child: Child) -> None:
+    if child.process is None:
+        return
+    try:
+        child.process.wait(END_S)
+    except subprocess.TimeoutExpired:
+        log.warning("a process did not end and is killed", process=child.name)
+        with contextlib.suppress(ProcessLookupError):
+            child.process.kill()
+        child.process.wait()

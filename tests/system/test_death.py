@@ -1,0 +1,130 @@
+"""Whoever dies, wheels come to zero in time; when it is back, the robots go on. Real processes, real kills."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from tests.system.live import LiveSwarm
+
+pytestmark = pytest.mark.system
+
+PERIOD_S = 1 / 50
+TTL_S = 0.3
+CORE_SILENCE_S = 1.0
+LOOK_S = 0.2
+"""The world applies set-points each 20 ms, and this machine may be busy; the bounds themselves are exact in
+tests/unit/test_agent_node.py."""
+
+CONFIG = {
+    "world": {"engine": "kinematic", "bounds_m": [0, 0, 40, 40], "watchdog_s": 5.0},
+    "robot": [{"id": f"r{row}", "pose": [2.0, 2.0 + 2 * row, 0.0]} for row in range(3)],
+}
+FAR = {"goal": [38.0, 20.0], "gain": 0.5}
+
+
+@pytest.fixture(scope="module")
+def swarm() -> Iterator[LiveSwarm]:
+    live = LiveSwarm(CONFIG, watch=True)
+    yield live
+    live.close()
+
+
+@pytest.fixture(autouse=True)
+def all_alive(swarm: LiveSwarm) -> None:
+    assert swarm.world
+    for name in swarm.supervisor.children:
+        assert swarm.supervisor.alive(name)
+
+
+def time_to_zero_s(swarm: LiveSwarm, bound_s: float) -> float:
+    took_s = swarm.until(swarm.stands, bound_s + LOOK_S + 5.0, "all set-points are zero")
+    assert took_s <= bound_s + LOOK_S
+    swarm.rest(0.5)
+    assert swarm.stands(), "and they stay zero"
+    return took_s
+
+
+def start(swarm: LiveSwarm, behaviour: str, **parameters: object) -> None:
+    swarm.request(behaviour, parameters or FAR)  # type: ignore[arg-type]  # values of a test
+    swarm.until(swarm.driven, 10.0, "all robots are driven")
+
+
+def test_the_core(swarm: LiveSwarm) -> None:
+    start(swarm, "move_to_goal")
+    swarm.supervisor.kill("core")
+    time_to_zero_s(swarm, CORE_SILENCE_S + PERIOD_S)
+    swarm.supervisor.revive("core")
+    swarm.until(swarm.driven, 20.0, "the new core has taken up what the robots report")
+    assert swarm.all_run("move_to_goal")
+
+
+def test_the_core_while_a_centralised_behaviour_runs(swarm: LiveSwarm) -> None:
+    start(swarm, "formation_assigned", shape="line", centre=[30.0, 20.0], spacing_m=2.0)
+    swarm.supervisor.kill("core")
+    # Commands pass through the core: the time-to-live ends them, long before the silent heartbeat does.
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+    swarm.supervisor.revive("core")
+    swarm.until(swarm.driven, 20.0, "commands flow again")
+
+
+def test_the_process_of_a_centralised_behaviour(swarm: LiveSwarm) -> None:
+    start(swarm, "formation_assigned", shape="line", centre=[10.0, 20.0], spacing_m=2.0)
+    swarm.supervisor.kill("centralised")
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+    swarm.supervisor.revive("centralised")
+    swarm.until(swarm.driven, 20.0, "the core has told the new process what to do")
+
+
+def test_the_hub(swarm: LiveSwarm) -> None:
+    start(swarm, "move_to_goal")
+    swarm.supervisor.kill("hub")
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+    swarm.supervisor.revive("hub")
+    swarm.until(swarm.driven, 20.0, "the robots go on by themselves")
+
+
+def test_an_operator_who_drives(swarm: LiveSwarm) -> None:
+    swarm.operator.stop()
+    swarm.until(swarm.stands, 5.0, "they stand")
+    driver = swarm.spawn("drive", "--linear", "0.8")
+    swarm.until(swarm.driven, 20.0, "all robots are driven by hand")
+    driver.send_signal(signal.SIGKILL)
+    driver.communicate()
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+
+
+def test_an_operator_who_lets_go(swarm: LiveSwarm) -> None:
+    driver = swarm.spawn("drive", "--linear", "0.8")
+    swarm.until(swarm.driven, 20.0, "all robots are driven by hand")
+    driver.send_signal(signal.SIGINT)
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+    driver.communicate(timeout=5)
+
+
+def test_an_agent(swarm: LiveSwarm) -> None:
+    start(swarm, "move_to_goal")
+    swarm.supervisor.kill("r1")
+    # Its body is still told the last set-point; the world's own watchdog (off here, 5 s) would end that.
+    swarm.supervisor.revive("r1")
+    swarm.until(lambda: swarm.all_run("move_to_goal"), 20.0, "the new agent runs what was asked")
+    swarm.until(swarm.driven, 10.0, "and drives")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_every_process_ends_within_a_second(swarm: LiveSwarm, number: signal.Signals) -> None:
+    names = ["r0", "centralised", "core", "hub"]
+    for name in names:
+        process = swarm.supervisor.children[name].process
+        assert process is not None
+        process.send_signal(number)
+        took_s = swarm.until(lambda process=process: process.poll() is not None, 10.0, f"{name} ends")  # type: ignore[misc]
+        assert took_s <= 1.0 + LOOK_S
+        assert process.returncode == (130 if number == signal.SIGINT else 0)
+        assert "Traceback" not in swarm.supervisor.log_tail(name, 50)
+    for name in reversed(names):
+        swarm.supervisor.revive(name)
+    swarm.rest(1.5)  # what the old processes said last must be too old to count
+    swarm.until(swarm.ready, 60.0, "all are back")
