@@ -33,12 +33,12 @@ from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes, processes
 from fullswarm.launch.demo import on_free_ports
-from fullswarm.messages import BehaviourRequest
+from fullswarm.messages import BehaviourRequest, ControlRequest
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime
 
 STAMP = struct.Struct("<Bdd")  # which, value, seconds
-HOP, TWIST = 0, 1
+HOP, TWIST, DECIDED = 0, 1, 2
 HOP_KEY = "benchmark/hop"
 RATE_HZ = 20.0
 
@@ -108,7 +108,9 @@ def serve_hop(endpoint: str, port: int) -> None:
         _, value, _ = STAMP.unpack(sample.payload.to_bytes())
         out.sendto(STAMP.pack(HOP, value, now_s), ("127.0.0.1", port))
 
-    with zenoh.open(client_config(endpoint, multicast=False)) as session:
+    settings = client_config(endpoint, multicast=False)
+    settings.insert_json5("connect/timeout_ms", "-1")  # the hub may still be starting
+    with zenoh.open(settings) as session:
         session.declare_subscriber(HOP_KEY, zenoh.handlers.Callback(received, indirect=False))
         sys.stdin.read()
 
@@ -162,7 +164,13 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
     runtime = Runtime(MonotonicClock(), mailbox)
     bus, keys = ZenohBus(mailbox, hub=config.hub.endpoint), Keys(config.swarm)
     view = FleetView(bus, keys, runtime, ("r1",))
-    sent: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}}
+    sent: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}, DECIDED: {}}
+
+    def decided(request: ControlRequest) -> None:
+        if request.enable:
+            sent[DECIDED][round(float(str(request.parameters["linear"])), 6)] = request.stamp_s
+
+    bus.subscribe(keys.control_requests(), ControlRequest, decided)
     bus.wait_connected(20.0)
     with zenoh.open(client_config(config.hub.endpoint, multicast=False)) as session:
         publisher = session.declare_publisher(HOP_KEY, congestion_control=zenoh.CongestionControl.DROP)
@@ -211,6 +219,11 @@ def _evaluate(
             "arrived": len(times_s),
             "sent": len(sent[which]),
         }
+    legs_s = [(sent[DECIDED][v] - at, arrived[TWIST][v] - sent[DECIDED][v]) for v, at in sent[TWIST].items()
+              if v in sent[DECIDED] and v in arrived[TWIST]]  # fmt: skip
+    for leg, name in enumerate(("publish to decided", "decided to twist")):
+        late = np.array([each[leg] for each in legs_s[len(legs_s) // 10 :]]) * 1e6
+        figures[name] = {"p50_us": float(np.percentile(late, 50)), "p99_us": float(np.percentile(late, 99))}
     hop, ours = figures["bare hop"], figures["request to twist"]
     figures["ratio"] = {name: ours[name] / hop[name] for name in ("p50_us", "p99_us")}
     return figures
@@ -238,6 +251,8 @@ def main() -> None:
             row = figures[name]
             print(f"{name:18} p50 {row['p50_us']:7.0f} µs   p99 {row['p99_us']:7.0f} µs   {row['arrived']:.0f} of "
                   f"{row['sent']:.0f} arrived")  # fmt: skip
+        for name in ("publish to decided", "decided to twist"):
+            print(f"  {name:18} p50 {figures[name]['p50_us']:5.0f} µs   p99 {figures[name]['p99_us']:7.0f} µs")
         ratio = figures["ratio"]
         print(f"ratio              p50 {ratio['p50_us']:7.2f}      p99 {ratio['p99_us']:7.2f}      (target 3)")
 

@@ -6,6 +6,7 @@ Importing this file imports none of them. Outside packages use the entry point g
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.metadata
 from types import MappingProxyType
@@ -65,8 +66,9 @@ def driver_class(url: str) -> Any:
     return getattr(_import(module, url), name)
 
 
+@functools.cache
 def law_module(name: str) -> Any:
-    """Return the module that holds the law `name` (a function ``velocity`` or ``twist``).
+    """Return the module that holds the law `name` (a function ``velocity`` or ``twist``); found once per process.
 
     Raises
     ------

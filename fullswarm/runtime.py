@@ -1,8 +1,8 @@
 """Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one.
 
 A node never sees a thread. Whatever arrives (a bus message, a signal) is put into the :class:`Mailbox`; the
-runtime takes it out and calls the node. Timers have absolute deadlines, so they do not drift; a tick that is a
-whole period late is skipped, counted and published, never caught up.
+runtime takes it out and calls the node, never two handlers or timers at once. Timers have absolute deadlines, so
+they do not drift; a tick that is a whole period late is skipped, counted and published, never caught up.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import itertools
 import queue
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import FrameType
@@ -26,32 +27,78 @@ Handler = Callable[[Any], None]
 
 
 class Mailbox:
-    """A thread-safe queue of (handler, message) that wakes the runtime."""
+    """A thread-safe queue of (handler, message), and the gate that keeps nodes single-threaded.
+
+    Handlers run one at a time, in the order of arrival. Normally the runtime's thread runs them. While it waits
+    and nothing is queued, the thread that brings an urgent message may run its handler itself
+    (:meth:`run_now`): waking another thread would cost as much as the rest of the way through this process.
+    """
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[tuple[Handler, Any]] = queue.SimpleQueue()
+        self._waiting = 0
+        self._count = threading.RLock()  # reentrant: a signal handler may put while its own thread puts
+        # Closed except while the runtime waits, so no foreign thread ever meets a node that is being built or busy.
+        self._gate = threading.Lock()
+        self._gate.acquire()
 
     def put(self, handler: Handler, message: Any) -> None:
         """Have `handler` called with `message` on the runtime's thread. Any thread may put."""
+        with self._count:
+            self._waiting += 1
         self._queue.put((handler, message))
+
+    def run_now(self, handler: Handler, message: Any) -> bool:
+        """Run `handler` on this thread if the runtime is waiting and nothing is queued; else return False.
+
+        What the handler raises is raised again on the runtime's thread.
+        """
+        if self._waiting or not self._gate.acquire(blocking=False):
+            return False
+        try:
+            if self._waiting:
+                return False
+            handler(message)
+        except BaseException as error:  # any kind: it must end the process as it would on the runtime's thread
+            self.put(_raise, error)
+        finally:
+            self._gate.release()
+        return True
 
     def drain(self) -> int:
         """Deliver all that is there, and what that causes; return how many."""
         count = 0
         while not self._queue.empty():
-            handler, message = self._queue.get_nowait()
-            handler(message)
+            self._handle(*self._queue.get_nowait())
             count += 1
         return count
 
     def deliver_one(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s` for one message and deliver it; False when none came."""
         try:
-            handler, message = self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
+            if timeout_s > 0:
+                self._gate.release()
+                try:
+                    item = self._queue.get(timeout=timeout_s)
+                finally:
+                    self._gate.acquire()
+            else:
+                item = self._queue.get_nowait()
         except queue.Empty:
             return False
-        handler(message)
+        self._handle(*item)
         return True
+
+    def _handle(self, handler: Handler, message: Any) -> None:
+        try:
+            handler(message)
+        finally:
+            with self._count:
+                self._waiting -= 1
+
+
+def _raise(error: BaseException) -> None:
+    raise error
 
 
 class Timer:
@@ -106,6 +153,7 @@ class Runtime:
         self._order = itertools.count()
         self._stopping = self._paused = False
         self._simulated = isinstance(clock, SimClock)
+        self._thread = threading.get_ident()
         self.exit_signal: int | None = None
 
     def now_s(self) -> float:
@@ -124,6 +172,8 @@ class Runtime:
 
     def _add(self, timer: Timer) -> Timer:
         heapq.heappush(self._timers, (timer.due_s, next(self._order), timer))
+        if threading.get_ident() != self._thread:
+            self.mailbox.put(_nothing, None)  # set by a handler on another thread: the loop may wait too long
         return timer
 
     def stats(self) -> LoopStats:

@@ -24,7 +24,7 @@ class Neighbours:
     ----------
     heard : (m, 6) x, y, heading, speed, turn rate, radius as told
     arrival_s : (m,) when, on this machine's clock
-    predicted : (m, 2) positions moved on to the time of the last `refresh`; NaN when too old
+    predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
@@ -33,6 +33,7 @@ class Neighbours:
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
         self._newest: dict[str, tuple[int, float]] = {}
+        self._now_s, self._stale = 0.0, True
         self.count = 0
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[float, tuple[Index, Index]] = {}
@@ -58,18 +59,25 @@ class Neighbours:
         heard[rows, 5] = states.radius_m
         self.arrival_s[rows] = now_s
 
-    def refresh(self, now_s: float) -> None:
-        """Move all heard positions on to `now_s`."""
+    def look(self, now_s: float) -> None:
+        """Say that `within` is about `now_s` from here on."""
+        self._now_s, self._stale = now_s, True
+
+    def _predict(self) -> None:
+        """Move all heard positions on to the time of the last `look`: only when somebody asks."""
+        self._stale, now_s = False, self._now_s
         pairs.predict.run(self.heard, self.arrival_s, self.count, now_s, self._timeout_s, self.predicted)
 
     def within(self, position: Array, reach_m: float) -> tuple[Index, Index]:
-        """Find who is within `reach_m` of each own robot at the time of the last `refresh`.
+        """Find who is within `reach_m` of each own robot at the time of the last `look`.
 
         Returns
         -------
         start : (n + 1,)
         other : (capacity,) rows; neighbours of robot i are ``other[start[i]:start[i + 1]]``. Both are reused.
         """
+        if self._stale:
+            self._predict()
         count = self.count
         start, other = self._lists.get(reach_m) or (np.zeros(len(position) + 1, np.int64), np.zeros(64, np.int64))
         search = pairs.all_pairs if len(position) * count <= pairs.BRUTE_FORCE_BELOW else pairs.cell_pairs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import structlog
@@ -69,9 +70,9 @@ class AgentNode:
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
         accel = np.array([each.accel_m_s2 for each in limits])
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
-        self._gain = np.minimum(settings.barrier_gain_per_s, accel / self.controller.speed_limit)
+        gain_limit = accel / self.controller.speed_limit
         self._radius = np.array([each.radius_m for each in fleet.descriptions])
-        self.tasks = Tasks(count)
+        self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
         self._listening = Listening(bus, self._keys, settings.sensing_radius_m, settings.state_cell_m, self._on_states)
         self._estimator = _estimator(config, start)
@@ -83,13 +84,14 @@ class AgentNode:
             np.array([each.speed_m_s for each in limits]),
         )
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self._alone = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._driver_ready = np.zeros(count, bool)
         self._applied = np.zeros((count, 2))
         self.pose = start.copy()
         self.twist = np.zeros((count, 2))
         self.reading: FleetReading | None = None
-        self._last_tick_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
+        self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._law_errors: set[str] = set()
         self.law_error = [""] * count
         self.ended = [""] * count
@@ -118,20 +120,31 @@ class AgentNode:
     def wake(self) -> None:
         """Act on a message now instead of at the next period; with many robots the next tick does it."""
         self._dirty = True
-        if len(self._fleet.ids) == 1:
-            self.tick()
+        if len(self._fleet.ids) == 1 and self.reading is not None:
+            self._act(self._scheduler.now_s(), self.reading)
 
     # ------------------------------------------------------------------ the tick
     def tick(self) -> None:
-        """Read, estimate, wish, decide, command, measure."""
+        """Read, estimate, act, measure."""
         now_s = self._scheduler.now_s()
-        dt_s = min(max(now_s - self._last_tick_s, 0.0), 2.0 / self._config.control_rate_hz)
-        self._last_tick_s = now_s
         self.reading = reading = self._fleet.read()
-        self.pose = self._estimator.update(reading, dt_s)
+        self.pose = self._estimator.update(reading, now_s - self._last_tick_s)
         self.twist = reading.twist
+        self._act(now_s, reading)
+        period_s = 1.0 / self._config.control_rate_hz
+        self.calculators.update(now_s, self.pose, reading.contacts, period_s, reading.odometry)
+        self.inbox.watch_estops(now_s)
+        self._last_tick_s = now_s
+        if self._dirty:
+            self.publish_health()
+
+    def _act(self, now_s: float, reading: FleetReading) -> None:
+        """Wish, decide, command: what stands between knowing and the wheels."""
+        period_s = 1.0 / self._config.control_rate_hz
+        dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
+        self._last_act_s = now_s
         groups = self.tasks.groups()
-        if groups:
+        if groups or self.tasks.any_filtered:
             self._wish(groups, now_s, reading)
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
@@ -139,12 +152,9 @@ class AgentNode:
             now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)
-        self.calculators.update(now_s, self.pose, reading.contacts, dt_s, reading.odometry)
-        self.inbox.watch_estops(now_s)
-        if self.controller.changed:
+        if self.controller.changed or not self._driver_ready[0]:
+            self._dirty |= self.controller.changed
             self._end_unsafe_tasks()
-        if self._dirty or self.controller.changed:
-            self.publish_health()
 
     def _end_unsafe_tasks(self) -> None:
         """After a fault or a hazard nobody drives on by himself: that takes a new request."""
@@ -165,31 +175,40 @@ class AgentNode:
 
     def _wish(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
-        settings, pose = self._config, self.pose
+        settings, pose, neighbours = self._config, self.pose, self.neighbours
         position = np.ascontiguousarray(pose[:, :2])
-        self.neighbours.refresh(now_s)
-        start, other = self.neighbours.within(position, settings.sensing_radius_m)
-        planar = self._planar
-        planar.fill(math.nan)
+        neighbours.look(now_s)
+
+        self._planar.fill(math.nan)
+        planar = False
         for group in groups:
-            near = (start, other)
-            if group.hearing_m > 0.0:
-                near = self.neighbours.within(position, group.hearing_m)
+            reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
-                position, pose[:, 2], self._radius, *near, self.neighbours.predicted, self.neighbours.heard,
-                self._bounds,
+                position, pose[:, 2], self._radius, partial(neighbours.within, position, reach_m),
+                neighbours.predicted, neighbours.heard, self._bounds,
             )  # fmt: skip
-            self._evaluate(group, view if len(group.rows) == len(position) else view.select(group.rows), now_s)
+            whole = len(group.rows) == len(position)
+            planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
+        tasks = self.tasks
+        if not planar and not tasks.any_filtered:
+            return
+        reach_m = settings.sensing_radius_m
+        start, other = neighbours.within(position, reach_m) if tasks.any_filtered else self._alone
         barrier.drive.run(
-            planar, self.tasks.filtered, pose, self._radius, self.controller.speed_limit,
+            self._planar, tasks.filtered, pose, self._radius, self.controller.speed_limit,
             self.controller.turn_limit, self.controller.reverse, settings.speed_gain, settings.turn_gain_per_s,
-            self._gain, settings.safety_margin_m, settings.sensing_radius_m, start, other,
-            self.neighbours.predicted, self.neighbours.heard, reading.obstacles, self._bounds_array,
-            self.controller.wished,
+            tasks.gain_per_s, tasks.margin_m, reach_m, start, other,
+            neighbours.predicted, neighbours.heard, reading.obstacles, self._bounds_array, self.controller.wished,
         )  # fmt: skip
 
-    def _evaluate(self, group: Group, view: View, now_s: float) -> None:
-        """Call one law; if it raises or answers something that is not finite, its robots stand and say so."""
+    def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
+        """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
+
+        Returns
+        -------
+        bool
+            It wishes planar velocities, which have yet to be mapped to twists.
+        """
         try:
             planar = hasattr(group.module, "velocity")
             law = group.module.velocity if planar else group.module.twist
@@ -198,12 +217,13 @@ class AgentNode:
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
             self._law_failed(group, error)
-            return
+            return False
         controller = self.controller
         rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
         (self._planar if planar else controller.wished)[rows] = wished
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
+        return planar
 
     def _law_failed(self, group: Group, error: Exception) -> None:
         text = f"law '{group.law}': {type(error).__name__}: {error}"
@@ -238,6 +258,11 @@ class AgentNode:
 
     def _publish_measurements(self) -> None:
         self.calculators.publish(self._bus, self._keys, self._identity.host, self._scheduler.now_s())
+
+    @property
+    def setpoints(self) -> Array:
+        """What the drivers applied in the last tick, (n, 2) m/s and rad/s."""
+        return self._applied
 
     @property
     def radius(self) -> Array:

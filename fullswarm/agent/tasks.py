@@ -30,6 +30,17 @@ class Params:
         for name, first in rows[0].items():
             setattr(self, name, _column([row[name] for row in rows], first))
 
+    def update(self, row: int, values: dict[str, Value]) -> bool:
+        """Write one robot's new values into the columns; False if a value is no number or point, or not as before."""
+        for name, value in values.items():
+            column = self.__dict__.get(name)
+            if not isinstance(column, np.ndarray) or not isinstance(value, int | float | list):
+                return False
+            if column.shape[1] != (len(value) if isinstance(value, list) else 1):
+                return False
+            column[row] = value
+        return len(values) == len(self.__dict__)
+
     def __getattr__(self, name: str) -> Array:
         """Tell which parameter a law misses (only called when it is not there)."""
         raise ConfigError(f"the law needs a parameter '{name}' that the behaviour's record does not give")
@@ -41,6 +52,10 @@ def _column(values: list[Value], first: Value) -> object:
     if isinstance(first, list) and len(first) == 2 and all(isinstance(each, int | float) for each in first):
         return np.array(values, float)
     return first
+
+
+def _number(value: Value | None, otherwise: float) -> float:
+    return float(value) if isinstance(value, int | float) else otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +95,24 @@ class Tasks:
     ----------
     active : (n,) a task is on
     filtered : (n,) it runs behind the safety filter
+    any_filtered : some task does
     survives_core : (n,) it goes on without the core
     lapses_s : (n,) when it ends by itself; inf
+    margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """
 
     count: int
+    usual_margin_m: float
+    usual_gain_per_s: float
+    gain_limit_per_s: Array  # (n,) what the brakes can follow
     of: list[Task | None] = field(init=False)
     active: NDArray[np.bool_] = field(init=False)
     filtered: NDArray[np.bool_] = field(init=False)
     survives_core: NDArray[np.bool_] = field(init=False)
+    margin_m: Array = field(init=False)
+    gain_per_s: Array = field(init=False)
     lapses_s: Array = field(init=False)
+    any_filtered: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
@@ -97,6 +120,8 @@ class Tasks:
         self.active = np.zeros(self.count, bool)
         self.filtered = np.zeros(self.count, bool)
         self.survives_core = np.zeros(self.count, bool)
+        self.margin_m = np.full(self.count, self.usual_margin_m)
+        self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
         self.lapses_s = np.full(self.count, math.inf)
 
     def enable(self, row: int, task: Task) -> None:
@@ -110,12 +135,27 @@ class Tasks:
         if task.law != CENTRALISED:
             registry.law_module(task.law)
         request = task.request
-        self.of[row] = task
+        before, self.of[row] = self.of[row], task
         self.active[row] = True
         self.filtered[row] = request.filtered
         self.survives_core[row] = request.survives_core
         self.lapses_s[row] = task.lapses_s
-        self._groups = None
+        self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
+        gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
+        self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
+        if before is None or not self._renew(row, before.request, request):
+            self._groups = None
+
+    def _renew(self, row: int, before: ControlRequest, request: ControlRequest) -> bool:
+        """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
+        if self._groups is None or (before.law, before.filtered) != (request.law, request.filtered):
+            return False
+        for group in self._groups:
+            place = int(np.searchsorted(group.rows, row))
+            if place < len(group.rows) and group.rows[place] == row:
+                same_reach = group.hearing_m == (request.parameters.get("hearing_m") or 0.0)
+                return same_reach and group.params.update(place, request.parameters)
+        return False
 
     def disable(self, row: int) -> None:
         """Take robot `row`'s task away."""
@@ -127,6 +167,7 @@ class Tasks:
     def groups(self) -> list[Group]:
         """Return the robots with a law on board, grouped by law and kind of parameters."""
         if self._groups is None:
+            self.any_filtered = bool(self.filtered.any())
             members: dict[tuple[str, tuple[str, ...]], list[int]] = {}
             for row, task in enumerate(self.of):
                 if task is not None and task.law != CENTRALISED:

@@ -7,6 +7,7 @@ board and a thousand in a trial.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +27,8 @@ class View:
     position : (n, 2) m
     heading : (n,) rad
     radius : (n,) m, footprints
-    start : (n + 1,) edges of robot i are ``start[i]:start[i + 1]``
-    other : (e,) rows of the neighbours in `heard` and `predicted`
+    near : finds the neighbours when a law asks for them first: ``start`` (n + 1,), edges of robot i are
+        ``start[i]:start[i + 1]``, and ``other`` (e or more,), rows of the neighbours in `heard` and `predicted`
     predicted : (m, 2) m, positions of all robots heard, moved on to now
     heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
     bounds_m : x_min, y_min, x_max, y_max of the arena
@@ -38,17 +39,30 @@ class View:
         position: Array,
         heading: Array,
         radius: Array,
-        start: Index,
-        other: Index,
+        near: Callable[[], tuple[Index, Index]],
         predicted: Array,
         heard: Array,
         bounds_m: tuple[float, float, float, float],
     ) -> None:
         self.position, self.heading, self.radius = position, heading, radius
         self.bounds_m = bounds_m
-        self.start = start
-        self.other = other[: start[-1]]
+        self._near = near
         self._predicted, self._heard = predicted, heard
+
+    @cached_property
+    def _neighbours(self) -> tuple[Index, Index]:
+        start, other = self._near()
+        return start, other[: start[-1]]
+
+    @property
+    def start(self) -> Index:
+        """Edges of robot i are ``start[i]:start[i + 1]``, (n + 1,)."""
+        return self._neighbours[0]
+
+    @property
+    def other(self) -> Index:
+        """Row of each edge's neighbour among the robots heard, (e,)."""
+        return self._neighbours[1]
 
     @cached_property
     def _edges(self) -> tuple[Index, Array, Array, Array]:
@@ -90,15 +104,17 @@ class View:
 
     def select(self, rows: Index) -> View:
         """Return the view of a part of the robots, `rows` (k,) ascending."""
-        counts = np.diff(self.start)[rows]
-        start = np.concatenate([[0], np.cumsum(counts)])
-        edges = [self.other[self.start[row] : self.start[row + 1]] for row in rows]
+
+        def near() -> tuple[Index, Index]:
+            start = np.concatenate([[0], np.cumsum((self.start[1:] - self.start[:-1])[rows])])
+            edges = [self.other[self.start[row] : self.start[row + 1]] for row in rows]
+            return start, np.concatenate(edges)
+
         return View(
             self.position[rows],
             self.heading[rows],
             self.radius[rows],
-            start,
-            np.concatenate(edges) if edges else self.other[:0],
+            near,
             self._predicted,
             self._heard,
             self.bounds_m,

@@ -25,6 +25,8 @@ class Inbox:
         What to listen to, the type to decode, whom to call.
     latest
         Keep one message per key: a newer one takes the place of one that still waits.
+    urgent
+        Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
     on_bad
         Told the key and the error of a message that is dropped.
     on_close
@@ -44,6 +46,7 @@ class Inbox:
         handler: Callable[[Any], None],
         *,
         latest: bool,
+        urgent: bool,
         on_bad: Callable[[str, MessageError], None],
         on_close: Callable[[Inbox], None],
     ) -> None:
@@ -54,6 +57,7 @@ class Inbox:
         self.expression, self.kind = expression, kind
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
+        self._urgent = urgent
         self._waiting: dict[str, Message] = {}
         self._lock = threading.Lock()
         self._declared: zenoh.Subscriber[None] | None = None
@@ -72,6 +76,8 @@ class Inbox:
             message = decode(sample.payload.to_bytes(), self.kind)
         except MessageError as error:
             self._on_bad(str(sample.key_expr), error)
+            return
+        if self._urgent and self._mailbox.run_now(self._deliver, message):
             return
         if self._latest:
             self._replace(str(sample.key_expr), message)

@@ -26,14 +26,17 @@ M = TypeVar("M", bound=Message)
 CACHED_KEYS = 1024
 """Keys whose publisher, route or complaint is remembered: every reply has a key of its own, so it must end."""
 
-_STEERING = frozenset({"command", "commands", "control_request", "control_requests"})
+_STEERING = frozenset({"command", "commands", "control_request", "control_requests", "request"})
 _STOPPING = frozenset({"stop", "estop", "heartbeat"})
 
 _log = structlog.get_logger("fullswarm.bus")
 
 
 def is_urgent(key: str) -> bool:
-    """Tell whether messages of `key` overtake others on the link: those that start, steer or stop robots."""
+    """Tell whether messages of `key` start, steer or stop robots.
+
+    They overtake others on the link, and an idle node handles them on the thread that brings them.
+    """
     topic, _, rest = key.partition("/")[2].partition("/")
     if topic in ("robot", "behaviour"):
         return rest.rpartition("/")[2] in _STEERING
@@ -105,7 +108,16 @@ class ZenohBus:
         self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
     ) -> Subscription:
         """Deliver messages of type `kind` on matching keys to `handler`; see :class:`~fullswarm.bus.base.Bus`."""
-        inbox = Inbox(self._mailbox, expression, kind, handler, latest=latest, on_bad=self._drop, on_close=self._forget)
+        inbox = Inbox(
+            self._mailbox,
+            expression,
+            kind,
+            handler,
+            latest=latest,
+            urgent=is_urgent(expression),
+            on_bad=self._drop,
+            on_close=self._forget,
+        )
         with self._lock:
             if not self._closed:
                 self._inboxes.append(inbox)

@@ -43,7 +43,7 @@ class Lockstep:
         self.runtime.every(1.0 / settings.rate_hz, self.world.step)
         self._nodes += nodes.core(self.bus, self.runtime, config, "core-0", self.runtime.now_s)
         self._nodes += nodes.centralised(self.bus, self.runtime, config, "centralised-0")
-        fleet = SimFleet(self.world, self.runtime.now_s)
+        fleet = SimFleet(self.world, self.runtime.now_s, config.agent.sensing_radius_m)
         identity = Identity("lockstep", "lockstep-0")
         self.agent = nodes.agent(self.bus, self.runtime, config, fleet, identity, self.runtime.stats)
         self._nodes.append(self.agent)

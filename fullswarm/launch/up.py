@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from fullswarm.bus.endpoint import check_endpoint
 from fullswarm.clock import MonotonicClock
@@ -10,6 +11,18 @@ from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.runtime import Runtime
+
+SETTLED_S = 1.0
+"""A process with wrong settings has ended by then, and its complaint comes instead of the hint."""
+
+
+def _hint(config: SwarmConfig, folder: Path) -> str:
+    usual = SwarmConfig()
+    options = "" if config.hub == usual.hub else f" --hub {config.hub.endpoint}"
+    options += "" if config.swarm == usual.swarm else f" --swarm {config.swarm}"
+    commands = ", ".join(f"`fullswarm {verb}{options}`" for verb in ("watch", "behaviours", "stop"))
+    robots = f"{len(config.robot)} robot{'s' if len(config.robot) > 1 else ''}"
+    return f"{robots} of swarm '{config.swarm}'; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
 def run(config: SwarmConfig, insecure_network: bool) -> int:
@@ -22,12 +35,7 @@ def run(config: SwarmConfig, insecure_network: bool) -> int:
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network)
     try:
         supervisor.start()
-        print(  # noqa: T201
-            f"{len(config.robot)} robots of swarm '{config.swarm}' at {config.hub.endpoint}; "
-            f"logs in {supervisor.folder}; Ctrl-C ends all.\n"
-            "In another terminal: `fullswarm watch`, `fullswarm behaviours`, `fullswarm stop`",
-            file=sys.stderr,
-        )
+        runtime.after(SETTLED_S, lambda: print(_hint(config, supervisor.folder), file=sys.stderr))  # noqa: T201
         runtime.run()
     finally:
         supervisor.close()

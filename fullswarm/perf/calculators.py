@@ -228,7 +228,7 @@ class Calculators:
             to metres that nobody drove, so odometry is the better source where there is any.
         """
         work, collision, coverage, frame = self.work, self.collision, self.coverage, self.coverage.frame
-        coverage.covered += measure(
+        coverage.covered += measure.run(
             now_s, dt_s, pose if odometry is None else odometry, pose, contacts,
             work.max_speed_m_s, work.last, work.moved_s, work.distance_m,
             collision.touching, collision.touched_s, collision.events,

@@ -253,9 +253,9 @@ class SlcanAdapter:
     """A USB adapter: ASCII frames on a pty at `path`, a virtual bus behind it. Closing it is unplugging it."""
 
     def __init__(self, path: Path, channel: str) -> None:
+        self._path = path
         self._master, slave = os.openpty()
         tty.setraw(slave)
-        path.unlink(missing_ok=True)
         path.symlink_to(os.ttyname(slave))
         self._slave = slave
         self._bus = can.Bus(interface="virtual", channel=channel, ignore_config=True)
@@ -289,6 +289,7 @@ class SlcanAdapter:
         os.write(self._master, b"\r")
 
     def close(self) -> None:
+        self._path.unlink()  # first: the kernel gives the pty's number to whoever asks next
         self._stopping.set()
         self._thread.join()
         self._bus.shutdown()

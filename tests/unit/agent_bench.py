@@ -130,7 +130,7 @@ class Bench:
     @property
     def commanded(self) -> np.ndarray:
         """What the controller told the drivers in the last tick, (n, 2)."""
-        return self.agent._applied
+        return self.agent.setpoints
 
     def time_to_zero_s(self, limit_s: float = 3.0) -> float:
         """Run tick by tick until all set-points are zero; return how long that took."""

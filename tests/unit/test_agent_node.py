@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fullswarm.drivers.base import Hazard
 from fullswarm.messages import ControlRequest
 from tests.unit.agent_bench import TICK_S, Bench
 
@@ -246,3 +247,40 @@ def test_unfiltered_robots_do_touch() -> None:
     bench.enable("move_to_goal", {**GOAL, "goal": [6.0, 5.0], "arrive_radius_m": 0.0})
     bench.run(5.0)
     assert bench.agent.calculators.collisions.sum() > 0
+
+
+@pytest.mark.parametrize("law", ["drive", "move"])
+def test_a_stick_cannot_push_a_filtered_robot_into_another(law: str) -> None:
+    bench = Bench([(5.0, 5.0, 0.0), (7.0, 5.0, math.pi)])
+    for _ in range(100):
+        for number, way in ((1, 1.0), (2, -1.0)):
+            sticks = {"linear": 1.0, "angular": 0.0, "speed_m_s": 0.5, "turn_rad_s": 1.0}
+            move = {"magnitude": 1.0, "speed_m_s": 0.5, "direction": [way, 0.0]}
+            parameters = sticks if law == "drive" else move
+            bench.enable(law, parameters, robot=f"r{number}", expires_s=0.3, filtered=True)
+        bench.run(0.05)
+    gap_m = math.dist(*bench.agent.pose[:, :2]) - 2 * 0.17
+    assert bench.agent.calculators.collisions.sum() == 0
+    assert 0.03 <= gap_m <= 0.1
+
+
+def test_the_requests_own_margin_counts() -> None:
+    bench = Bench([(5.0, 5.0, 0.0), (7.0, 5.0, math.pi)])
+    parameters = {**GOAL, "goal": [6.0, 5.0], "arrive_radius_m": 0.0, "safety_margin_m": 0.3}
+    bench.enable("move_to_goal", parameters, filtered=True)
+    bench.run(10.0)
+    assert math.dist(*bench.agent.pose[:, :2]) - 2 * 0.17 >= 0.3
+
+
+def test_after_a_hazard_only_a_new_request_moves_it(bench: Bench) -> None:
+    driving(bench, request_id="first")
+    bench.simulated.hazards[0] = int(Hazard.CLIFF)
+    bench.run(TICK_S * 2)
+    assert not bench.commanded.any()
+    bench.simulated.hazards[0] = 0
+    bench.enable("move_to_goal", GOAL, request_id="first")
+    bench.run(0.5)
+    assert not bench.commanded.any()
+    assert not bench.acks[-1].accepted
+    assert "ask for it again" in bench.acks[-1].reason
+    driving(bench, request_id="second")

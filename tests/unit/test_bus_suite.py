@@ -296,9 +296,10 @@ def test_a_bad_key_or_expression_does_no_harm(remote: tuple[ZenohBus, ZenohBus, 
 
 def test_commands_and_stops_are_urgent() -> None:
     urgent = [KEYS.command("r"), KEYS.control_requests("r", "b"), KEYS.centralised_request("b"), KEYS.stop,
-              KEYS.centralised_commands("b"), KEYS.estop, KEYS.estop_receipt("r"), KEYS.heartbeat("n")]  # fmt: skip
+              KEYS.centralised_commands("b"), KEYS.estop, KEYS.estop_receipt("r"), KEYS.heartbeat("n"),
+              KEYS.behaviour_request]  # fmt: skip
     others = [KEYS.state("1_2", "h"), KEYS.health("command"), KEYS.ack("command"), KEYS.summary("stop"),
-              KEYS.behaviour_request, KEYS.behaviour_status, KEYS.measurement("command", "command")]  # fmt: skip
+              KEYS.behaviour_status, KEYS.measurement("command", "command")]  # fmt: skip
     assert all(is_urgent(key) for key in urgent)
     assert not any(is_urgent(key) for key in others)
 

@@ -439,6 +439,7 @@ def test_a_lost_bus_idles_the_wheels_when_it_is_back() -> None:
     rig.machine.bus_back(rig.now)
     rig.step()
     assert rig.idle()
+    assert "waiting for both wheels" in rig.machine.fault
     rig.until_state(Lifecycle.READY, 3.0)
 
 

@@ -106,3 +106,90 @@ def test_a_message_from_another_thread_wakes_the_loop() -> None:
     runtime.run()
     sender.join()
     assert runtime.now_s() - began < 10.0
+
+
+def test_an_urgent_message_runs_on_its_bringers_thread_while_the_runtime_waits() -> None:
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+    ran_on: list[int] = []
+    outcome: list[bool] = []
+
+    def bring() -> None:
+        while not mailbox.run_now(lambda _: ran_on.append(threading.get_ident()), None):
+            waiting.wait(0.001)
+        outcome.append(True)
+        mailbox.put(lambda _: runtime.stop(), None)
+
+    waiting = threading.Event()
+    bringer = threading.Thread(target=bring)
+    runtime.after(30.0, runtime.stop)
+    runtime.after(0.0, bringer.start)
+    runtime.run()
+    bringer.join()
+    assert outcome == [True]
+    assert ran_on == [bringer.ident]
+
+
+def test_nobody_runs_a_handler_while_the_runtime_is_busy_or_not_running() -> None:
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+    refused: list[bool] = []
+
+    def try_now() -> None:
+        thread = threading.Thread(target=lambda: refused.append(not mailbox.run_now(lambda _: None, None)))
+        thread.start()
+        thread.join()
+
+    try_now()
+    runtime.after(0.0, try_now)
+    runtime.after(0.0, runtime.stop)
+    runtime.run()
+    try_now()
+    assert refused == [True, True, True]
+
+
+def test_an_urgent_message_does_not_overtake_one_that_waits() -> None:
+    mailbox = Mailbox()
+    mailbox.put(lambda _: None, None)
+    assert not mailbox.run_now(lambda _: None, None)
+
+
+def test_what_an_urgent_handler_raises_ends_the_loop() -> None:
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+
+    def fail(_: object) -> None:
+        raise ZeroDivisionError
+
+    def bring() -> None:
+        while not mailbox.run_now(fail, None):
+            pause.wait(0.001)
+
+    pause = threading.Event()
+    bringer = threading.Thread(target=bring)
+    runtime.after(30.0, runtime.stop)
+    runtime.after(0.0, bringer.start)
+    with pytest.raises(ZeroDivisionError):
+        runtime.run()
+    bringer.join()
+
+
+def test_a_timer_set_by_an_urgent_handler_is_not_slept_through() -> None:
+    mailbox = Mailbox()
+    runtime = Runtime(MonotonicClock(), mailbox)
+
+    def set_timer(_: object) -> None:
+        runtime.after(0.0, runtime.stop)
+
+    def bring() -> None:
+        while not mailbox.run_now(set_timer, None):
+            pause.wait(0.001)
+
+    pause = threading.Event()
+    bringer = threading.Thread(target=bring)
+    runtime.after(30.0, runtime.stop)
+    runtime.after(0.0, bringer.start)
+    began_s = runtime.now_s()
+    runtime.run()
+    bringer.join()
+    assert runtime.now_s() - began_s < 10.0

@@ -10,5 +10,5 @@ from fullswarm.agent.view import Array, View
 
 def twist(view: View, params: Params) -> Array:
     """Return the sticks' shares of full speed and turn rate, (n, 2) m/s and rad/s."""
-    both = np.concatenate([params.linear * params.speed_m_s, params.angular * params.turn_rad_s], axis=1)
-    return np.broadcast_to(both, (len(view.position), 2))
+    del view
+    return np.concatenate([params.linear * params.speed_m_s, params.angular * params.turn_rad_s], axis=1)

@@ -149,7 +149,7 @@ def half_planes(
 @kernel
 def drive(
     wished: Array, filtered: NDArray[np.bool_], pose: Array, radius: Array, speed_limit: Array, turn_limit: Array,
-    reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: float,
+    reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array,
     reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array,
     twists: Array,
 ) -> None:  # fmt: skip
@@ -157,36 +157,40 @@ def drive(
 
     Parameters
     ----------
-    wished : (n, 2) m/s, world frame; NaN: no wish, the robot's twist is left alone
+    wished : (n, 2) m/s, world frame; NaN: no such wish, the robot's twist is taken as it is, within what the
+        filter allows
     filtered : (n,) behind the filter or straight through the paper's map
     pose : (n, 3) x, y, heading
     radius, speed_limit, turn_limit, reverse : (n,) of each robot
-    gain : (n,) γ in 1/s
+    gain, margin_m : (n,) γ in 1/s and the gap to keep
     reach_m : obstacles farther than this are not sensed
     start, other, predicted, heard : neighbours (see :mod:`fullswarm.agent.pairs`)
     obstacles : (k, 6) rounded boxes
     bounds_m : (4,) x_min, y_min, x_max, y_max
-    twists : (n, 2) out, m/s and rad/s, within the limits
+    twists : (n, 2) in and out, m/s and rad/s
     """
     normals = np.empty((MAX_ROWS, 2))
     limits = np.empty(MAX_ROWS)
     for i in range(wished.shape[0]):
         ux = wished[i, 0]
         uy = wished[i, 1]
-        if math.isnan(ux) or math.isnan(uy):
+        planar = not (math.isnan(ux) or math.isnan(uy))
+        if not planar and not filtered[i]:
             continue
-        size = math.hypot(ux, uy)
-        if size > speed_limit[i]:
-            ux *= speed_limit[i] / size
-            uy *= speed_limit[i] / size
+        if planar:
+            size = math.hypot(ux, uy)
+            if size > speed_limit[i]:
+                ux *= speed_limit[i] / size
+                uy *= speed_limit[i] / size
         low = -speed_limit[i] if reverse[i] else 0.0
         high = speed_limit[i]
         if filtered[i]:
             count = half_planes(
-                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m, gain[i], speed_limit[i], start[i],
+                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], gain[i], speed_limit[i], start[i],
                 start[i + 1], other, predicted, heard, obstacles, bounds_m, normals, limits,
             )  # fmt: skip
-            ux, uy = project(ux, uy, normals, limits, count)
+            if planar:
+                ux, uy = project(ux, uy, normals, limits, count)
             cos_heading = math.cos(pose[i, 2])
             sin_heading = math.sin(pose[i, 2])
             for k in range(count):
@@ -195,6 +199,9 @@ def drive(
                     high = min(high, limits[k] / slope)
                 elif slope < -1e-9:
                     low = max(low, limits[k] / slope)
-        speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
-        twists[i, 0] = clamp(speed, low, high)
-        twists[i, 1] = clamp(turn, -turn_limit[i], turn_limit[i])
+        if planar:
+            speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
+            twists[i, 0] = clamp(speed, low, high)
+            twists[i, 1] = clamp(turn, -turn_limit[i], turn_limit[i])
+        else:
+            twists[i, 0] = clamp(twists[i, 0], low, high)

@@ -147,6 +147,7 @@ class BaseMachine:
     def bus_back(self, now_s: float) -> None:
         """The bus was opened again; the fault ends when both wheels are heard."""
         self._bus_up = True
+        self.fault = "the bus is open again, waiting for both wheels"
         self._since_s = now_s
         self._next_beat_s = -math.inf
         self.urgent = True
@@ -279,7 +280,11 @@ class BaseMachine:
             frames += self._released()
         if self._latched or self._leaving or now_s - self._since_s < HOLD_S:
             return
-        if any(axis.complaint(now_s) for axis in self.axes) or any(axis.beat.estop for axis in self.axes):
+        if complaints := [text for axis in self.axes if (text := axis.complaint(now_s))]:
+            if now_s - self._since_s > PATIENCE_S:  # by now this is what keeps it in FAULT
+                self.fault = "; ".join(complaints)
+            return
+        if any(axis.beat.estop for axis in self.axes):
             return
         if not any(axis.beat.error for axis in self.axes):
             self._enter(Lifecycle.OPEN, now_s)

@@ -55,7 +55,7 @@ class SimFleet:
         reading, world = self._reading, self._world
         if self._open:
             reading.stamp_s.fill(self._now_s())
-            if sense(world.pose, world.shapes, self._sensing_radius_m, self._seen):
+            if sense.run(world.pose, world.shapes, self._sensing_radius_m, self._seen):
                 reading.obstacles = world.obstacles[self._seen]
         return reading
 
@@ -69,7 +69,9 @@ class SimFleet:
             return self._applied
         self._active[:] = active
         world = self._world
-        bad = admit(twists, self._active, world.limits, world.target, world.commanded_s, self._applied, world.time_s)
+        bad = admit.run(
+            twists, self._active, world.limits, world.target, world.commanded_s, self._applied, world.time_s
+        )
         if bad >= 0:
             raise ValueError(f"{self.ids[bad]}: a twist must be finite, not {twists[bad].tolist()}")
         return self._applied

@@ -55,7 +55,7 @@ class KinematicEngine:
         self.pairs = self._pairs[:touching]
 
     def _advance(self, twists: Array) -> int:
-        return advance(
+        return advance.run(
             self.pose,
             twists,
             self.twist,

@@ -130,7 +130,7 @@ class World:
 
     def step(self) -> None:
         """Advance by one world step."""
-        ramp(
+        ramp.run(
             self.target,
             self.commanded_s,
             self.limits,
@@ -141,7 +141,7 @@ class World:
         )
         self.engine.step(self.drive)
         self._steps += 1
-        dead_reckon(self.odometry, self.twist, self.dt_s)
+        dead_reckon.run(self.odometry, self.twist, self.dt_s)
         pairs = self.engine.pairs
         touching = len(pairs) > 0
         if touching or self._touching:
