@@ -42,6 +42,7 @@ class Sent:
     sent_s: float
     acknowledged_s: float | None = None
     status: RequestStatus | None = None
+    confirmed_by: tuple[str, ...] = ()
 
     def document(self) -> dict[str, object]:
         """Return plain values for JSON."""
@@ -51,7 +52,7 @@ class Sent:
             "behaviour": self.act.behaviour,
             "phase": status.phase if status else "unanswered",
             "acknowledged_after_s": None if self.acknowledged_s is None else round(self.acknowledged_s, 4),
-            "running": sorted(status.running) if status else [],
+            "confirmed_by": sorted(self.confirmed_by),
             "missing": sorted(status.missing) if status else [],
             "reason": status.reason if status else "",
         }
@@ -108,6 +109,7 @@ class Show:
             sent.status = status
             if status.phase == "running" and sent.acknowledged_s is None:
                 sent.acknowledged_s = self.scheduler.now_s() - now_s
+                sent.confirmed_by = status.running
 
         sent = Sent(act, "", now_s)
         self.sent.append(sent)

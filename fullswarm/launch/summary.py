@@ -16,15 +16,15 @@ def print_summary(document: dict[str, Any], snapshot: Snapshot) -> None:
     console = Console()
     console.print(fleet_table(snapshot))
     requests = Table(title="requests", title_justify="left")
-    for column in ("behaviour", "answer", "acknowledged after", "running"):
+    for column in ("behaviour", "confirmed by", "after", "then"):
         requests.add_column(column)
     for each in document["requests"]:
         after_s = each["acknowledged_after_s"]
         requests.add_row(
             each["behaviour"],
-            each["phase"] + (f": {each['reason']}" if each["reason"] else ""),
+            f"{len(each['confirmed_by'])} robots",
             "never" if after_s is None else f"{1000 * after_s:.0f} ms",
-            f"{len(each['running'])} robots",
+            each["phase"] + (f": {each['reason']}" if each["reason"] else ""),
         )
     console.print(requests)
     totals = Table(title="summary", title_justify="left", show_header=False)

@@ -1,0 +1,107 @@
+"""What `make demo` runs: the front door."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import psutil
+import pytest
+
+pytestmark = pytest.mark.system
+
+ROBOTS = [f"r{number}" for number in range(1, 9)]
+ACTS = ["move_to_goal_bc", "flocking_bc", "rendezvous_bc"]
+
+
+def fullswarm(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "fullswarm", *arguments], capture_output=True, text=True, timeout=180, check=False
+    )
+
+
+def check(document: dict[str, Any]) -> None:
+    assert [robot["id"] for robot in document["robots"]] == ROBOTS
+    for robot in document["robots"]:
+        assert robot["driver"].startswith("sim://")
+        assert robot["make"] == "sim"
+        assert robot["firmware"].startswith("pybullet")
+        assert robot["state"] == "READY"
+    assert [request["behaviour"] for request in document["requests"]] == ACTS
+    for request in document["requests"]:
+        assert request["acknowledged_after_s"] is not None
+        assert request["confirmed_by"] == ROBOTS
+    assert document["work_m"] > 10.0
+    assert 0.03 < document["coverage"] < 1.0
+    assert document["collisions"] == 0
+
+
+def test_the_live_demo_prints_one_document() -> None:
+    done = fullswarm("demo", "--headless", "--seconds", "20", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    check(document)
+    assert 0.8 < document["real_time_factor"] < 1.2
+
+
+def test_lockstep_repeats_to_the_byte() -> None:
+    first, second = (fullswarm("demo", "--lockstep", "--seed", "7", "--json") for _ in range(2))
+    assert first.returncode == 0, first.stderr
+    check(json.loads(first.stdout))
+    assert first.stdout == second.stdout
+    noisy = ("demo", "--lockstep", "--json", "--set", "world.noise.position_m=0.01", "--seconds", "10")
+    one, other = fullswarm(*noisy, "--seed", "1"), fullswarm(*noisy, "--seed", "2")
+    assert one.stdout != other.stdout, "the seed must matter where there is noise"
+
+
+def test_the_table_and_the_summary_are_for_people() -> None:
+    done = fullswarm("demo", "--lockstep", "--seconds", "12")
+    assert done.returncode == 0
+    for text in ("r8", "move_to_goal_bc", "8 robots", "work", "coverage", "collisions"):
+        assert text in done.stdout
+
+
+def test_ctrl_c_ends_the_demo_and_leaves_no_process() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fullswarm", "demo", "--headless"], stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr
+    starting = process.stderr.readline()
+    assert "starting 8 robots" in starting
+    folder = starting.rpartition(" ")[2].strip()
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+    lines = [" ".join(each.info["cmdline"] or ()) for each in psutil.process_iter(["cmdline"])]
+    assert not [line for line in lines if folder in line]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("demo", "--fleet", "nowhere.toml"), "no such file"),
+        (("demo", "--lockstep", "--set", "world.enginee=x"), "did you mean 'engine'"),
+        (("hub", "--listen", "tcp/0.0.0.0:7447"), "--insecure-network"),
+        (("agent", "r9", "--fleet", "examples/demo.toml"), "r9"),
+    ],
+)
+def test_bad_input_gets_a_clear_error(arguments: tuple[str, ...], complaint: str) -> None:
+    done = fullswarm(*arguments)
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom fullswarm.launch.main import app\n"
+        "try: app(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'pybullet', 'matplotlib', 'pymavlink', 'zenoh', 'numba', 'osqp', 'pydantic'}\n"
+        "print('HEAVY', sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "HEAVY []" in done.stdout
