@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,6 +35,9 @@ START, RUN = "Start", "Single processes"
 
 
 def _run(debug: bool, command: Callable[[], int]) -> None:
+    from fullswarm.operator.output import log_to_stderr
+
+    log_to_stderr()
     raise typer.Exit(run_guarded(command, debug))
 
 
@@ -176,7 +178,4 @@ def sim(
 
 def main() -> None:
     """Run the command line; the entry point of the ``fullswarm`` script."""
-    import structlog
-
-    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     app(prog_name="fullswarm")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import typer
 from rich.console import Console, RenderableType
@@ -26,3 +27,11 @@ def data_table(table: RenderableType) -> None:
 def progress(text: str) -> None:
     """Tell what is going on."""
     typer.echo(text, err=True)
+
+
+def log_to_stderr() -> None:
+    """Send log lines to stderr: structlog's default is stdout, which is for data."""
+    import structlog
+
+    # Looked up at each line: whoever redirects stderr, a test for one, may close it again.
+    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))

@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-
-import structlog
 
 from fullswarm.bus.base import Bus
 from fullswarm.clock import MonotonicClock
@@ -19,6 +16,7 @@ from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
+from fullswarm.operator.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
@@ -95,8 +93,7 @@ def connect(target: Target) -> Iterator[Session]:
     """
     from fullswarm.bus.zenoh_bus import ZenohBus
 
-    if not structlog.is_configured():  # its default writes to stdout, which is for data
-        structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    log_to_stderr()
     keys = Keys(target.swarm)
     runtime = Runtime(MonotonicClock())
     hub = target.hub or DEFAULT_HUB

@@ -1,0 +1,26 @@
+"""Run all benchmarks one after the other: ``python -m benchmarks`` (``make bench``), about five minutes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+ALL = (
+    ("benchmarks.lockstep",),
+    ("benchmarks.bus", "--seconds", "5"),
+    ("benchmarks.latency",),
+    ("benchmarks.swarm",),
+)
+
+
+def main() -> int:
+    """Run each in a process of its own; return how many failed."""
+    failed = 0
+    for module, *options in ALL:
+        print(f"\n== python -m {module} {' '.join(options)}", flush=True)
+        failed += subprocess.run([sys.executable, "-m", module, *options], check=False).returncode != 0
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
