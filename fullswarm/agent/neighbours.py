@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from fullswarm.agent import pairs
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.keys import Keys, cells_within
+from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+MANY_CELLS = 64
 
 
 class Neighbours:
@@ -120,26 +122,31 @@ class Neighbours:
 class Listening:
     """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
 
-    def __init__(
-        self, bus: Bus, keys: Keys, reach_m: float, cell_m: float, hear: Callable[[RobotStates], None]
-    ) -> None:
-        self._bus, self._keys, self._reach_m, self._cell_m = bus, keys, reach_m, cell_m
-        self._hear = hear
+    def __init__(self, bus: Bus, keys: Keys, cell_m: float, hear: Callable[[RobotStates], None]) -> None:
+        self._bus, self._keys, self._cell_m, self._hear = bus, keys, cell_m, hear
         self._cells: dict[str, Subscription] = {}
 
-    def follow(self, position: Array) -> None:
-        """Subscribe to the cells within reach of `position` (n, 2), drop those left behind."""
-        wanted: set[str] = set()
-        for x_m, y_m in position:
-            if math.isfinite(x_m) and math.isfinite(y_m):
-                wanted |= cells_within(float(x_m), float(y_m), self._reach_m, self._cell_m)
-            if self._cell_m <= 0.0:
-                wanted = cells_within(0.0, 0.0, 0.0, 0.0)
-                break
+    def follow(self, position: Array, reach_m: float) -> None:
+        """Subscribe to the cells within `reach_m` of `position` (n, 2), drop those left behind.
+
+        Where that would be more than `MANY_CELLS`, one subscription to all cells is cheaper.
+        """
+        wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
             self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._hear, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
+
+    def _around(self, position: Array, reach_m: float) -> set[str]:
+        if (2.0 * reach_m / self._cell_m + 1.0) ** 2 > MANY_CELLS:
+            return {ANY}
+        wanted: set[str] = set()
+        for x_m, y_m in position.tolist():
+            if math.isfinite(x_m) and math.isfinite(y_m):
+                wanted |= cells_within(x_m, y_m, reach_m, self._cell_m)
+            if len(wanted) > MANY_CELLS:
+                return {ANY}
+        return wanted
 
     def close(self) -> None:
         """Drop all subscriptions."""

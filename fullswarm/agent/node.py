@@ -74,7 +74,8 @@ class AgentNode:
         self._radius = np.array([each.radius_m for each in fleet.descriptions])
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
-        self._listening = Listening(bus, self._keys, settings.sensing_radius_m, settings.state_cell_m, self._on_states)
+        self._cell_m = config.state_cell_m
+        self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = _estimator(config, start)
         self.calculators = Calculators(
             fleet.ids,
@@ -239,14 +240,15 @@ class AgentNode:
         self.neighbours.hear(states, self._scheduler.now_s())
 
     def _follow(self) -> None:
-        self._listening.follow(self.pose[:, :2])
+        reaches_m = [group.hearing_m for group in self.tasks.groups()]
+        self._listening.follow(self.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
 
     def _publish_states(self) -> None:
         if self.reading is None:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in reports.states(self, self._keys, self._config.state_cell_m, self._sequence, now_s):
+        for key, message in reports.states(self, self._keys, self._cell_m, self._sequence, now_s):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:

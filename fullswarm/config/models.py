@@ -14,6 +14,7 @@ from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.messages import ROBOT_ID
 
 DEFAULT_WORLD = "127.0.0.1:7450"
+ALL_TO_ALL_ROBOTS = 16
 
 
 def _robot_id(text: str) -> str:
@@ -64,7 +65,7 @@ class AgentConfig(Section):
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     sensing_radius_m: PositiveFloat = 3.0
-    state_cell_m: float = Field(0.0, ge=0.0)  # > 0: states are published by grid cell of this size
+    state_cell_m: float | None = Field(None, ge=0.0)  # states by grid cell of this size, 0: all on one key; see below
     neighbour_timeout_s: PositiveFloat = 1.0
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
     core_silence_s: float = Field(1.0, gt=0.0, le=10.0)
@@ -146,6 +147,16 @@ class SwarmConfig(Section):
         if self.agent.bounds_m is not None:
             return self.agent.bounds_m
         return self.world.bounds_m if self.world else (-50.0, -50.0, 50.0, 50.0)
+
+    @property
+    def state_cell_m(self) -> float:
+        """Size of the cells by which states are published; when the file is silent, cells from 17 robots on.
+
+        All-to-all is cheapest for a few robots; for many, what each hears must not grow with the swarm.
+        """
+        if self.agent.state_cell_m is not None:
+            return self.agent.state_cell_m
+        return self.agent.sensing_radius_m if len(self.robot) > ALL_TO_ALL_ROBOTS else 0.0
 
     @property
     def world_or_default(self) -> WorldConfig:

@@ -33,7 +33,10 @@ class Lockstep:
     _nodes: list[nodes.Node] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        config, mailbox = self.config, Mailbox()
+        # One host carries everybody, so there is nothing to split by place.
+        agent = self.config.agent.model_copy(update={"state_cell_m": 0.0})
+        self.config = config = self.config.model_copy(update={"agent": agent})
+        mailbox = Mailbox()
         kernels.compile_all()
         self.runtime = Runtime(SimClock(), mailbox)
         self.bus = LocalBus(mailbox)
