@@ -155,6 +155,8 @@ class Driver(Protocol):
     def command(self, twist: Twist) -> Twist:
         """Send a set-point; return what was really applied after limits and quantisation.
 
+        It holds for 0.3 s: a driver that hears no further command by then sends zero by itself.
+
         Anything but ACTIVE applies zero. A non-finite value raises ``ValueError`` and stops the robot.
         """
         ...

@@ -249,7 +249,7 @@ def params_get(
     _run(debug, command)
 
 
-@params_app.command("set")
+@params_app.command("set", context_settings={"ignore_unknown_options": True})  # -3 is a value
 def params_set(
     key: Annotated[str, typer.Argument(help="The key.")],
     value: Annotated[str, typer.Argument(help="1.5, true, a word, or JSON; null takes the value away.")],

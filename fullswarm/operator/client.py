@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,9 @@ from fullswarm.runtime import Scheduler, Timer
 RESEND_S = 0.2
 STOP_SENDS = 5
 STOP_SPACING_S = 0.1
+AFTER_LOSS_SENDS = 20
+"""A stop goes on for two seconds after the hub was away: the robots may come back to it later than we do."""
+STOP_PATIENCE_S = 10.0
 FINAL_PHASES = frozenset({"refused", "superseded", "ended"})
 
 StatusHandler = Callable[[RequestStatus], None]
@@ -35,6 +39,11 @@ class Asked:
     sent: int = 0
     _timer: Timer | None = field(default=None, repr=False)
 
+    @property
+    def repeats(self) -> bool:
+        """Whether it is sent until it is answered."""
+        return self._timer is not None
+
     def close(self) -> None:
         """Do not send it again. What the core already has goes on."""
         if self._timer is not None:
@@ -43,7 +52,10 @@ class Asked:
 
 @dataclass(slots=True)
 class Burst:
-    """A message that is sent a few times because it has no answer."""
+    """A message that is sent a few times because it has no answer.
+
+    `left` is what a hub has yet to take; not zero at the end: there was none, and the message may not have got through.
+    """
 
     left: int
     on_done: Callable[[], None] | None = None
@@ -109,7 +121,11 @@ class Operator:
         self._asked.pop(asked.request.id, None)
 
     def stop(self, robots: Iterable[str] = (), on_done: Callable[[], None] | None = None) -> Burst:
-        """Tell robots to stand still: five times over 0.4 s with one id, since nobody answers a stop."""
+        """Tell robots to stand still: five times over 0.4 s with one id, since nobody answers a stop.
+
+        While there is no hub it goes on, for 10 s at most: robots that lost it drive on when it is back.
+        """
+        self._call_off(robots := tuple(robots), "a stop came before the core had it")
         message = StopRequest(id=self._new_id(), robots=tuple(robots), source=self.source)
         return self._burst(self._keys.stop, message, on_done)
 
@@ -129,7 +145,10 @@ class Operator:
         No `robots` means all: then `known` tells who must confirm, asked anew each time, because robots may
         be heard of after the order went out.
         """
-        message = EStop(id=self._new_id(), engaged=engaged, robots=tuple(robots), source=self.source, reason=reason)
+        robots = tuple(robots)
+        if engaged:
+            self._call_off(robots, "an e-stop came before the core had it")
+        message = EStop(id=self._new_id(), engaged=engaged, robots=robots, source=self.source, reason=reason)
         order = EStopOrder(
             message,
             send=lambda: self._bus.publish(self._keys.estop, message),
@@ -153,12 +172,12 @@ class Operator:
             subscription.close()
 
     def _burst(self, key: str, message: Message, on_done: Callable[[], None] | None) -> Burst:
-        burst = Burst(STOP_SENDS, on_done)
+        burst, began_s = Burst(STOP_SENDS, on_done), self._scheduler.now_s()
 
         def send() -> None:
             self._bus.publish(key, message)
-            burst.left -= 1
-            if not burst.done:
+            burst.left = burst.left - 1 if self._bus.connected() else AFTER_LOSS_SENDS
+            if not burst.done and self._scheduler.now_s() - began_s < STOP_PATIENCE_S:
                 self._scheduler.after(STOP_SPACING_S, send)
             elif burst.on_done is not None:
                 burst.on_done()
@@ -171,11 +190,36 @@ class Operator:
         if asked is None:
             return
         asked.close()
+        if asked.status is None and status.phase != "refused":
+            self._overtake(asked)
         asked.status = status
         if status.phase in FINAL_PHASES:
             del self._asked[status.request_id]
         if asked.on_status is not None:
             asked.on_status(status)
+
+    def _overtake(self, newer: Asked) -> None:
+        """Call off what was asked before `newer` and never answered: it got lost, and must not come after it."""
+        earlier = list(itertools.takewhile(lambda each: each is not newer, self._asked.values()))
+        self._call_off(newer.request.robots, f"{newer.request.id} came before the core had it", earlier)
+
+    def _call_off(self, robots: Iterable[str], why: str, among: Iterable[Asked] | None = None) -> None:
+        """Send no more what is unanswered and concerns any of `robots` (none: all); tell who asked."""
+        named = set(robots)
+        for asked in list(self._asked.values() if among is None else among):
+            theirs = asked.request.robots
+            if asked.status is not None or not asked.repeats or (named and theirs and named.isdisjoint(theirs)):
+                continue
+            self.forget(asked)
+            asked.status = RequestStatus(
+                request_id=asked.request.id,
+                behaviour=asked.request.behaviour,
+                phase="superseded",
+                reason=why,
+                robots=theirs,
+            )
+            if asked.on_status is not None:
+                asked.on_status(asked.status)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
         order = self._orders.get(receipt.id)

@@ -114,8 +114,14 @@ def stop(target: Target, robots: Sequence[str]) -> int:
     """Tell robots to stand still."""
     ids = robot_ids(robots)
     with session.connect(target) as line:
-        line.operator.stop(ids, on_done=line.finish)
+        burst = line.operator.stop(ids, on_done=line.finish)
         line.run()
+        if not burst.done:
+            raise Unreachable(
+                "the hub was lost before the stop was given",
+                where=line.hub,
+                hint="robots that lost it stand too; repeat",
+            )
     output.progress(f"stop sent to {', '.join(ids) or 'all robots'}")
     return 0
 

@@ -66,12 +66,13 @@ def wheel_speeds(twist: Twist, wheel_base_m: float) -> tuple[int, int]:
     ValueError
         The twist is not finite.
     """
-    half = twist.angular_rad_s * wheel_base_m / 2.0
-    left, right = twist.linear_m_s - half, twist.linear_m_s + half
-    if not (math.isfinite(left) and math.isfinite(right)):
+    if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
         raise ValueError(f"not a velocity: {twist.linear_m_s} m/s, {twist.angular_rad_s} rad/s")
-    per_m_s = min(1000.0, TOP_MM_S / max(abs(left), abs(right), 1e-3))
-    return round(left * per_m_s), round(right * per_m_s)
+    # Half speeds: the sum of two huge but finite numbers must not overflow.
+    forward, turn = twist.linear_m_s / 2.0, twist.angular_rad_s * wheel_base_m / 4.0
+    left, right = forward - turn, forward + turn
+    per_half_m_s = min(2000.0, TOP_MM_S / max(abs(left), abs(right), 1e-3))
+    return round(left * per_half_m_s), round(right * per_half_m_s)
 
 
 def _nowhere(_data: bytes) -> None:

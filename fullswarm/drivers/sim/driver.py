@@ -9,12 +9,13 @@ import socket
 import threading
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.sim import protocol
 from fullswarm.drivers.sim.url import parse_url
 from fullswarm.errors import DriverError, LinkLost, MessageError
 
 SILENCE_S = 0.5
+COMMAND_TTL_S = 0.3
 POLL_S = 0.05
 
 
@@ -30,13 +31,16 @@ class SimDriver:
         self._robot, self._address, self._sensing_m = parsed.robot, (parsed.host, parsed.port), parsed.sensing_m
         self._where = f"{parsed.host}:{parsed.port}"
         self._clock = clock or MonotonicClock()
-        self._limits = parsed.description.limits
+        limits = parsed.description.limits
+        self._top = limits.speed_m_s, limits.turn_rad_s
         self._lock = threading.Lock()
+        self._outgoing = threading.Lock()  # guards the newest set-point and its number
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
         self._session = ""
         self._sequence = 0
+        self._driven, self._driven_s = STAND, -math.inf
         self._reset()
 
     def _reset(self) -> None:
@@ -91,6 +95,7 @@ class SimDriver:
                 hello_s = now_s
                 self._send(protocol.Hello(robot=self._robot, session=self._session, sensing_m=self._sensing_m))
             self._judge(now_s)
+            self._expire(now_s)
             if not select.select([link], [], [], POLL_S)[0]:
                 continue
             try:
@@ -133,12 +138,17 @@ class SimDriver:
 
     def _welcome(self, welcome: protocol.Welcome) -> None:
         with self._lock:
-            self._firmware, self._limits = welcome.firmware, Limits(*welcome.limits)
+            self._firmware, self._top = welcome.firmware, self._within(*welcome.limits[:2])
             if welcome.world != self._world:
                 # Another run of the world: its clock and its odometry start anew, and nothing drives on.
                 self._world, self._time_s, self._origin = welcome.world, -math.inf, None
                 if self._state is Lifecycle.ACTIVE:
                     self._state = Lifecycle.READY
+
+    def _within(self, speed_m_s: float, turn_rad_s: float) -> tuple[float, float]:
+        """Return the world's limits for this body, held within what the URL promises of it."""
+        promised = self.description.limits
+        return min(speed_m_s, promised.speed_m_s), min(turn_rad_s, promised.turn_rad_s)
 
     def _convert(self, body: protocol.BodyReading, now_s: float) -> Reading:
         if self._origin is None:
@@ -178,13 +188,24 @@ class SimDriver:
             raise ValueError(f"a twist must be finite, not {twist}")
         applied = STAND
         if self._state is Lifecycle.ACTIVE:
-            speed, turn = self._limits.speed_m_s, self._limits.turn_rad_s
+            speed, turn = self._top
             applied = Twist(max(-speed, min(speed, twist.linear_m_s)), max(-turn, min(turn, twist.angular_rad_s)))
         self._drive(applied)
         return applied
 
     def _drive(self, twist: Twist) -> None:
+        with self._outgoing:
+            self._say(twist)
+
+    def _expire(self, now_s: float) -> None:
+        """Stand when no command has come for too long, however patient the world is."""
+        with self._outgoing:
+            if self._driven != STAND and now_s - self._driven_s > COMMAND_TTL_S:
+                self._say(STAND)
+
+    def _say(self, twist: Twist) -> None:
         self._sequence += 1
+        self._driven, self._driven_s = twist, self._clock.now_s()
         self._send(
             protocol.Drive(
                 robot=self._robot,

@@ -1,0 +1,289 @@
+"""What every law must hold: a pure function of each robot's own view, finite whatever the neighbours do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm import registry
+from fullswarm.agent.tasks import Params
+from fullswarm.agent.view import View
+from fullswarm.errors import ConfigError
+from fullswarm.messages import Value
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Bounds = tuple[float, float, float, float]
+Rows = list[dict[str, Value]]
+
+TOLERANCE = 1e-9
+"""How much two ways to the same answer may differ, relative to its size above 1."""
+STRANGERS = 3
+"""Robots that are heard but carried by another agent."""
+RADIUS_M = 0.17
+
+
+def check_behaviour(
+    module_or_name: ModuleType | str,
+    parameters: Mapping[str, Value],
+    *,
+    robots: int = 6,
+    seeds: Iterable[int] = range(20),
+    bounds: Bounds = (0.0, 0.0, 10.0, 10.0),
+) -> None:
+    """Check a law on random swarms: some, no, all and coincident neighbours, a robot on its own goal.
+
+    Parameters
+    ----------
+    module_or_name
+        The law's module, or the name it is registered under.
+    parameters
+        What its record gives it, defaults included. Floats and points are varied by 1 % from robot to robot.
+    robots
+        How many robots one call serves.
+    seeds
+        One random swarm each.
+    bounds
+        x_min, y_min, x_max, y_max of the arena, m.
+
+    Raises
+    ------
+    AssertionError
+        The law breaks a rule; says which, and how to mend it.
+    ConfigError
+        No law of that name is registered.
+    """
+    law = _Law(module_or_name)
+    rows = [{name: _varied(value, row) for name, value in parameters.items()} for row in range(robots)]
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        for scene in _scenes(rng, rows, bounds):
+            answer = _check_answer(law, scene)
+            _check_single(law, scene, answer)
+            if scene.permutable:
+                _check_permuted(law, scene, answer, rng)
+                _check_missing(law, scene, answer)
+            law.demand(
+                np.array_equal(law.ask(scene), answer),
+                f"it remembers something from call to call ({scene.what}): keep no state and read no clock",
+            )
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What n robots sense at one moment; arrays as in :class:`~fullswarm.agent.view.View`."""
+
+    what: str
+    rows: Rows
+    position: Array
+    heading: Array
+    start: Index
+    other: Index
+    predicted: Array
+    heard: Array
+    bounds: Bounds
+    permutable: bool = True  # no two neighbours are equally near, so that their order cannot matter
+
+    def view(self) -> View:
+        """Return a view of copies."""
+        near = self.start.copy(), self.other.copy()
+        return View(
+            self.position.copy(),
+            self.heading.copy(),
+            np.full(len(self.position), RADIUS_M),
+            lambda: near,
+            self.predicted.copy(),
+            self.heard.copy(),
+            self.bounds,
+        )
+
+    def only(self, row: int) -> _Scene:
+        """Return what robot `row` alone would sense: nothing is left of the others but its neighbours."""
+        near = self.other[self.start[row] : self.start[row + 1]]
+        return replace(
+            self,
+            rows=self.rows[row : row + 1],
+            position=self.position[row : row + 1],
+            heading=self.heading[row : row + 1],
+            start=np.array([0, len(near)]),
+            other=np.arange(len(near)),
+            predicted=self.predicted[near],
+            heard=self.heard[near],
+        )
+
+    def shuffled(self, rng: np.random.Generator) -> _Scene:
+        """Return the same with the neighbours of each robot, and all that is heard, in another order."""
+        order = rng.permutation(len(self.heard))
+        moved_to = np.argsort(order)
+        edges = [rng.permutation(self.other[a:b]) for a, b in zip(self.start[:-1], self.start[1:], strict=True)]
+        return replace(
+            self, other=moved_to[np.concatenate(edges)], predicted=self.predicted[order], heard=self.heard[order]
+        )
+
+
+class _Law:
+    """A law's function, asked with care."""
+
+    def __init__(self, module_or_name: ModuleType | str) -> None:
+        named = isinstance(module_or_name, str)
+        module = registry.law_module(module_or_name) if isinstance(module_or_name, str) else module_or_name
+        self._name = f"law '{module_or_name}'" if named else f"law '{module.__name__.rpartition('.')[2]}'"
+        function = getattr(module, "velocity", None) or getattr(module, "twist", None)
+        if not callable(function):
+            raise AssertionError(
+                f"{self._name} has neither velocity(view, params) nor twist(view, params): define one of them"
+            )
+        self._function: Callable[[View, Params], Array] = function
+
+    def demand(self, fulfilled: bool, otherwise: str) -> None:
+        """Raise ``AssertionError`` with the law's name and `otherwise` unless `fulfilled`."""
+        if not fulfilled:
+            raise AssertionError(f"{self._name}: {otherwise}")
+
+    def ask(self, scene: _Scene, view: View | None = None, params: Params | None = None) -> Array:
+        """Return a copy of the law's answer, (n, 2), after a look at its form."""
+        count = len(scene.position)
+        try:
+            with np.errstate(all="ignore"):
+                answer = self._function(view or scene.view(), params or Params(scene.rows))
+        except ConfigError as error:
+            raise AssertionError(f"{self._name}: {error.what}; add it to the parameters of this check") from error
+        except Exception as error:  # outside code: whatever it raises is what this check is for
+            raise AssertionError(
+                f"{self._name}: raises {type(error).__name__}: {error} for {count} robots, {scene.what}; a law must "
+                "answer for any number of robots, and take the others from the edges of its view alone"
+            ) from error
+        self.demand(
+            isinstance(answer, np.ndarray) and answer.shape == (count, 2),
+            f"answers {_form(answer)} for {count} robots; return an array of shape ({count}, 2), one row per robot",
+        )
+        self.demand(
+            np.issubdtype(answer.dtype, np.floating), f"answers {answer.dtype}, not floats; make it `.astype(float)`"
+        )
+        self.demand(
+            bool(np.isfinite(answer).all()),
+            f"answers NaN or infinity, {scene.what}; hold divisors away from zero, e.g. np.maximum(distance, 1e-6)",
+        )
+        return answer.copy()
+
+
+def _check_answer(law: _Law, scene: _Scene) -> Array:
+    """Return the answer, the same twice and without harm to what was given."""
+    view, params = scene.view(), Params(scene.rows)
+    before = {name: np.copy(value) for name, value in _given(view, params).items()}
+    answer = law.ask(scene, view, params)
+    for name, value in _given(view, params).items():
+        law.demand(
+            np.array_equal(value, before[name]),
+            f"modifies {name}; work on a copy, other laws and the filter read it too",
+        )
+    law.demand(
+        np.array_equal(law.ask(scene), answer),
+        f"answers the same question differently ({scene.what}); keep no state, use no random numbers, read no clock",
+    )
+    return answer
+
+
+def _check_single(law: _Law, scene: _Scene, answer: Array) -> None:
+    """One call for n robots must equal n calls for one robot each."""
+    for row in range(len(scene.position)):
+        alone = law.ask(scene.only(row))[0]
+        law.demand(
+            _same(alone, answer[row]),
+            f"robot {row} gets {answer[row]} among others and {alone} by itself ({scene.what}); a law must not mix "
+            "robots except through their neighbours: no mean over view.position, no params.gain[0] for all",
+        )
+
+
+def _check_permuted(law: _Law, scene: _Scene, answer: Array, rng: np.random.Generator) -> None:
+    law.demand(
+        _same(law.ask(scene.shuffled(rng)), answer),
+        f"the order of the neighbours changes the answer ({scene.what}); they come in any order, fold them with "
+        "view.sum or a maximum",
+    )
+
+
+def _check_missing(law: _Law, scene: _Scene, answer: Array) -> None:
+    """A parameter that is used must be asked for by ``params.name``, which raises ConfigError if it is not there."""
+    for name in scene.rows[0]:
+        rows = [{key: value for key, value in row.items() if key != name} for row in scene.rows]
+        try:
+            without = law.ask(scene, params=Params(rows))
+        except AssertionError as error:
+            if isinstance(error.__cause__, ConfigError):
+                continue
+            raise AssertionError(f"{error} (without the parameter '{name}'; read it as params.{name})") from error
+        law.demand(
+            _same(without, answer),
+            f"without the parameter '{name}' it answers something else; read it as params.{name}, which raises "
+            "ConfigError, and give the default in the behaviour's record",
+        )
+
+
+def _scenes(rng: np.random.Generator, rows: Rows, bounds: Bounds) -> Iterator[_Scene]:
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    count = len(rows)
+    position = rng.uniform(low, high, (count, 2))
+    heard = np.zeros((count + STRANGERS, 6))
+    heard[:, :2] = np.concatenate([position, rng.uniform(low, high, (STRANGERS, 2))])
+    heard[:, 2] = rng.uniform(-np.pi, np.pi, len(heard))
+    heard[:, 3:5] = rng.uniform(-0.5, 0.5, (len(heard), 2))
+    heard[:, 5] = RADIUS_M
+    span = float(np.hypot(*(high - low)))
+    some = _sensed("some neighbours", rows, position, heard, rng.uniform(0.1, 0.5) * span, bounds)
+    yield some
+    yield _sensed("no neighbours", rows, position, heard, -1.0, bounds)
+    yield _sensed("all robots neighbours", rows, position, heard, 2.0 * span, bounds)
+    together = heard.copy()
+    together[:, :2] = position[0]
+    at_one_place = np.repeat(position[:1], count, axis=0)
+    name = "neighbours at the robot's own place"
+    yield replace(_sensed(name, rows, at_one_place, together, 1.0, bounds), permutable=False)
+    for key, value in rows[0].items():
+        if _is_point(value):
+            arrived = np.array([row[key] for row in rows], float)
+            told = heard.copy()
+            told[:count, :2] = arrived
+            name = f"robots exactly on their parameter '{key}'"
+            yield replace(_sensed(name, rows, arrived, told, span, bounds), permutable=False)
+
+
+def _sensed(what: str, rows: Rows, position: Array, heard: Array, reach_m: float, bounds: Bounds) -> _Scene:
+    """Return the scene in which each robot senses all others within `reach_m`; robot i is row i of `heard`."""
+    distance = np.linalg.norm(heard[None, :, :2] - position[:, None], axis=2)
+    near = distance <= reach_m
+    near[np.arange(len(position)), np.arange(len(position))] = False
+    start = np.concatenate([[0], np.cumsum(near.sum(axis=1))])
+    predicted = np.ascontiguousarray(heard[:, :2])
+    return _Scene(what, rows, position, heard[: len(position), 2], start, np.nonzero(near)[1], predicted, heard, bounds)
+
+
+def _given(view: View, params: Params) -> dict[str, Any]:
+    names = ("position", "heading", "radius", "start", "other", "of", "offset", "distance", "neighbour_heading")
+    given = {f"view.{name}": getattr(view, name) for name in (*names, "neighbours")}
+    return given | {f"params.{name}": value for name, value in vars(params).items()}
+
+
+def _varied(value: Value, row: int) -> Value:
+    if isinstance(value, float):
+        return value * (1.0 + 0.01 * row)
+    if isinstance(value, list) and _is_point(value):
+        return [float(each) + 0.01 * row for each in value if isinstance(each, int | float)]
+    return value
+
+
+def _is_point(value: Value) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(each, int | float) for each in value)
+
+
+def _same(one: Array, other: Array) -> bool:
+    return bool(np.allclose(one, other, rtol=TOLERANCE, atol=TOLERANCE))
+
+
+def _form(answer: object) -> str:
+    return f"shape {answer.shape}" if isinstance(answer, np.ndarray) else f"a {type(answer).__name__}"
