@@ -37,5 +37,12 @@ def unicycle(
 
 @kernel
 def clamp(value: float, low: float, high: float) -> float:
-    """Return `value` held within [low, high]; the paper's caps are ``clamp(u, -U_max, U_max)``."""
-    return max(low, min(high, value))
+    """Return `value` held within [low, high]; the paper's caps are ``clamp(u, -U_max, U_max)``.
+
+    NaN stays NaN: with min and max it would become a limit, full speed.
+    """
+    if value > high:
+        return high
+    if value < low:
+        return low
+    return value

@@ -53,10 +53,10 @@ class Mailbox:
 
         What the handler raises is raised again on the runtime's thread.
         """
-        if self._waiting or not self._gate.acquire(blocking=False):
+        if not self._empty() or not self._gate.acquire(blocking=False):
             return False
         try:
-            if self._waiting:
+            if not self._empty():
                 return False
             handler(message)
         except BaseException as error:  # any kind: it must end the process as it would on the runtime's thread
@@ -64,6 +64,9 @@ class Mailbox:
         finally:
             self._gate.release()
         return True
+
+    def _empty(self) -> bool:
+        return self._waiting == 0
 
     def drain(self) -> int:
         """Deliver all that is there, and what that causes; return how many."""

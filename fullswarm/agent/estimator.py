@@ -36,7 +36,8 @@ class DirectEstimator:
         """Return the poses (n, 3)."""
         del dt_s
         pose = reading.pose
-        if not math.isnan(pose.sum()):
+        # On board there is one robot, and reducing an array costs it five times as much as three numbers.
+        if not math.isnan(sum(pose[0].tolist()) if len(pose) == 1 else pose.sum()):
             return pose
         dead_reckoned = np.empty_like(pose)
         x, y = reading.odometry[:, 0], reading.odometry[:, 1]

@@ -4,34 +4,29 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from fullswarm.agent.estops import EStops
+from fullswarm.agent.fence import Cores, Fence
 from fullswarm.agent.freshness import Freshness
+from fullswarm.agent.robot_controller import EXPLAIN, Reason
 from fullswarm.agent.tasks import Task
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
+from fullswarm.drivers.base import Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, EStopReceipt, Heartbeat, StopRequest
+from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, StopRequest
 from fullswarm.runtime import Scheduler
 
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
 
 REMEMBERED_STOPS = 256
-SETTLE_TIMEOUT_S = 5.0
-"""A robot that still moves so long after an e-stop is reported as not standing, and not watched further."""
 
-
-@dataclass(slots=True)
-class Rolling:
-    """A robot between an e-stop and standing."""
-
-    order: EStop
-    since_s: float
-    last_xy: tuple[float, float]
-    rolled_m: float = 0.0
+UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT)
+"""Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it."""
 
 
 class Inbox:
@@ -41,15 +36,14 @@ class Inbox:
         self._bus, self._keys, self._scheduler, self._config, self._agent = bus, keys, scheduler, config, agent
         ids = agent.fleet.ids
         self._row = {robot: row for row, robot in enumerate(ids)}
-        self._core_heard_s = -math.inf
+        self._cores = Cores(config.core_silence_s)
+        self._fences = [Fence(self._cores) for _ in ids]
         self._newest: list[tuple[str, int]] = [("", 0)] * len(ids)
         self._answers: list[ControlAck | None] = [None] * len(ids)
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._freshness = [Freshness() for _ in ids]
-        self._spent = [""] * len(ids)
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self._rolling: dict[int, Rolling] = {}
-        self._receipts: dict[int, EStopReceipt] = {}
+        self._estops = EStops(bus, keys, agent)
         whose = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
             bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
@@ -60,28 +54,48 @@ class Inbox:
         ]
 
     def core_alive(self, now_s: float) -> bool:
-        """Tell whether the core's heartbeat was heard within the configured silence."""
-        return now_s - self._core_heard_s <= self._config.core_silence_s
+        """Tell whether a core's heartbeat was heard within the configured silence."""
+        return self._cores.any_alive(now_s)
 
-    def _on_heartbeat(self, _: Heartbeat) -> None:
-        self._core_heard_s = self._scheduler.now_s()
+    def _on_heartbeat(self, beat: Heartbeat) -> None:
+        if self._cores.hear(beat.process, self._scheduler.now_s()):
+            self._tell_of_stops()
+
+    def _tell_of_stops(self) -> None:
+        """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
+        for row, fence in enumerate(self._fences):
+            if fence.halted:
+                robot = self._agent.fleet.ids[row]
+                # An id of its own: the core carries out each stop once, and other robots may tell of the same one.
+                stop = StopRequest(id=f"{fence.halted}@{robot}", robots=(robot,), source=robot)
+                self._remember(stop.id)  # it comes back here
+                self._bus.publish(self._keys.stop, stop)
 
     # ------------------------------------------------------------------ behaviours
     def _on_control(self, request: ControlRequest) -> None:
         row = self._row.get(request.robot)
         if row is None:
             return
+        if self._fences[row].replaced(request.core, self._scheduler.now_s()):
+            answer = self._answer(row, request, accepted=False, reason="another core commands this robot")
+            self._bus.publish(self._keys.ack(request.robot), answer)
+            return
         core, sequence = self._newest[row]
         if request.core == core and request.sequence <= sequence:
             # Delivered again: nothing changes, but the answer may have been lost.
-            answer = self._answers[row]
-            if answer and request.sequence == sequence:
-                self._bus.publish(self._keys.ack(request.robot), answer)
+            last = self._answers[row]
+            if last and request.sequence == sequence:
+                self._bus.publish(self._keys.ack(request.robot), last)
             return
         self._newest[row] = (request.core, request.sequence)
         accepted, reason = self._apply(row, request)
+        self._answers[row] = answer = self._answer(row, request, accepted=accepted, reason=reason)
+        self._agent.wake()
+        self._bus.publish(self._keys.ack(request.robot), answer)
+
+    def _answer(self, row: int, request: ControlRequest, *, accepted: bool, reason: str) -> ControlAck:
         task = self._agent.tasks.of[row]
-        answer = ControlAck(
+        return ControlAck(
             request_id=request.request_id,
             robot=request.robot,
             behaviour=request.behaviour,
@@ -91,37 +105,48 @@ class Inbox:
             core=request.core,
             sequence=request.sequence,
         )
-        self._answers[row] = answer
-        self._agent.wake()
-        self._bus.publish(self._keys.ack(request.robot), answer)
 
     def _apply(self, row: int, request: ControlRequest) -> tuple[bool, str]:
-        agent = self._agent
+        agent, fence = self._agent, self._fences[row]
         if not request.enable:
-            agent.tasks.disable(row)
-            agent.controller.forget(row)
+            self._drop(row)
             return True, ""
-        if request.request_id == self._spent[row]:
-            return False, f"{agent.ended[row]}; ask for it again"
+        fence.see(request.request_id)
         if agent.controller.estop[row]:
             return False, "its e-stop is latched; clear it with `fullswarm estop --clear`"
+        if request.request_id in fence.spent:
+            return False, f"{fence.spent[request.request_id]}; ask for it again"
+        if agent.reading is not None and int(agent.reading.hazards[row]) & UNSAFE:
+            # Accepted, it would drive off out of the hands that put it back on safe ground.
+            return False, f"{EXPLAIN[Reason.HAZARD]}; put it on safe ground, then ask for it again"
         try:
-            agent.tasks.enable(row, Task(request, self._scheduler.now_s()))
+            agent.tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:
             return False, str(error)
+        fence.accept()
         agent.controller.law_failed[row] = False
         agent.ended[row] = ""
         if request.centralised:
             agent.controller.forget(row)
         return True, ""
 
+    def _sent_s(self, row: int, request: ControlRequest) -> float:
+        """Return when an intent was sent, as far as can be known: it lives from then on, not from its arrival."""
+        now_s = self._scheduler.now_s()
+        if request.expires_s <= 0.0 or request.stamp_s == 0.0:
+            return now_s
+        return now_s - self._freshness[row].delay_s(request.core, request.stamp_s, now_s)
+
     def spend(self, row: int, why: str) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
         task = self._agent.tasks.of[row]
         if task is None:
             return
-        self._spent[row] = task.request.request_id
+        self._fences[row].spent.note(task.request.request_id, why)
         self._agent.ended[row] = why
+        self._drop(row)
+
+    def _drop(self, row: int) -> None:
         self._agent.tasks.disable(row)
         self._agent.controller.forget(row)
 
@@ -134,6 +159,9 @@ class Inbox:
             return
         core, request_id, sequence = self._command_sequence[row]
         if (core, request_id) == (task.request.core, command.request_id) and command.sequence <= sequence:
+            return
+        # A core numbers requests and commands in one row: what is older than the request comes from another core.
+        if command.sequence < task.request.sequence:
             return
         self._command_sequence[row] = (task.request.core, command.request_id, command.sequence)
         now_s = self._scheduler.now_s()
@@ -149,64 +177,41 @@ class Inbox:
     def _on_stop(self, stop: StopRequest) -> None:
         if stop.id in self._stops:
             return
-        self._stops[stop.id] = None
-        if len(self._stops) > REMEMBERED_STOPS:
-            self._stops.popitem(last=False)
+        self._remember(stop.id)
         for row in self._addressed(stop.robots):
-            self._agent.tasks.disable(row)
-            self._agent.controller.forget(row)
+            self._halt(row, stop.id or "stop", f"it was stopped by {stop.source or 'an operator'}")
         self._agent.wake()
 
+    def _remember(self, stop_id: str) -> None:
+        if stop_id:
+            self._stops[stop_id] = None
+            while len(self._stops) > REMEMBERED_STOPS:
+                self._stops.popitem(last=False)
+
     def _on_estop(self, order: EStop) -> None:
-        agent, now_s = self._agent, self._scheduler.now_s()
-        for row in self._addressed(order.robots):
-            receipt = self._receipts.get(row)
-            if receipt and receipt.id == order.id:
-                self._bus.publish(self._keys.estop_receipt(receipt.robot), receipt)
-                continue
-            if order.engaged:
-                agent.controller.estop[row] = True
-                x, y = float(agent.pose[row, 0]), float(agent.pose[row, 1])
-                self._rolling[row] = Rolling(order, now_s, (x, y))
-            else:
-                agent.controller.estop[row] = False
-                self._rolling.pop(row, None)
+        if self._estops.repeats(order):
+            return
+        rows = self._addressed(order.robots)
+        for row in rows if order.engaged else ():
             # Latching ends the behaviour: after the release a robot stands READY until it is asked again.
-            agent.tasks.disable(row)
-            agent.controller.forget(row)
-            self._receive(row, EStopReceipt(id=order.id, robot=agent.fleet.ids[row], engaged=order.engaged))
-        agent.wake()
+            self._halt(row, order.id or "estop", f"its e-stop was engaged by {order.source or 'an operator'}")
+        self._estops.carry_out(order, rows, self._scheduler.now_s())
+        self._agent.wake()
+
+    def _halt(self, row: int, order_id: str, why: str) -> None:
+        """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
+        unheard = not self.core_alive(self._scheduler.now_s())
+        self._fences[row].halt(order_id if unheard else "", why)
+        self.spend(row, why)
+        self._drop(row)
 
     def watch_estops(self, now_s: float) -> None:
-        """Follow the robots that still roll; confirm again once they stand, with the distance."""
-        agent = self._agent
-        for row, rolling in list(self._rolling.items()):
-            x, y = float(agent.pose[row, 0]), float(agent.pose[row, 1])
-            rolling.rolled_m += math.hypot(x - rolling.last_xy[0], y - rolling.last_xy[1])
-            rolling.last_xy = (x, y)
-            standing = bool(abs(agent.twist[row, 0]) < 0.005 and abs(agent.twist[row, 1]) < 0.02)
-            # Two ticks at least: the first reading after the order still shows the motion before it.
-            if (standing and now_s - rolling.since_s > 0.04) or now_s - rolling.since_s > SETTLE_TIMEOUT_S:
-                del self._rolling[row]
-                self._receive(
-                    row,
-                    EStopReceipt(
-                        id=rolling.order.id,
-                        robot=agent.fleet.ids[row],
-                        engaged=True,
-                        rolled_m=rolling.rolled_m if math.isfinite(rolling.rolled_m) else 0.0,
-                        standing=standing,
-                    ),
-                )
+        """Confirm the e-stops of robots that have come to a stand."""
+        self._estops.watch(now_s)
 
-    def _receive(self, row: int, receipt: EStopReceipt) -> None:
-        self._receipts[row] = receipt
-        self._bus.publish(self._keys.estop_receipt(receipt.robot), receipt)
-
-    def _addressed(self, robots: tuple[str, ...]) -> list[int]:
-        if not robots:
-            return list(self._row.values())
-        return [self._row[robot] for robot in robots if robot in self._row]
+    def _addressed(self, robots: Iterable[str]) -> list[int]:
+        rows = [self._row[robot] for robot in dict.fromkeys(robots) if robot in self._row]
+        return rows if robots else list(self._row.values())
 
     def close(self) -> None:
         """Stop listening."""

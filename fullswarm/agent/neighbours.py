@@ -31,6 +31,7 @@ class Neighbours:
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
         self._own = ids
+        self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
@@ -45,12 +46,24 @@ class Neighbours:
         self._grow(max(16, len(ids)))
 
     def hear(self, states: RobotStates, now_s: float) -> None:
-        """Take in the states of one host; an older message than the last from that host is ignored."""
+        """Take in the states of one host.
+
+        Ignored: a message older than the last from that host, one whose columns do not fit together, and on board
+        the own state; a robot with a number that is not finite counts as not heard.
+        """
+        if states.robots == self._alone:
+            return
         newest = self._newest.get(states.host)
-        # A sequence that falls while the sender's clock goes on means that the host was restarted.
-        if newest and states.sequence <= newest[0] and states.stamp_s <= newest[1]:
+        # A sequence that falls while the sender's clock goes on means that the host was restarted. The same
+        # sequence comes once per grid cell.
+        if newest and states.sequence < newest[0] and states.stamp_s <= newest[1]:
+            return
+        if not _fits(states):
             return
         self._newest[states.host] = (states.sequence, states.stamp_s)
+        if len(states.robots) == 1:
+            self._hear_one(states, now_s)
+            return
         rows = self._rows(states.robots)
         heard = self.heard
         heard[rows, 0] = states.x_m
@@ -59,7 +72,24 @@ class Neighbours:
         heard[rows, 3] = states.speed_m_s
         heard[rows, 4] = states.turn_rad_s
         heard[rows, 5] = states.radius_m
-        self.arrival_s[rows] = now_s
+        self.arrival_s[rows] = np.where(np.isfinite(heard[rows].sum(axis=1)), now_s, -math.inf)
+
+    def _hear_one(self, states: RobotStates, now_s: float) -> None:
+        """Do the same for a host with one robot, number by number: what an agent does a hundred times a second."""
+        row = self._row_of.get(states.robots[0])
+        if row is None:
+            row = int(self._rows(states.robots)[0])
+        x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
+        speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
+        heard = self.heard
+        heard[row, 0] = x_m
+        heard[row, 1] = y_m
+        heard[row, 2] = heading_rad
+        heard[row, 3] = speed_m_s
+        heard[row, 4] = turn_rad_s
+        heard[row, 5] = radius_m
+        finite = math.isfinite(x_m + y_m + heading_rad + speed_m_s + turn_rad_s + radius_m)
+        self.arrival_s[row] = now_s if finite else -math.inf
 
     def look(self, now_s: float) -> None:
         """Say that `within` is about `now_s` from here on."""
@@ -117,6 +147,15 @@ class Neighbours:
             self.heard = np.vstack([self.heard, np.zeros((more, 6))])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
+
+
+def _fits(states: RobotStates) -> bool:
+    """Tell whether the columns have one length: a stranger's message must not end an agent."""
+    x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
+    speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
+    count = len(states.robots)
+    fits = count == len(x_m) == len(y_m) == len(heading_rad)
+    return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
 
 
 class Listening:

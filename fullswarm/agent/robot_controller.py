@@ -153,7 +153,7 @@ def decide(
             why = 8
         elif now_s >= lapses_s[i]:
             why = 9
-        elif now_s >= valid_until_s[i]:
+        elif now_s >= valid_until_s[i] or not math.isfinite(wished[i, 0] + wished[i, 1]):
             why = 10
         changed = changed or reason[i] != why
         reason[i] = why

@@ -19,6 +19,8 @@ Index = NDArray[np.int64]
 CENTRALISED = ""
 """Law name of a task that has no law on board and obeys Command messages."""
 
+HEARING = "hearing_m"
+
 
 class Params:
     """Parameters of a law as columns, one row per robot: ``params.gain`` (n, 1), ``params.goal`` (n, 2).
@@ -28,15 +30,13 @@ class Params:
 
     def __init__(self, rows: list[dict[str, Value]]) -> None:
         for name, first in rows[0].items():
-            setattr(self, name, _column([row[name] for row in rows], first))
+            self.__dict__[name] = _column([row[name] for row in rows], first)  # whatever its name
 
     def update(self, row: int, values: dict[str, Value]) -> bool:
         """Write one robot's new values into the columns; False if a value is no number or point, or not as before."""
         for name, value in values.items():
             column = self.__dict__.get(name)
-            if not isinstance(column, np.ndarray) or not isinstance(value, int | float | list):
-                return False
-            if column.shape[1] != (len(value) if isinstance(value, list) else 1):
+            if not isinstance(column, np.ndarray) or column.shape[1] != _width(value):
                 return False
             column[row] = value
         return len(values) == len(self.__dict__)
@@ -46,12 +46,22 @@ class Params:
         raise ConfigError(f"the law needs a parameter '{name}' that the behaviour's record does not give")
 
 
+def _width(value: Value) -> int:
+    """Return how many columns a value takes: a number 1, a point 2, anything else none."""
+    if isinstance(value, list):
+        return 2 if len(value) == 2 and all(isinstance(each, int | float) for each in value) else 0
+    return 1 if isinstance(value, int | float) else 0
+
+
 def _column(values: list[Value], first: Value) -> object:
-    if isinstance(first, bool | int | float):
-        return np.array(values, float).reshape(len(values), 1)
-    if isinstance(first, list) and len(first) == 2 and all(isinstance(each, int | float) for each in first):
-        return np.array(values, float)
-    return first
+    width = _width(first)
+    return np.array(values, float).reshape(len(values), width) if width else first
+
+
+def _kind(name: str, value: Value) -> tuple[str, str]:
+    """Return what robots must have in common to share one call of a law: kinds, words, and how far they listen."""
+    width = _width(value)
+    return name, str(width) if width and name != HEARING else repr(value)
 
 
 def _number(value: Value | None, otherwise: float) -> float:
@@ -143,18 +153,20 @@ class Tasks:
         self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
         gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
         self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
-        if before is None or not self._renew(row, before.request, request):
+        if before is None or not self._renew(row, before, task):
             self._groups = None
 
-    def _renew(self, row: int, before: ControlRequest, request: ControlRequest) -> bool:
+    def _renew(self, row: int, before: Task, task: Task) -> bool:
         """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
-        if self._groups is None or (before.law, before.filtered) != (request.law, request.filtered):
+        request = task.request
+        if self._groups is None or (before.law, before.request.filtered) != (task.law, request.filtered):
             return False
         for group in self._groups:
             place = int(np.searchsorted(group.rows, row))
             if place < len(group.rows) and group.rows[place] == row:
-                same_reach = group.hearing_m == (request.parameters.get("hearing_m") or 0.0)
-                return same_reach and group.params.update(place, request.parameters)
+                same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
+                # By the class: a parameter may be called "update".
+                return same_reach and Params.update(group.params, place, request.parameters)
         return False
 
     def disable(self, row: int) -> None:
@@ -168,20 +180,20 @@ class Tasks:
         """Return the robots with a law on board, grouped by law and kind of parameters."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
-            members: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+            members: dict[tuple[str, tuple[tuple[str, str], ...]], list[int]] = {}
             for row, task in enumerate(self.of):
                 if task is not None and task.law != CENTRALISED:
-                    members.setdefault((task.law, tuple(sorted(task.request.parameters))), []).append(row)
+                    kinds = tuple(sorted(_kind(*each) for each in task.request.parameters.items()))
+                    members.setdefault((task.law, kinds), []).append(row)
             self._groups = [self._group(law, rows) for (law, _), rows in members.items()]
         return self._groups
 
     def _group(self, law: str, rows: list[int]) -> Group:
         parameters = [task.request.parameters for row in rows if (task := self.of[row]) is not None]
-        hearing = [value for each in parameters if isinstance(value := each.get("hearing_m", 0.0), int | float)]
         return Group(
             law=law,
             module=registry.law_module(law),
             rows=np.array(rows, np.int64),
             params=Params(parameters),
-            hearing_m=float(max(hearing, default=0.0)),
+            hearing_m=_number(parameters[0].get(HEARING), 0.0),
         )

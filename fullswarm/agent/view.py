@@ -8,7 +8,6 @@ board and a thousand in a trial.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,50 +47,56 @@ class View:
         self.bounds_m = bounds_m
         self._near = near
         self._predicted, self._heard = predicted, heard
+        # Filled when first asked for. Plain slots: functools.cached_property takes a lock on Python 3.11.
+        self._lists: tuple[Index, Index] | None = None
+        self._described: tuple[Index, Array, Array, Array] | None = None
 
-    @cached_property
     def _neighbours(self) -> tuple[Index, Index]:
-        start, other = self._near()
-        return start, other[: start[-1]]
+        if self._lists is None:
+            start, other = self._near()
+            self._lists = start, other[: start[-1]]
+        return self._lists
 
     @property
     def start(self) -> Index:
         """Edges of robot i are ``start[i]:start[i + 1]``, (n + 1,)."""
-        return self._neighbours[0]
+        return self._neighbours()[0]
 
     @property
     def other(self) -> Index:
         """Row of each edge's neighbour among the robots heard, (e,)."""
-        return self._neighbours[1]
+        return self._neighbours()[1]
 
-    @cached_property
     def _edges(self) -> tuple[Index, Array, Array, Array]:
-        count = len(self.other)
-        edges = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
-        pairs.describe.run(self.position, self.start, self.other, self._predicted, self._heard, *edges)
-        return edges
+        if self._described is None:
+            start, other = self._neighbours()
+            count = len(other)
+            edges = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
+            pairs.describe.run(self.position, start, other, self._predicted, self._heard, *edges)
+            self._described = edges
+        return self._described
 
     @property
     def of(self) -> Index:
         """Robot of each edge, (e,)."""
-        return self._edges[0]
+        return self._edges()[0]
 
     @property
     def offset(self) -> Array:
         """From the robot to its neighbour, ``d_ij = p_j - p_i`` of the paper, (e, 2) m."""
-        return self._edges[1]
+        return self._edges()[1]
 
     @property
     def distance(self) -> Array:
         """Length of `offset`, (e,) m."""
-        return self._edges[2]
+        return self._edges()[2]
 
     @property
     def neighbour_heading(self) -> Array:
         """Heading of the neighbour, (e,) rad."""
-        return self._edges[3]
+        return self._edges()[3]
 
-    @cached_property
+    @property
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]

@@ -5,6 +5,7 @@ Pure bookkeeping: events in, at most one control request out. The rules:
 * an active behaviour is disabled, and that acknowledged, before another one is enabled (paper II.C.2);
 * the same behaviour with new parameters is an update and needs no disabling;
 * what is not acknowledged is sent again, with the same sequence number, so that it happens once;
+* an intent lives from when it was asked for, however late it gets through;
 * what the robot reports of itself is the truth: after a restart of either side the two are compared.
 """
 
@@ -118,6 +119,18 @@ class Desired:
         self.tries = 0
         return self.flight
 
+    def due(self, now_s: float) -> ControlRequest | None:
+        """Return `flight` as it is to be sent now; None when there is none, or it is an intent that has lapsed."""
+        flight = self.flight
+        if flight is None:
+            return None
+        left_s = self.lapses_s - now_s if flight.enable and flight.expires_s > 0.0 else math.inf
+        if left_s <= 0.0:
+            return None
+        # Within rounding it is as it was asked for.
+        expires_s = left_s if left_s < flight.expires_s - 1e-6 else flight.expires_s
+        return msgspec.structs.replace(flight, stamp_s=now_s, expires_s=expires_s)
+
     def sent(self, now_s: float) -> None:
         """Note that `flight` went out: the next try comes after 0.1 s, later ones up to 0.5 s apart."""
         self.resend_s = now_s + min(RESEND_S * 2.0**self.tries, RESEND_MAX_S)
@@ -154,6 +167,9 @@ class Desired:
             self._land()
             self.obeyed = 0
             self._maybe = ""
+        if self._foreign(health) and not restarted:
+            overdue = now_s - self.acked_s >= BEHIND_S and self.order is not None
+            return "another core commands it" if overdue else ""  # do not fight over it
         if self._stale(health, restarted, now_s):
             return ""
         order, running = self.order, health.behaviour
@@ -173,12 +189,14 @@ class Desired:
         self._observe(running)
         return ""
 
+    def _foreign(self, health: RobotHealth) -> bool:
+        """Tell whether the robot runs what another core asked for, although it has obeyed this one."""
+        return self.obeyed > 0 and health.behaviour != "" and health.core != self.core
+
     def _stale(self, health: RobotHealth, restarted: bool, now_s: float) -> bool:
         """Tell whether the report was written before the robot obeyed our newest request."""
         if restarted or not self.obeyed:
             return False
-        if health.behaviour and health.core != self.core:
-            return True  # another core commands it now: do not fight
         # An idle robot does not tell a sequence.
         return health.sequence < self.obeyed and now_s - self.acked_s < BEHIND_S
 

@@ -5,7 +5,9 @@ Refusing is an answer too: every request gets a status, a repeated one gets its 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from fullswarm.bus import Bus
 from fullswarm.core.centralised import missing_packages
@@ -19,8 +21,25 @@ from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
+from fullswarm.runtime import Scheduler
 
 STOP = "stop"
+OVERTAKEN_S = 5.0
+"""So long after a request an older one of the same operator is a straggler; later, his clock was started anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The newest request for a robot."""
+
+    request: BehaviourRequest
+    arrived_s: float
+
+    def overtakes(self, other: BehaviourRequest, now_s: float) -> bool:
+        """Tell whether the same operator had asked for `other` before, and it comes only now."""
+        mine = self.request
+        older = mine.source == other.source != "" and other.stamp_s < mine.stamp_s
+        return older and now_s - self.arrived_s < OVERTAKEN_S
 
 
 class MainController:
@@ -30,14 +49,18 @@ class MainController:
         self,
         bus: Bus,
         keys: Keys,
+        scheduler: Scheduler,
         library: Library,
         roster: Roster,
         board: StatusBoard,
         handler: RequestHandler,
         remapper: Remapper,
     ) -> None:
+        self._scheduler = scheduler
         self._library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
+        self._newest: dict[str, Asked] = {}
+        self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         handler.watch_holders(remapper.narrow)
         self._subscriptions = [
             bus.subscribe(keys.behaviour_request, BehaviourRequest, self._requested),
@@ -70,6 +93,13 @@ class MainController:
         record = self._library.get(request.behaviour)
         robots = self._addressed(request.robots)
         parameters = self._library.resolve(record, request.parameters, robots)
+        reason, robots = self._overtaken(request, robots)
+        if not robots:
+            status = RequestStatus(
+                request_id=request.id, behaviour=record.name, phase="superseded", reason=reason, robots=request.robots
+            )
+            self._board.publish(status)
+            return
         orders = {robot: _order(request.id, record, parameters[robot]) for robot in robots}
         if record.centralised:
             absent = missing_packages()
@@ -85,9 +115,26 @@ class MainController:
                     robots=robots,
                     parameters=parameters[robots[0]],
                     filtered=record.filtered,
-                )
+                ),
+                lasting=record.expires_s == 0.0,
             )
-        self._handler.submit(orders, at_once=record.name == STOP)
+        self._handler.submit(orders, reason, at_once=record.name == STOP)
+
+    def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+        """Leave out robots that were asked for something newer by the same operator; return why, and the others."""
+        now_s = self._scheduler.now_s()
+        newer = {
+            robot: asked.request.id
+            for robot in robots
+            if (asked := self._newest.get(robot)) is not None and asked.overtakes(request, now_s)
+        }
+        left = tuple(robot for robot in robots if robot not in newer)
+        self._newest.update(dict.fromkeys(left, Asked(request, now_s)))
+        reasons = (
+            f"{', '.join(robot for robot in newer if newer[robot] == each)}: superseded by {each}, which came first"
+            for each in dict.fromkeys(newer.values())
+        )
+        return "; ".join(reasons), left
 
     def _addressed(self, robots: Sequence[str]) -> tuple[str, ...]:
         """Return the robots that a request means; none named: all that are known."""
@@ -121,7 +168,9 @@ class MainController:
 
     def _stand(self, request_id: str, robots: Sequence[str], reason: str) -> None:
         """Want nothing of `robots`, unknown ones left out: a stop is never refused for a slip of the pen."""
-        if self._known(request_id):
+        if not request_id:  # it cannot be told from others, so each one counts
+            request_id = next(name for name in self._unnamed if not self._known(name))
+        elif self._known(request_id):
             self._board.repeat(request_id)
             return
         known = self._roster.known()

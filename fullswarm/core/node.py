@@ -7,6 +7,7 @@ from typing import Protocol
 
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.core.latches import Latches
 from fullswarm.core.main_controller import MainController, adopted_order
 from fullswarm.core.params import ParamServer
 from fullswarm.core.records import PREFIX, Library
@@ -58,7 +59,8 @@ class CoreNode:
         self.settings = Settings(store, config)
         self.library = Library(store)
         self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
-        self.remapper = Remapper(bus, keys, scheduler, process)
+        self.remapper = Remapper(bus, keys, scheduler, store, process)
+        latches = Latches(bus, keys, store, self.roster, process)
         board = StatusBoard(bus, keys, scheduler)
         self.handler = RequestHandler(
             bus,
@@ -72,11 +74,12 @@ class CoreNode:
             command_ttl_s=config.agent.command_ttl_s,
             adopted=lambda request_id, behaviour: adopted_order(self.library, self.remapper, request_id, behaviour),
         )
-        controller = MainController(bus, keys, self.library, self.roster, board, self.handler, self.remapper)
+        self.remapper.restore(self.handler.holders)
+        controller = MainController(bus, keys, scheduler, self.library, self.roster, board, self.handler, self.remapper)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
         self._parts: tuple[Closing, ...] = (
-            controller, self.handler, self.remapper, self.roster, params, *reversed(tuple(extra)),
+            controller, self.handler, self.remapper, latches, self.roster, params, *reversed(tuple(extra)),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

@@ -26,6 +26,12 @@ class Progress:
         self.left[robot] = reason
         self.reason, self.beaten = reason, beaten
 
+    def join(self, robot: str) -> None:
+        """Note that `robot` holds the request, perhaps again."""
+        self.left.pop(robot, None)
+        if robot not in self.robots:
+            self.robots = (*self.robots, robot)
+
     def holders(self) -> tuple[str, ...]:
         """Return the robots that still hold the request."""
         return tuple(robot for robot in self.robots if robot not in self.left)

@@ -76,7 +76,7 @@ def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Ra
     if base_name is None:
         return own
     where = f"behaviour '{name}'"
-    if base_name not in tables:
+    if not isinstance(base_name, str) or base_name not in tables:
         raise ConfigError(
             f"like: unknown behaviour '{base_name}'", where=where, hint=did_you_mean(str(base_name), tables)
         )
@@ -181,7 +181,8 @@ def resolve(
         known = did_you_mean(name, record.parameters) if record.parameters else "it takes none"
         problems.append(f"parameter '{name}' is " + ("fixed by the record" if fixed else f"unknown ({known})"))
     for name, parameter in record.parameters.items():
-        value = parameters[name] if name in parameters else _default(parameter, lookup)
+        given = parameters.get(name)
+        value = _default(parameter, lookup) if given is None else given
         if value is not None:
             try:
                 complete[name] = parameter.check(name, value)

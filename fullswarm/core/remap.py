@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import itertools
 from collections import OrderedDict
+from collections.abc import Callable
 
 import msgspec
 
 from fullswarm.bus import Bus
+from fullswarm.core.keep import keep
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedRequest, Heartbeat
 from fullswarm.runtime import Scheduler
+from fullswarm.store import Store
 
 NODE = "centralised"
 REFRESH_S = 1.0
@@ -22,6 +25,7 @@ GRACE_S = 2.0
 """A new core lets unknown requests run that long: their robots may still report them."""
 
 MEMORY = 1024
+KEPT = "centralised/"
 
 
 class Remapper:
@@ -29,12 +33,15 @@ class Remapper:
 
     Parameters
     ----------
+    store
+        The local database: the robots carry no parameters of what is computed here, so a restart needs them from it.
     process
         Name of this start of the core.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, process: str) -> None:
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, store: Store, process: str) -> None:
         self._bus, self._keys, self._scheduler, self._process = bus, keys, scheduler, process
+        self._store = store
         self._active: dict[str, CentralisedRequest] = {}
         self._ended: OrderedDict[str, str] = OrderedDict()  # request id → behaviour
         self._held_elsewhere: set[str] = set()
@@ -43,10 +50,32 @@ class Remapper:
         self._subscription = bus.subscribe(keys.heartbeat(NODE), Heartbeat, self._heard)
         self._timer = scheduler.every(REFRESH_S, self._refresh)
 
-    def start(self, request: CentralisedRequest) -> None:
-        """Have the node compute `request` from now on."""
+    def start(self, request: CentralisedRequest, *, lasting: bool) -> None:
+        """Have the node compute `request` from now on, also after a restart of the core if it is `lasting`."""
         self._active[request.request_id] = msgspec.structs.replace(request, enable=True, core=self._process)
+        if lasting:
+            self._keep(request.request_id)
         self._send(request.request_id)
+
+    def restore(self, holders: Callable[[str], tuple[str, ...]]) -> None:
+        """Go on with what was kept, for the robots of which it is still wanted."""
+        for entry in self._store.list(KEPT):
+            request_id = entry.key.removeprefix(KEPT)
+            try:
+                request = msgspec.convert(entry.value, CentralisedRequest)
+            except msgspec.ValidationError:  # another version wrote it
+                continue
+            robots = holders(request_id)
+            if robots:
+                left = tuple(robot for robot in request.robots if robot in robots)
+                self._active[request_id] = msgspec.structs.replace(request, robots=left, core=self._process)
+                self._send(request_id)
+            else:
+                self._end(request_id, request.behaviour)
+
+    def requests(self) -> tuple[str, ...]:
+        """Return the ids of the requests that the node shall compute."""
+        return tuple(self._active)
 
     def narrow(self, request_id: str, robots: tuple[str, ...]) -> None:
         """Leave only `robots` in a request; without robots it ends."""
@@ -57,6 +86,8 @@ class Remapper:
             return
         if robots:
             self._active[request_id] = msgspec.structs.replace(request, robots=robots)
+            if self._store.get(KEPT + request_id) is not None:
+                self._keep(request_id)
             self._send(request_id)
         else:
             del self._active[request_id]
@@ -75,7 +106,13 @@ class Remapper:
         request = msgspec.structs.replace(self._active[request_id], sequence=next(self._counter))
         self._bus.publish(self._keys.centralised_request(request.behaviour), request)
 
+    def _keep(self, request_id: str) -> None:
+        request = self._active.get(request_id)
+        kept = None if request is None else msgspec.to_builtins(request)
+        keep(self._store, {KEPT + request_id: kept}, f"core {self._process}")
+
     def _end(self, request_id: str, behaviour: str) -> None:
+        self._keep(request_id)
         self._ended[request_id] = behaviour
         while len(self._ended) > MEMORY:
             self._ended.popitem(last=False)

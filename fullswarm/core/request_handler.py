@@ -3,19 +3,21 @@
 It keeps a desired state per robot and compares it with what the robot acknowledges and reports. So a lost message, a
 robot that joins late or is started again, and a core that is started again, all end the same way: in the wanted
 state. Rapid requests are spread over `schedule_interval_s`: the first goes at once, the newest of those that follow
-goes at the end of the interval, each one it beats is told so. An intent of a stick is never held back by that.
+goes at the end of the interval, each one it beats is told so. An intent of a stick is never held back by that: it
+would come when the stick has long been let go.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
 
 from fullswarm.bus import Bus
 from fullswarm.core.desired import Desired, Order
+from fullswarm.core.keep import keep
 from fullswarm.core.progress import Progress
 from fullswarm.core.roster import Member, Roster
 from fullswarm.core.status import StatusBoard
@@ -64,7 +66,9 @@ class RequestHandler:
         self._robots: dict[str, Desired] = {}
         self._requests: dict[str, Progress] = {}
         self._dirty: dict[str, None] = {}
-        self._counter = itertools.count(1)
+        # Above the numbers of any core before it on this machine, so that their late commands are known to be old.
+        self._counter = itertools.count(int(scheduler.now_s() * 1e6) + 1)
+        self._closed = False
         self._on_change: list[Release] = []
         self._adopted = adopted
         roster.watch(self._reported, self._fell_silent)
@@ -86,10 +90,10 @@ class RequestHandler:
         first = next(iter(orders.values()))
         self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=reason)
         applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]
+        self._keep(orders)  # first: a successor must not end what robots or operators have heard of
         for robot in applied:
             self._advance(self._robots[robot])
         self._publish(first.request_id)
-        self._keep(applied)
 
     def holds(self, request_id: str) -> bool:
         """Tell whether some robot still holds the request."""
@@ -98,6 +102,11 @@ class RequestHandler:
     def requests(self) -> tuple[str, ...]:
         """Return the ids of all requests that some robot holds."""
         return tuple(self._requests)
+
+    def holders(self, request_id: str) -> tuple[str, ...]:
+        """Return the robots that hold the request."""
+        progress = self._requests.get(request_id)
+        return progress.holders() if progress else ()
 
     def wanted(self, robot: str) -> Order | None:
         """Return what is wanted of `robot` now."""
@@ -110,6 +119,7 @@ class RequestHandler:
 
     def close(self) -> None:
         """Stop handling; the robots notice the silence by themselves."""
+        self._closed = True
         for subscription in self._subscriptions:
             subscription.close()
         self._timer.cancel()
@@ -121,9 +131,8 @@ class RequestHandler:
         if state.waiting is not None:
             self._leave(robot, state.waiting, order)
             state.waiting = None
-        stream = order.intent and state.order is not None and state.order.behaviour == order.behaviour
         rest_s = state.switched_s + self._interval_s() - now_s
-        if at_once or stream or rest_s <= 0:
+        if at_once or order.intent or rest_s <= 0:
             self._apply(state, order)
             return True
         state.waiting = order
@@ -131,11 +140,11 @@ class RequestHandler:
         return False
 
     def _interval_over(self, state: Desired, order: Order) -> None:
-        if state.waiting is order:
+        if state.waiting is order and not self._closed:
             state.waiting = None
             self._apply(state, order)
-            self._advance(state)
             self._keep([state.robot])
+            self._advance(state)
             self._mark(order.request_id)
 
     def _apply(self, state: Desired, order: Order) -> None:
@@ -165,11 +174,11 @@ class RequestHandler:
             self._send(state)
 
     def _send(self, state: Desired) -> None:
-        flight, now_s = state.flight, self._scheduler.now_s()
-        if flight is not None:
+        now_s = self._scheduler.now_s()
+        request = state.due(now_s)
+        if request is not None:
             state.sent(now_s)
-            stamped = msgspec.structs.replace(flight, stamp_s=now_s)
-            self._bus.publish(self._keys.control_requests(flight.robot, flight.behaviour), stamped)
+            self._bus.publish(self._keys.control_requests(request.robot, request.behaviour), request)
 
     def _tick(self) -> None:
         now_s = self._scheduler.now_s() + 1e-9
@@ -271,7 +280,7 @@ class RequestHandler:
 
     def _flush(self) -> None:
         dirty, self._dirty = self._dirty, {}
-        for request_id in dirty:
+        for request_id in () if self._closed else dirty:
             self._publish(request_id)
 
     def _publish(self, request_id: str) -> None:
@@ -288,17 +297,14 @@ class RequestHandler:
             for callback in self._on_change:
                 callback(request_id, holders)
 
-    def _keep(self, robots: list[str]) -> None:
+    def _keep(self, robots: Iterable[str]) -> None:
         """Write what is wanted into the local database; an intent leaves nothing to come back to."""
         values: dict[str, dict[str, object] | None] = {}
         for robot in robots:
             state = self._robots[robot]
-            order = state.order
-            value = None if order is None or order.intent or state.refused else msgspec.to_builtins(order)
-            if value is not None or self._store.get(WANTED + robot) is not None:
-                values[WANTED + robot] = value
-        if values:
-            self._store.set_many(values, f"core {self._process}")
+            order = state.waiting or (None if state.refused else state.order)
+            values[WANTED + robot] = None if order is None or order.intent else msgspec.to_builtins(order)
+        keep(self._store, values, f"core {self._process}")
 
     def _restore(self) -> None:
         """Want again what was wanted before a restart, and remember which requests were done by then."""
@@ -316,7 +322,7 @@ class RequestHandler:
 
     def _hold(self, order: Order, robot: str) -> Progress:
         progress = self._requests.setdefault(order.request_id, Progress(order.request_id, order.behaviour, ()))
-        progress.robots = (*progress.robots, robot)
+        progress.join(robot)
         self._mark(order.request_id)
         return progress
 

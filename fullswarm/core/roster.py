@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import Keys
@@ -13,6 +14,10 @@ from fullswarm.runtime import Scheduler
 
 SILENCE_S = 1.5
 CHECK_S = 0.1
+PAST = 16
+"""Processes of a robot's agent that are remembered after their end: their last reports may still be on the way."""
+PAST_S = 1.0
+"""They are ignored while a later process is heard. If that falls silent, it was the one that came late."""
 
 
 @dataclass(slots=True)
@@ -24,6 +29,14 @@ class Member:
     present: bool = False
     process: str = ""  # of its agent; another one means that the agent was started again
     health: RobotHealth | None = None
+    stamp_s: float = -math.inf  # of that report, on the agent's clock
+    past: deque[str] = field(default_factory=lambda: deque(maxlen=PAST))
+
+    def overtaken(self, report: HealthReport, now_s: float) -> bool:
+        """Tell whether something newer was heard before this report."""
+        if report.process == self.process:
+            return report.stamp_s < self.stamp_s
+        return report.process in self.past and now_s - self.heard_s < PAST_S
 
 
 class Roster:
@@ -76,6 +89,11 @@ class Roster:
         member = self._members.get(robot)
         return member.health if member else None
 
+    def process(self, robot: str) -> str:
+        """Return the process of `robot`'s agent; empty before the first report."""
+        member = self._members.get(robot)
+        return member.process if member else ""
+
     def close(self) -> None:
         """Stop listening."""
         self._subscription.close()
@@ -86,9 +104,13 @@ class Roster:
             if not ROBOT_ID.match(health.robot):
                 continue  # it would not fit into a key
             member = self._members.setdefault(health.robot, Member(health.robot))
+            if member.overtaken(report, self._scheduler.now_s()):
+                continue
             restarted = member.process != report.process
+            if restarted and member.process:
+                member.past.append(member.process)
             member.heard_s, member.present = self._scheduler.now_s(), True
-            member.process, member.health = report.process, health
+            member.process, member.health, member.stamp_s = report.process, health, report.stamp_s
             for callback in self._on_report:
                 callback(member, restarted)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal, cast
 
+import msgspec
 from pydantic import Field, ValidationError, model_validator
 
 from fullswarm.config import Section
@@ -13,6 +13,9 @@ from fullswarm.messages import ROBOT_ID, Value
 
 Kind = Literal["number", "integer", "flag", "word", "point", "points"]
 Raw = bool | int | float | str | list[Any]
+
+HUGE = 10**300
+"""Numbers beyond it (NaN and infinity among them) would not stay finite in a law."""
 
 FORMATION = ("targets", "shape", "centre", "spacing_m")
 """Parameters that a record with `formation` must declare; they become a target per robot."""
@@ -80,10 +83,10 @@ class Parameter(Section):
 
     def _number(self, name: str, value: object) -> int | float:
         whole = self.type == "integer"
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < HUGE:
             raise ValueError(f"{name} = {value!r} is not {'an integer' if whole else 'a finite number'}")
-        if whole and value != int(value):
-            raise ValueError(f"{name} = {value!r} is not an integer")
+        if whole and (value != int(value) or abs(value) >= 2**63):
+            raise ValueError(f"{name} = {value!r} is not an integer of 64 bits")
         if (self.min is not None and value < self.min) or (self.max is not None and value > self.max):
             raise ValueError(f"{name} = {value:.6g} is outside {self._range()} {self.unit}".rstrip())
         return int(value) if whole else float(value)
@@ -113,6 +116,9 @@ class Record(Section):
     def _agree(self) -> Record:
         if not ROBOT_ID.match(self.name):
             raise ValueError(f"'{self.name}' cannot name a behaviour: use letters, digits, '-' and '_', 64 at most")
+        for name, value in self.static.items():
+            if not _travels(value):
+                raise ValueError(f"static {name} is no flag, number, word, point or list of points")
         twice = sorted(set(self.parameters) & {*self.static, *self.static_from})
         if twice:
             raise ValueError(f"both static and a parameter: {', '.join(twice)}")
@@ -124,6 +130,16 @@ class Record(Section):
         if (self.formation == "assigned") != (self.centralised and bool(self.formation)):
             raise ValueError('formation = "assigned" goes with centralised = true, "each" without')
         return self
+
+
+def _travels(value: object) -> bool:
+    """Tell whether a message can carry the value."""
+    try:
+        msgspec.convert(value, Value)
+        msgspec.msgpack.encode(value)
+    except (msgspec.ValidationError, OverflowError):
+        return False
+    return True
 
 
 def build(name: str, raw: dict[str, Any]) -> Record:

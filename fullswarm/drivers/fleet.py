@@ -7,7 +7,19 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import NO_OBSTACLES, Array, Description, Driver, FleetReading, Lifecycle, Pose, Twist
+from fullswarm.drivers.base import (
+    NO_OBSTACLES,
+    Array,
+    Description,
+    Driver,
+    FleetReading,
+    Lifecycle,
+    Pose,
+    Reading,
+    Twist,
+)
+
+UNKNOWN = Pose(math.nan, math.nan, math.nan)
 
 
 class OneRobot:
@@ -18,6 +30,7 @@ class OneRobot:
         self.urls: tuple[str, ...] = (driver.url,)
         self.descriptions: tuple[Description, ...] = (driver.description,)
         self._driver = driver
+        self._last: Reading | None = None
         self._reading = FleetReading(
             stamp_s=np.full(1, -math.inf),
             pose=np.full((1, 3), math.nan),
@@ -36,12 +49,14 @@ class OneRobot:
     def read(self) -> FleetReading:
         """Return the newest reading as arrays of one row."""
         new, rows = self._driver.read(), self._reading
-        if new is None:
+        if new is None or new is self._last:
             return rows
+        self._last = new
         rows.stamp_s[0] = new.stamp_s
-        rows.pose[0] = _row(new.pose) if new.pose else math.nan
-        rows.odometry[0] = _row(new.odometry)
-        rows.twist[0] = new.twist.linear_m_s, new.twist.angular_rad_s
+        _write(rows.pose, new.pose or UNKNOWN)
+        _write(rows.odometry, new.odometry)
+        rows.twist[0, 0] = new.twist.linear_m_s
+        rows.twist[0, 1] = new.twist.angular_rad_s
         rows.hazards[0] = int(new.hazards)
         rows.contacts[0] = new.contacts
         rows.battery[0] = -1.0 if new.battery is None else new.battery
@@ -79,5 +94,8 @@ class OneRobot:
         self._driver.close()
 
 
-def _row(pose: Pose) -> tuple[float, float, float]:
-    return pose.x_m, pose.y_m, pose.heading_rad
+def _write(row: Array, pose: Pose) -> None:
+    """Write number by number: on board this is done fifty times a second, and a tuple costs twice as much."""
+    row[0, 0] = pose.x_m
+    row[0, 1] = pose.y_m
+    row[0, 2] = pose.heading_rad

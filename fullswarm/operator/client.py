@@ -125,7 +125,7 @@ class Operator:
 
         While there is no hub it goes on, for 10 s at most: robots that lost it drive on when it is back.
         """
-        self._call_off(robots := tuple(robots), "a stop came before the core had it")
+        self._call_off_all(robots := tuple(robots), "a stop came before the core had it")
         message = StopRequest(id=self._new_id(), robots=tuple(robots), source=self.source)
         return self._burst(self._keys.stop, message, on_done)
 
@@ -147,7 +147,7 @@ class Operator:
         """
         robots = tuple(robots)
         if engaged:
-            self._call_off(robots, "an e-stop came before the core had it")
+            self._call_off_all(robots, "an e-stop came before the core had it")
         message = EStop(id=self._new_id(), engaged=engaged, robots=robots, source=self.source, reason=reason)
         order = EStopOrder(
             message,
@@ -199,27 +199,37 @@ class Operator:
             asked.on_status(status)
 
     def _overtake(self, newer: Asked) -> None:
-        """Call off what was asked before `newer` and never answered: it got lost, and must not come after it."""
-        earlier = list(itertools.takewhile(lambda each: each is not newer, self._asked.values()))
-        self._call_off(newer.request.robots, f"{newer.request.id} came before the core had it", earlier)
+        """Call off what was asked before `newer` for no other robots and got lost: it must not come after it.
 
-    def _call_off(self, robots: Iterable[str], why: str, among: Iterable[Asked] | None = None) -> None:
-        """Send no more what is unanswered and concerns any of `robots` (none: all); tell who asked."""
-        named = set(robots)
-        for asked in list(self._asked.values() if among is None else among):
+        What was asked for others too is sent on: the core leaves out who has something newer.
+        """
+        robots = newer.request.robots
+        for asked in list(itertools.takewhile(lambda each: each is not newer, self._asked.values())):
             theirs = asked.request.robots
-            if asked.status is not None or not asked.repeats or (named and theirs and named.isdisjoint(theirs)):
-                continue
-            self.forget(asked)
-            asked.status = RequestStatus(
-                request_id=asked.request.id,
-                behaviour=asked.request.behaviour,
-                phase="superseded",
-                reason=why,
-                robots=theirs,
-            )
-            if asked.on_status is not None:
-                asked.on_status(asked.status)
+            if not robots or (theirs and set(theirs) <= set(robots)):
+                self._call_off(asked, f"{newer.request.id} came before the core had it")
+
+    def _call_off_all(self, robots: tuple[str, ...], why: str) -> None:
+        """Call off what concerns any of `robots`; none: all."""
+        for asked in list(self._asked.values()):
+            theirs = asked.request.robots
+            if not robots or not theirs or not set(theirs).isdisjoint(robots):
+                self._call_off(asked, why)
+
+    def _call_off(self, asked: Asked, why: str) -> None:
+        """Send a request no more, if it is still unanswered, and tell who asked."""
+        if asked.status is not None or not asked.repeats:
+            return
+        self.forget(asked)
+        asked.status = RequestStatus(
+            request_id=asked.request.id,
+            behaviour=asked.request.behaviour,
+            phase="superseded",
+            reason=why,
+            robots=asked.request.robots,
+        )
+        if asked.on_status is not None:
+            asked.on_status(asked.status)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
         order = self._orders.get(receipt.id)

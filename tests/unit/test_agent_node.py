@@ -161,7 +161,7 @@ def test_estop_latches_confirms_and_refuses_until_released(bench: Bench) -> None
     bench.run(1.0)
     assert bench.receipts[-1].id == "e2"
     assert not bench.commanded.any(), "released, but nobody asked it to drive"
-    driving(bench)
+    driving(bench, request_id="asked again")
 
 
 def test_estop_of_one_robot_leaves_the_others(bench: Bench) -> None:
@@ -177,7 +177,7 @@ def test_estop_of_one_robot_leaves_the_others(bench: Bench) -> None:
 def test_stop_ends_the_task_once(bench: Bench) -> None:
     driving(bench).stop("s1")
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    driving(bench).stop("s1")
+    driving(bench, request_id="asked again").stop("s1")
     bench.run(0.1)
     assert bench.commanded[0, 0] > 0.0, "the repetition of an earlier stop must not end a later task"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -145,3 +146,22 @@ def test_a_sender_that_was_suspended_is_believed_again() -> None:
     delays = [freshness.delay_s("core", 0.1 * tick, 0.1 * tick + 60.0) for tick in range(1, 150)]
     assert delays[0] == pytest.approx(60.0)
     assert delays[-1] == pytest.approx(0.0)
+
+
+def test_what_a_stranger_says_wrongly_is_not_heard() -> None:
+    table = Neighbours(("me",), timeout_s=1.0)
+    good = states("a", 1, 0.0, a=(2.0, 0.0))
+    table.hear(msgspec.structs.replace(good, x_m=(1.0, 2.0)), 0.0)
+    table.hear(msgspec.structs.replace(good, sequence=2, heading_rad=(math.inf,)), 0.0)
+    table.hear(msgspec.structs.replace(states("b", 1, 0.0, b=(1.0, 0.0), c=(1.0, 1.0)), y_m=(0.0, math.nan)), 0.0)
+    table.look(0.0)
+    start, other = table.within(np.array([[0.0, 0.0]]), 3.0)
+    assert table.heard[other[: start[-1]], 0].tolist() == [1.0]
+
+
+def test_a_host_may_say_its_cells_one_after_the_other() -> None:
+    table = Neighbours(("me",), timeout_s=1.0)
+    table.hear(states("host", 7, 1.0, a=(1.0, 0.0)), 1.0)
+    table.hear(states("host", 7, 1.0, b=(2.0, 0.0)), 1.0)
+    table.look(1.0)
+    assert table.within(np.array([[0.0, 0.0]]), 3.0)[0].tolist() == [0, 2]

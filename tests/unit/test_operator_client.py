@@ -79,7 +79,7 @@ def swarm() -> Swarm:
 def test_a_request_is_repeated_with_one_id_until_the_first_status(swarm: Swarm) -> None:
     got: list[RequestStatus] = []
     asked = swarm.operator.request("flocking", ["a", "b"], {"cohesion": 0.5}, got.append)
-    swarm.operator.request("stop")
+    swarm.operator.request("stop", ["c"])
     swarm.runtime.after(0.5, lambda: swarm.answer("id2"))  # another's status must not end it
     swarm.runtime.after(0.7, lambda: swarm.answer("id1"))
     swarm.runtime.run(2.0)
@@ -189,8 +189,8 @@ def test_an_estop_that_nobody_hears_concerns_nobody(swarm: Swarm) -> None:
 
 def test_a_closed_operator_is_silent(swarm: Swarm) -> None:
     got: list[RequestStatus] = []
-    swarm.operator.request("flocking", on_status=got.append)
     swarm.operator.estop(True)
+    swarm.operator.request("flocking", on_status=got.append)
     swarm.operator.close()
     swarm.runtime.after(0.5, lambda: swarm.answer("id1"))
     swarm.runtime.run(1.0)

@@ -4,37 +4,68 @@ A neighbour nearer than `repulsion_radius_m` pushes with ``-d/|d|``, one nearer 
 heading, one nearer than `attraction_radius_m` pulls with ``d``. The paper's alignment (``dv = 0, dθ = θ_j - θ_i``)
 turns without saying how fast to go; here each robot adds its wish to cruise along the mean heading of itself and its
 neighbours, which has the same equilibrium: equal headings. Averages, not sums, keep the speed free of the density.
+
+A kernel, because some thirty array operations on two or three neighbours cost a robot more than all else in a tick.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import Array, Index, View
+from fullswarm.kernels import kernel
 
 
 def velocity(view: View, params: Params) -> Array:
     """Return cruise, separation, alignment and cohesion added up, (n, 2) m/s."""
-    of, distance = view.of, view.distance[:, None]
-    unit = view.offset / np.maximum(distance, 1e-6)
-    # Grows from 0 at the radius to 1 at contact, so that nobody chatters on the border.
-    push = np.maximum(1.0 - distance / params.repulsion_radius_m[of], 0.0)
-    separation = view.sum(-unit * push)
-    near = distance < params.alignment_radius_m[of]
-    alignment = _unit(_along(view.heading) + params.alignment * view.sum(_along(view.neighbour_heading) * near))
-    far = (distance < params.attraction_radius_m[of]) & (distance > params.repulsion_radius_m[of])
-    cohesion = view.sum(view.offset * far) / np.maximum(view.neighbours, 1.0)
-    return params.cruise_m_s * (alignment + params.separation * separation + params.cohesion * cohesion)
+    wished = np.empty((len(view.position), 2))
+    steer.run(
+        view.heading, view.start, view.offset, view.distance, view.neighbour_heading, params.repulsion_radius_m,
+        params.alignment_radius_m, params.attraction_radius_m, params.separation, params.alignment,
+        params.cohesion, params.cruise_m_s, wished,
+    )  # fmt: skip
+    return wished
 
 
-def _along(heading: Array) -> Array:
-    both = np.empty((len(heading), 2))
-    np.cos(heading, out=both[:, 0])
-    np.sin(heading, out=both[:, 1])
-    return both
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.sqrt(vectors[:, :1] ** 2 + vectors[:, 1:] ** 2)
-    return vectors / np.maximum(length, 1e-9)
+@kernel
+def steer(
+    heading: Array, start: Index, offset: Array, distance: Array, neighbour_heading: Array, repulsion_radius_m: Array,
+    alignment_radius_m: Array, attraction_radius_m: Array, separation: Array, alignment: Array, cohesion: Array,
+    cruise_m_s: Array, wished: Array,
+) -> None:  # fmt: skip
+    """Fill `wished` (n, 2), m/s. Neighbours as in the view; parameters are columns (n, 1)."""
+    for i in range(heading.shape[0]):
+        push_x = 0.0
+        push_y = 0.0
+        pull_x = 0.0
+        pull_y = 0.0
+        lent_x = 0.0
+        lent_y = 0.0
+        repulsion_m = float(repulsion_radius_m[i, 0])
+        attraction_m = float(attraction_radius_m[i, 0])
+        for edge in range(start[i], start[i + 1]):
+            gap_m = float(distance[edge])
+            x = float(offset[edge, 0])
+            y = float(offset[edge, 1])
+            if gap_m < repulsion_m:
+                # Grows from 0 at the radius to 1 at contact, so that nobody chatters on the border.
+                push = (1.0 - gap_m / repulsion_m) / max(gap_m, 1e-6)
+                push_x -= push * x
+                push_y -= push * y
+            elif repulsion_m < gap_m < attraction_m:
+                pull_x += x
+                pull_y += y
+            if gap_m < alignment_radius_m[i, 0]:
+                lent_x += math.cos(neighbour_heading[edge])
+                lent_y += math.sin(neighbour_heading[edge])
+        along_x = math.cos(heading[i]) + alignment[i, 0] * lent_x
+        along_y = math.sin(heading[i]) + alignment[i, 0] * lent_y
+        length = max(math.sqrt(along_x * along_x + along_y * along_y), 1e-9)
+        pull = cohesion[i, 0] / max(1, start[i + 1] - start[i])
+        push = separation[i, 0]
+        cruise = cruise_m_s[i, 0]
+        wished[i, 0] = cruise * (along_x / length + push * push_x + pull * pull_x)
+        wished[i, 1] = cruise * (along_y / length + push * push_y + pull * pull_y)

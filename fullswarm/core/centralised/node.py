@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
@@ -67,6 +68,7 @@ class CentralisedNode:
         self._jobs: dict[str, Job] = {}
         self._newest: OrderedDict[str, tuple[str, int]] = OrderedDict()
         self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
+        self._complained: OrderedDict[str, None] = OrderedDict()
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
             bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
@@ -108,7 +110,7 @@ class CentralisedNode:
         try:
             job = Job(request, law(request.law), joint=JointFilter() if request.filtered else None)
         except (FullswarmError, KeyError) as error:
-            log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
+            self._complain(request, error)
             return
         for other in self._jobs.values():
             # The next frame of the same stick goes on where the last one was.
@@ -116,13 +118,23 @@ class CentralisedNode:
                 job.memory, job.joint = other.memory, other.joint
         self._jobs[request.request_id] = job
 
+    def _complain(self, request: CentralisedRequest, error: Exception) -> None:
+        """Log once per request, which the core sends again and again."""
+        if request.request_id in self._complained:
+            return
+        self._complained[request.request_id] = None
+        while len(self._complained) > MEMORY:
+            self._complained.popitem(last=False)
+        log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
+
     def _seen(self, states: RobotStates) -> None:
-        if not self._jobs:
+        columns = (states.x_m, states.y_m, states.heading_rad, states.radius_m)
+        if not self._jobs or any(len(column) != len(states.robots) for column in columns):
             return
         now_s = self._scheduler.now_s()
-        columns = zip(states.x_m, states.y_m, states.heading_rad, states.radius_m, strict=True)
-        for robot, state in zip(states.robots, columns, strict=True):
-            self._states[robot] = (now_s, state)
+        for robot, state in zip(states.robots, zip(*columns, strict=True), strict=True):
+            if all(map(math.isfinite, state)):
+                self._states[robot] = (now_s, state)
 
     def _beat(self) -> None:
         heartbeat = Heartbeat(
@@ -141,8 +153,9 @@ class CentralisedNode:
                 continue
             try:
                 twists = self._twists(job, scene)
-            except (ValueError, ArithmeticError, LookupError, RuntimeError) as error:
-                # One request must not end the others; its robots stop, having no command.
+            except Exception as error:
+                # A law is outside code: whatever it raises, one request must not end the others. Its robots stop,
+                # having no command.
                 if str(error) != job.error:
                     job.error = str(error)
                     log.error("centralised law failed", behaviour=job.request.behaviour, error=job.error)
