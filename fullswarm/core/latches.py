@@ -1,6 +1,7 @@
-"""Who is in e-stop. An agent that was started again has lost its latch: it gets it back before anybody asks it to move.
+"""Who is in e-stop. An agent that was started again has lost its latch, one that was away never got it.
 
-The agents carry e-stops out by themselves, with or without a core; this is only the memory that outlives them.
+They get it when they are heard, before anybody asks them to move. The agents carry e-stops out by themselves, with or
+without a core; this is only the memory that outlives them.
 """
 
 from __future__ import annotations
@@ -61,16 +62,23 @@ class Latches:
         robots = order.robots or (*self._roster.known(), *(() if order.engaged else self._latches))
         for robot in robots:
             if order.engaged:
-                self._latches[robot] = Latch(order.reason, self._roster.process(robot))
+                there = self._roster.is_present(robot)
+                self._latches[robot] = Latch(order.reason, self._roster.process(robot) if there else "")
             else:
                 self._latches.pop(robot, None)
         self._keep(*robots)
 
     def _reported(self, member: Member, restarted: bool) -> None:
         latch = self._latches.get(member.robot)
-        if latch is None or not restarted or member.health is None or member.health.estop:
+        if latch is None or member.health is None:
             return
-        if latch.agent == member.process:
+        if member.health.estop:
+            if latch.agent == member.process:
+                return
+            self._latches[member.robot] = Latch(latch.reason, member.process)
+        elif latch.agent and not restarted:
+            return  # it was there when the order was given; the report may be older
+        elif latch.agent == member.process:
             del self._latches[member.robot]  # released while no core was there to hear it
         else:
             self._latches[member.robot] = Latch(latch.reason, member.process)

@@ -43,6 +43,7 @@ class Remapper:
         self._bus, self._keys, self._scheduler, self._process = bus, keys, scheduler, process
         self._store = store
         self._active: dict[str, CentralisedRequest] = {}
+        self._kept: set[str] = set()  # requests with an entry in the database
         self._ended: OrderedDict[str, str] = OrderedDict()  # request id → behaviour
         self._held_elsewhere: set[str] = set()
         self._counter = itertools.count(1)
@@ -54,6 +55,7 @@ class Remapper:
         """Have the node compute `request` from now on, also after a restart of the core if it is `lasting`."""
         self._active[request.request_id] = msgspec.structs.replace(request, enable=True, core=self._process)
         if lasting:
+            self._kept.add(request.request_id)
             self._keep(request.request_id)
         self._send(request.request_id)
 
@@ -61,6 +63,7 @@ class Remapper:
         """Go on with what was kept, for the robots of which it is still wanted."""
         for entry in self._store.list(KEPT):
             request_id = entry.key.removeprefix(KEPT)
+            self._kept.add(request_id)
             try:
                 request = msgspec.convert(entry.value, CentralisedRequest)
             except msgspec.ValidationError:  # another version wrote it
@@ -86,8 +89,7 @@ class Remapper:
             return
         if robots:
             self._active[request_id] = msgspec.structs.replace(request, robots=robots)
-            if self._store.get(KEPT + request_id) is not None:
-                self._keep(request_id)
+            self._keep(request_id)
             self._send(request_id)
         else:
             del self._active[request_id]
@@ -107,8 +109,12 @@ class Remapper:
         self._bus.publish(self._keys.centralised_request(request.behaviour), request)
 
     def _keep(self, request_id: str) -> None:
+        if request_id not in self._kept:
+            return
         request = self._active.get(request_id)
         kept = None if request is None else msgspec.to_builtins(request)
+        if kept is None:
+            self._kept.discard(request_id)
         keep(self._store, {KEPT + request_id: kept}, f"core {self._process}")
 
     def _end(self, request_id: str, behaviour: str) -> None:

@@ -66,6 +66,7 @@ class RequestHandler:
         self._robots: dict[str, Desired] = {}
         self._requests: dict[str, Progress] = {}
         self._dirty: dict[str, None] = {}
+        self._kept: set[str] = set()  # robots with an entry in the database
         # Above the numbers of any core before it on this machine, so that their late commands are known to be old.
         self._counter = itertools.count(int(scheduler.now_s() * 1e6) + 1)
         self._closed = False
@@ -303,8 +304,14 @@ class RequestHandler:
         for robot in robots:
             state = self._robots[robot]
             order = state.waiting or (None if state.refused else state.order)
-            values[WANTED + robot] = None if order is None or order.intent else msgspec.to_builtins(order)
-        keep(self._store, values, f"core {self._process}")
+            if order is not None and not order.intent:
+                values[WANTED + robot] = msgspec.to_builtins(order)
+                self._kept.add(robot)
+            elif robot in self._kept:  # a stream of intents must not ask the database twenty times a second
+                values[WANTED + robot] = None
+                self._kept.remove(robot)
+        if values:
+            keep(self._store, values, f"core {self._process}")
 
     def _restore(self) -> None:
         """Want again what was wanted before a restart, and remember which requests were done by then."""
@@ -316,6 +323,7 @@ class RequestHandler:
             )
         for entry in self._store.list(WANTED):
             wanted, robot = _order(entry), entry.key.removeprefix(WANTED)
+            self._kept.add(robot)
             if wanted is not None:
                 self._hold(wanted, robot)
                 self._state(robot).want(wanted, self._scheduler.now_s())

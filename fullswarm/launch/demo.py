@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 
+from fullswarm.bus.endpoint import host_of
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import Unreachable
@@ -94,9 +95,12 @@ def run_live(config: SwarmConfig, seconds: float, as_json: bool, headless: bool)
 
 def on_free_ports(config: SwarmConfig) -> SwarmConfig:
     """Give hub and world other loopback ports where theirs are taken, so that a demo never disturbs a swarm."""
+    from fullswarm.drivers.sim.protocol import parse_address
+
     world = config.world_or_default
+    host_of(config.hub.endpoint)
     port = _free_port(socket.SOCK_STREAM, int(config.hub.endpoint.rpartition(":")[2]))
-    world_port = _free_port(socket.SOCK_DGRAM, int(world.address.rpartition(":")[2]))
+    world_port = _free_port(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1])
     return config.model_copy(
         update={
             "hub": config.hub.model_copy(update={"endpoint": f"tcp/127.0.0.1:{port}"}),

@@ -21,6 +21,8 @@ from fullswarm.runtime import Mailbox, Runtime
 INTERRUPTED = 130
 WORLD_HEARTBEAT_S = 0.5
 PARENT_CHECK_S = 0.25
+PARENT = "FULLSWARM_PARENT"
+"""Process id of who started this one. Asking the system would come too late: he may die while this one imports."""
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
@@ -132,7 +134,7 @@ def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
     """Run until told to end; then close the nodes, the last one first."""
     runtime.stop_on_signals()
     if with_parent:
-        parent = os.getppid()
+        parent = int(os.environ.get(PARENT) or os.getppid())
 
         def leave_with_parent() -> None:
             if os.getppid() != parent:

@@ -15,7 +15,8 @@ import structlog
 
 from fullswarm.config import SwarmConfig
 from fullswarm.config.write import write_swarm
-from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.errors import ConfigError
+from fullswarm.launch.processes import PARENT
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger()
@@ -23,6 +24,8 @@ log = structlog.get_logger()
 WATCH_S = 0.1
 FIRST_BACKOFF_S = 0.3
 LAST_BACKOFF_S = 5.0
+STEADY_S = 10.0
+"""A process that ran so long is started again as soon as one that dies for the first time."""
 END_S = 2.0
 """How long a process may take to end before it is killed; ours take well under a second."""
 USAGE = 2
@@ -37,6 +40,7 @@ class Child:
     arguments: tuple[str, ...]
     process: subprocess.Popen[bytes] | None = None
     starts: int = 0
+    started_s: float = 0.0
     backoff_s: float = FIRST_BACKOFF_S
     again_s: float = 0.0
     given_up: str = ""
@@ -117,7 +121,7 @@ class Supervisor:
         self.children[name] = Child(name, arguments)
 
     def _spawn(self, child: Child) -> None:
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid())}
         with (self.folder / f"{child.name}.log").open("ab") as sink:
             child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
                 [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],
@@ -128,6 +132,7 @@ class Supervisor:
                 start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
             )
         child.starts += 1
+        child.started_s = self.scheduler.now_s()
 
     def _watch(self) -> None:
         now_s = self.scheduler.now_s()
@@ -140,8 +145,10 @@ class Supervisor:
             if code == USAGE or not self.restart:
                 child.given_up = self.log_tail(child.name) or f"ended with code {code}"
                 if code == USAGE:
-                    raise FullswarmError(child.given_up.removeprefix("error: "), where=child.name)
+                    raise ConfigError(child.given_up.removeprefix("error: "), where=child.name)
             elif child.again_s == 0.0:
+                if now_s - child.started_s > STEADY_S:
+                    child.backoff_s = FIRST_BACKOFF_S
                 log.warning("a process died and is started again", process=child.name, code=code)
                 child.again_s = now_s + child.backoff_s
             elif now_s >= child.again_s:

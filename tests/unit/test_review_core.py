@@ -454,6 +454,32 @@ def test_an_e_stop_outlives_the_agents_process(tmp_path: Path, with_core: bool) 
     swarm.close()
 
 
+def test_a_robot_that_was_away_is_latched_when_it_comes() -> None:
+    swarm = Swarm(late=1)
+    swarm.bus.publish(KEYS.estop, EStop(id="e", engaged=True))
+    swarm.run(3.0)
+    swarm.messages.clear()
+    swarm.robots["r2"].start()
+    swarm.run(2.0)
+    assert [each.robots for each in latches(swarm)] == [("r2",)]
+    swarm.close()
+
+
+def test_a_failing_disk_cannot_keep_an_e_stop_from_being_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    swarm = Swarm()
+
+    def fail(*_: object) -> None:
+        raise ConfigError("the local database fails: disk full")
+
+    monkeypatch.setattr(swarm.store, "set_many", fail)
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    swarm.bus.publish(KEYS.estop, EStop(id="e", engaged=True))
+    swarm.run(0.2)
+    assert swarm.behaviours() == ["", "", ""]
+    swarm.close()
+
+
 # ------------------------------------------------------------------ what operators may send
 def test_odd_requests_are_answered_and_harm_nobody() -> None:
     swarm = Swarm()

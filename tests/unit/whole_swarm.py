@@ -1,4 +1,4 @@
-"""The real core, the real centralised node and one real agent per robot on one bus that misbehaves, on a simulated clock."""
+"""The real core, centralised node and a real agent per robot, on a bus that misbehaves and a simulated clock."""
 
 from __future__ import annotations
 
@@ -105,6 +105,9 @@ class Whole:
         for each in self.worlds.values():
             self.runtime.every(TICK_S, each.step)
         self.agents: dict[str, AgentNode] = {}
+        self.stops: set[tuple[str, str]] = set()
+        self.bus.subscribe("**", StopRequest, self._ended)
+        self.bus.subscribe("**", EStop, self._ended)
         self.start_core()
         self.start_centralised()
         for robot in self.worlds:
@@ -115,6 +118,16 @@ class Whole:
 
     def _told(self, status: RequestStatus) -> None:
         self.statuses[status.request_id] = status
+
+    def _ended(self, order: StopRequest | EStop) -> None:
+        """Note that what ran has ended, without a word to the core."""
+        for robot in order.robots or tuple(self.worlds):
+            if (robot, order.id) not in self.stops:
+                self.stops.add((robot, order.id))
+                self._note_end(robot)
+
+    def _note_end(self, robot: str) -> None:
+        self.bus.answers.append(ControlAck(request_id="", robot=robot, behaviour="", enabled=False, accepted=True))
 
     def start_core(self) -> None:
         self.cores += 1
@@ -139,8 +152,8 @@ class Whole:
         )
 
     def kill_agent(self, robot: str) -> None:
-        ended = ControlAck(request_id="", robot=robot, behaviour="", enabled=False, accepted=True)
-        self.bus.answers.append(ended)  # what it ran has ended with it
+        self._note_end(robot)
+        self.stops = {each for each in self.stops if each[0] != robot}  # the next process has heard of none
         self.agents.pop(robot).close()
 
     def run(self, seconds: float) -> None:
