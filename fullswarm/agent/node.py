@@ -88,6 +88,8 @@ class AgentNode:
         self._alone = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._driver_ready = np.zeros(count, bool)
+        self._driver_state = Lifecycle.CLOSED
+        self._been_ready = self._engaged = False
         self._applied = np.zeros((count, 2))
         self.pose = start.copy()
         self.twist = np.zeros((count, 2))
@@ -163,16 +165,30 @@ class AgentNode:
         for row in np.flatnonzero((reasons == Reason.DRIVER) | (reasons == Reason.HAZARD)).tolist():
             if reasons[row] == Reason.HAZARD:
                 self.inbox.spend(row, EXPLAIN[Reason.HAZARD])
-            elif self._fleet.lifecycle(row) is Lifecycle.FAULT:
+            elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
+                # Before it was ever ready it has not stopped from anything: a base may be switched on late.
                 self.inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
 
     def _ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         fleet = self._fleet
         if len(fleet.ids) == 1:
-            self._driver_ready[0] = fleet.lifecycle(0) in (Lifecycle.READY, Lifecycle.ACTIVE)
+            state = fleet.lifecycle(0)
+            self._driver_ready[0] = state in (Lifecycle.READY, Lifecycle.ACTIVE)
+            self._been_ready |= state in (Lifecycle.READY, Lifecycle.ACTIVE)
+            self._watch_engaged(state)
         else:
             self._driver_ready[:] = True
         return self._driver_ready
+
+    def _watch_engaged(self, state: Lifecycle) -> None:
+        """Notice a driver that fell from ACTIVE to READY although nobody let go of it: a fault that came and went."""
+        wished = bool(self.controller.drive_on[0])
+        if self._engaged and wished and state is Lifecycle.READY:
+            self.inbox.spend(0, self._fleet.fault(0) or "the robot stopped driving by itself")
+        # Engaged by the present wish: a driver still standing down from an earlier one will be READY on purpose.
+        fresh = self._engaged or self._driver_state is Lifecycle.READY
+        self._engaged = wished and state is Lifecycle.ACTIVE and fresh
+        self._driver_state = state
 
     def _wish(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate the laws and put their wishes, filtered where asked, before the controller."""

@@ -1,0 +1,129 @@
+"""A driver that stops by itself, or is not there yet: who drives on, and who must not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.bus.local import LocalBus
+from fullswarm.clock import SimClock
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.drivers.fleet import OneRobot
+from fullswarm.keys import Keys
+from fullswarm.messages import ControlAck, ControlRequest, Heartbeat
+from fullswarm.runtime import Mailbox, Runtime
+
+KEYS = Keys()
+
+
+class Base:
+    """A driver whose state the test sets; standing down takes it a while, as it takes a rover."""
+
+    url, firmware, fault = "test://r1", "", ""
+    description = Description("test", "test", 0.17, Limits(0.5, 2.0, 2.0, 20.0), senses_pose=True)
+    state = Lifecycle.READY
+    leaving_s = -math.inf
+
+    def __init__(self, runtime: Runtime) -> None:
+        self.runtime, self.applied = runtime, STAND
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def activate(self) -> None:
+        if self.state is Lifecycle.READY:
+            self.state = Lifecycle.ACTIVE
+
+    def deactivate(self) -> None:
+        if self.leaving_s == -math.inf:
+            self.leaving_s = self.runtime.now_s()
+
+    def read(self) -> Reading:
+        if math.isfinite(self.leaving_s) and self.runtime.now_s() - self.leaving_s > 0.3:
+            self.leaving_s = -math.inf
+            if self.state is Lifecycle.ACTIVE:
+                self.state = Lifecycle.READY
+        return Reading(self.runtime.now_s(), Pose(0.0, 0.0, 0.0), STAND, pose=Pose(0.0, 0.0, 0.0))
+
+    def command(self, twist: Twist) -> Twist:
+        self.applied = twist if self.state is Lifecycle.ACTIVE and self.leaving_s == -math.inf else STAND
+        return self.applied
+
+
+class Lone:
+    """One agent on that driver."""
+
+    def __init__(self, state: Lifecycle = Lifecycle.READY) -> None:
+        self.runtime = Runtime(SimClock(), Mailbox())
+        self.bus, self.base = LocalBus(self.runtime.mailbox), Base(self.runtime)
+        self.base.state = state
+        config = SwarmConfig.model_validate({"robot": [{"id": "r1"}]})
+        self.agent = AgentNode(
+            self.bus, self.runtime, config, OneRobot("r1", self.base), Identity("r1", "p"), np.zeros((1, 3)),
+            self.runtime.stats,
+        )  # fmt: skip
+        self.acks: list[ControlAck] = []
+        self.bus.subscribe(KEYS.ack(), ControlAck, self.acks.append)
+        self.sequence = 0
+        beat = Heartbeat(node="core", process="c", sequence=1)
+        self.runtime.every(0.1, lambda: self.bus.publish(KEYS.heartbeat("core"), beat), first_s=0.0)
+        self.runtime.run(0.1)
+
+    def say(self, request_id: str, *, enable: bool = True) -> None:
+        self.sequence += 1
+        request = ControlRequest(
+            request_id=request_id, robot="r1", behaviour="drive", law="drive", enable=enable, core="c",
+            sequence=self.sequence,
+            parameters={"linear": 1.0, "angular": 0.0, "speed_m_s": 0.5, "turn_rad_s": 1.0},
+        )  # fmt: skip
+        self.bus.publish(KEYS.control_requests("r1", "drive"), request)
+
+    def drives(self, request_id: str) -> bool:
+        self.say(request_id)
+        self.runtime.run(1.0)
+        return self.base.applied != STAND
+
+
+@pytest.fixture
+def lone() -> Iterator[Lone]:
+    made = Lone()
+    yield made
+    made.agent.close()
+
+
+@pytest.mark.parametrize("state", [Lifecycle.READY, Lifecycle.FAULT])
+def test_what_stopped_by_itself_goes_on_only_with_a_new_request(lone: Lone, state: Lifecycle) -> None:
+    assert lone.drives("a")
+    lone.base.state = state  # READY: a fault that came and went between two ticks, a power button, a new world
+    lone.runtime.run(0.3)
+    lone.base.state = Lifecycle.READY
+    lone.runtime.run(1.0)
+    assert lone.base.applied == STAND
+    assert not lone.drives("a")
+    assert "ask for it again" in lone.acks[-1].reason
+    assert lone.drives("b")
+
+
+def test_a_switch_while_it_stands_down_is_no_stop_of_its_own(lone: Lone) -> None:
+    assert lone.drives("a")
+    lone.say("b", enable=False)
+    lone.say("b")
+    lone.runtime.run(2.0)
+    assert lone.base.applied != STAND
+
+
+def test_a_base_that_is_switched_on_late_runs_what_it_should() -> None:
+    lone = Lone(Lifecycle.FAULT)
+    assert not lone.drives("a")
+    lone.base.state = Lifecycle.READY
+    lone.runtime.run(1.0)
+    assert lone.base.applied != STAND
+    lone.agent.close()
