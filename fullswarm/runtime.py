@@ -23,6 +23,9 @@ from fullswarm.clock import Clock, SimClock
 LATE_S = 0.001
 """A tick counts as late from here on."""
 
+LONGEST_WAIT_S = 0.25
+"""The kernel may hand a signal to a thread of the bus; Python then acts on it only when this thread wakes up."""
+
 Handler = Callable[[Any], None]
 
 
@@ -250,7 +253,7 @@ class Runtime:
             while not (self._stopping or self._paused):
                 due_s = min(self._timers[0][0] if self._timers else end_s, end_s)
                 wait_s = due_s - self.now_s()
-                if self.mailbox.deliver_one(min(wait_s, 3600.0)):
+                if self.mailbox.deliver_one(min(wait_s, LONGEST_WAIT_S)):
                     # Messages first, but a flood of them must not starve a deadline.
                     if self.now_s() < due_s:
                         continue

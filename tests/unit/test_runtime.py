@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -193,3 +196,18 @@ def test_a_timer_set_by_an_urgent_handler_is_not_slept_through() -> None:
     runtime.run()
     bringer.join()
     assert runtime.now_s() - began_s < 10.0
+
+
+def test_a_signal_that_another_thread_gets_ends_an_idle_loop() -> None:
+    script = (
+        "import signal, threading\n"
+        "from fullswarm.clock import MonotonicClock\nfrom fullswarm.runtime import Runtime\n"
+        "runtime = Runtime(MonotonicClock())\nruntime.stop_on_signals()\n"
+        "never = threading.Event()\n"
+        "other = threading.Thread(target=never.wait, daemon=True)\nother.start()\n"
+        # The kernel picks a thread; here it is told which: not the one that waits for messages.
+        "threading.Timer(0.3, lambda: signal.pthread_kill(other.ident, signal.SIGTERM)).start()\n"
+        "runtime.run()\nprint(runtime.exit_signal)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20, check=True)
+    assert done.stdout.strip() == str(int(signal.SIGTERM))
