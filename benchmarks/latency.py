@@ -41,6 +41,8 @@ STAMP = struct.Struct("<Bdd")  # which, value, seconds
 HOP, TWIST, DECIDED = 0, 1, 2
 HOP_KEY = "benchmark/hop"
 RATE_HZ = 20.0
+PADDING = bytes(160)
+"""Makes the bare message as long as an encoded request."""
 
 
 class StampingDriver:
@@ -105,7 +107,7 @@ def serve_hop(endpoint: str, port: int) -> None:
 
     def received(sample: zenoh.Sample) -> None:
         now_s = time.monotonic()
-        _, value, _ = STAMP.unpack(sample.payload.to_bytes())
+        _, value, _ = STAMP.unpack_from(sample.payload.to_bytes())
         out.sendto(STAMP.pack(HOP, value, now_s), ("127.0.0.1", port))
 
     settings = client_config(endpoint, multicast=False)
@@ -198,7 +200,7 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
 
         def hop(value: float) -> None:
             sent[HOP][value] = time.monotonic()
-            publisher.put(STAMP.pack(HOP, value, 0.0))
+            publisher.put(STAMP.pack(HOP, value, 0.0) + PADDING)
 
         runtime.every(1.0 / RATE_HZ, both)
         runtime.run(seconds + 3.0)

@@ -89,8 +89,8 @@ class Inbox:
             return
         self._newest[row] = (request.core, request.sequence)
         accepted, reason = self._apply(row, request)
+        self._agent.wake()  # the wheels first, then the words
         self._answers[row] = answer = self._answer(row, request, accepted=accepted, reason=reason)
-        self._agent.wake()
         self._bus.publish(self._keys.ack(request.robot), answer)
 
     def _answer(self, row: int, request: ControlRequest, *, accepted: bool, reason: str) -> ControlAck:

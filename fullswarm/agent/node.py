@@ -227,9 +227,7 @@ class AgentNode:
             It wishes planar velocities, which have yet to be mapped to twists.
         """
         try:
-            planar = hasattr(group.module, "velocity")
-            law = group.module.velocity if planar else group.module.twist
-            wished = law(view, group.params)
+            wished = group.call(view, group.params)
             # On board there is one robot, and reducing an array costs it five times as much as two numbers.
             if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else wished.sum()):
                 raise ValueError("the law's answer is not finite")
@@ -238,10 +236,10 @@ class AgentNode:
             return False
         controller = self.controller
         rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
-        (self._planar if planar else controller.wished)[rows] = wished
+        (self._planar if group.planar else controller.wished)[rows] = wished
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
-        return planar
+        return group.planar
 
     def _law_failed(self, group: Group, error: Exception) -> None:
         text = f"law '{group.law}': {type(error).__name__}: {error}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from fullswarm import registry
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ControlRequest, Value
+
+if TYPE_CHECKING:
+    from fullswarm.agent.view import View
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -91,7 +95,8 @@ class Group:
     """Robots that run the same law."""
 
     law: str
-    module: ModuleType
+    call: Callable[[View, Params], Array]  # the law
+    planar: bool  # it wishes planar velocities, not twists
     rows: Index
     params: Params
     hearing_m: float  # 0: the sensing radius
@@ -162,7 +167,7 @@ class Tasks:
         if self._groups is None or (before.law, before.request.filtered) != (task.law, request.filtered):
             return False
         for group in self._groups:
-            place = int(np.searchsorted(group.rows, row))
+            place = 0 if self.count == 1 else int(np.searchsorted(group.rows, row))
             if place < len(group.rows) and group.rows[place] == row:
                 same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
                 # By the class: a parameter may be called "update".
@@ -190,9 +195,12 @@ class Tasks:
 
     def _group(self, law: str, rows: list[int]) -> Group:
         parameters = [task.request.parameters for row in rows if (task := self.of[row]) is not None]
+        module = registry.law_module(law)
+        planar = hasattr(module, "velocity")
         return Group(
             law=law,
-            module=registry.law_module(law),
+            call=module.velocity if planar else module.twist,
+            planar=planar,
             rows=np.array(rows, np.int64),
             params=Params(parameters),
             hearing_m=_number(parameters[0].get(HEARING), 0.0),

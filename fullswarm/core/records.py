@@ -176,7 +176,7 @@ def resolve(
     """
     problems: list[str] = []
     complete = _static(record, lookup, problems)
-    for name in sorted(set(parameters) - set(record.parameters)):
+    for name in sorted(parameters.keys() - record.parameters.keys()):
         fixed = name in complete
         known = did_you_mean(name, record.parameters) if record.parameters else "it takes none"
         problems.append(f"parameter '{name}' is " + ("fixed by the record" if fixed else f"unknown ({known})"))
