@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from fullswarm.keys import Keys
+from fullswarm.messages import ControlRequest
 from tests.system.live import LiveSwarm
 
 pytestmark = pytest.mark.system
@@ -84,6 +86,29 @@ def test_the_hub(swarm: LiveSwarm) -> None:
     time_to_zero_s(swarm, TTL_S + PERIOD_S)
     swarm.supervisor.revive("hub")
     swarm.until(swarm.driven, 20.0, "the robots go on by themselves")
+
+
+def test_a_request_made_while_the_hub_is_dead_happens_once(swarm: LiveSwarm) -> None:
+    start(swarm, "move_to_goal")
+    orders: dict[str, set[tuple[str, int]]] = {}
+
+    def see(request: ControlRequest) -> None:
+        if request.enable:
+            orders.setdefault(request.robot, set()).add((request.request_id, request.sequence))
+
+    watching = swarm.bus.subscribe(Keys(swarm.config.swarm).control_requests(), ControlRequest, see)
+    swarm.supervisor.kill("hub")
+    asked = swarm.operator.request("rendezvous", (), {})
+    swarm.rest(1.0)
+    assert asked.status is None, "nobody can have heard it yet"
+    swarm.supervisor.revive("hub")
+    swarm.until(lambda: asked.status is not None and asked.status.phase == "running", 20.0, "it is confirmed")
+    swarm.rest(1.0)
+    watching.close()
+    assert swarm.all_run("rendezvous")
+    for robot in swarm.config.robots:
+        mine = {sequence for request_id, sequence in orders[robot] if request_id == asked.request.id}
+        assert len(mine) == 1, f"{robot} was told {len(mine)} times"
 
 
 def test_an_operator_who_drives(swarm: LiveSwarm) -> None:
