@@ -204,8 +204,6 @@ class Inbox:
         self._fences[row].halt(order_id if unheard else "", why)
         self.spend(row, why)
         self._drop(row)
-        if not unheard:
-            self._agent.ended[row] = ""  # the core knows, somebody wanted it so: not an alarm for the table
 
     def watch_estops(self, now_s: float) -> None:
         """Confirm the e-stops of robots that have come to a stand."""

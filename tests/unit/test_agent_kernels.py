@@ -8,7 +8,7 @@ import numpy as np
 import osqp
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
@@ -59,13 +59,14 @@ def test_projection_equals_osqp(seed: int, count: int) -> None:
     limits = np.maximum(rng.uniform(-0.3, 1.0, count), 0.0)
     wish = rng.uniform(-1.0, 1.0, 2)
     x, y = barrier.project(wish[0], wish[1], normals, limits, count)
+    assert (normals @ [x, y] <= limits + 1e-9).all()
     solver = osqp.OSQP()
     solver.setup(
         sparse.eye(2, format="csc"), -wish, sparse.csc_matrix(normals), np.full(count, -np.inf), limits,
         eps_abs=1e-8, eps_rel=1e-8, max_iter=200_000, polishing=True, verbose=False,
     )  # fmt: skip
-    answer = solver.solve(raise_error=True)
-    assert (normals @ [x, y] <= limits + 1e-9).all()
+    answer = solver.solve(raise_error=False)
+    assume(answer.info.status == "solved")  # now and then it gives up on near-parallel rows; ours must not
     assert [x, y] == pytest.approx(answer.x, abs=2e-4)
 
 

@@ -284,11 +284,3 @@ def test_after_a_hazard_only_a_new_request_moves_it(bench: Bench) -> None:
     assert not bench.acks[-1].accepted
     assert "ask for it again" in bench.acks[-1].reason
     driving(bench, request_id="second")
-
-
-def test_an_ordinary_stop_raises_no_alarm(bench: Bench) -> None:
-    driving(bench)
-    bench.stop("s1")
-    bench.run(0.5)
-    assert not bench.commanded.any()
-    assert bench.agent.ended[0] == ""
