@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import random
 import socket
 import struct
 import subprocess
@@ -41,6 +42,8 @@ STAMP = struct.Struct("<Bdd")  # which, value, seconds
 HOP, TWIST, DECIDED = 0, 1, 2
 HOP_KEY = "benchmark/hop"
 RATE_HZ = 20.0
+SETTLE_S = 1.0
+"""A core that connects after the robot hears of it with the robot's next report; requests before that wait."""
 PADDING = bytes(160)
 """Makes the bare message as long as an encoded request."""
 
@@ -176,14 +179,21 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
     bus.wait_connected(20.0)
     with zenoh.open(client_config(config.hub.endpoint, multicast=False)) as session:
         publisher = session.declare_publisher(HOP_KEY, congestion_control=zenoh.CongestionControl.DROP)
-        count = 0
+        ready_s = 0.0
+        count, chance = 0, random.Random(1)
 
         def ready() -> bool:
-            snapshot = view.snapshot()
-            return bool(snapshot.robots) and any(node.node == "core" for node in snapshot.nodes)
+            nonlocal ready_s
+            snapshot, now_s = view.snapshot(), runtime.now_s()
+            if not snapshot.robots or not any(node.node == "core" for node in snapshot.nodes):
+                ready_s = now_s + SETTLE_S
+            return now_s >= ready_s
 
         def both() -> None:
             nonlocal count
+            # At no fixed phase to the periods of core and agent: that would decide what one run says.
+            interval_s = chance.uniform(0.5, 1.5) / RATE_HZ
+            runtime.after(interval_s, both)
             if not ready():
                 return
             count += 1
@@ -193,8 +203,8 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
                 parameters={"linear": value, "angular": 0.0, "speed_m_s": 1.0, "turn_rad_s": 1.0},
                 source="benchmark", stamp_s=runtime.now_s(),
             )  # fmt: skip
-            # The hop goes out half a period later, so that the two never wait for each other.
-            runtime.after(0.5 / RATE_HZ, lambda: hop(value))
+            # The hop goes out half-way to the next request: the two never wait for each other, and find equal quiet.
+            runtime.after(0.5 * interval_s, lambda: hop(value))
             sent[TWIST][value] = time.monotonic()
             bus.publish(keys.behaviour_request, request)
 
@@ -202,7 +212,7 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
             sent[HOP][value] = time.monotonic()
             publisher.put(STAMP.pack(HOP, value, 0.0) + PADDING)
 
-        runtime.every(1.0 / RATE_HZ, both)
+        both()
         runtime.run(seconds + 3.0)
     bus.close()
     return sent

@@ -18,6 +18,9 @@ from fullswarm.errors import MessageError
 Value = bool | int | float | str | list[float | list[float]]
 """A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points."""
 
+STOPPED_BY = "it was stopped by"
+"""How the reason of a robot begins that stands because somebody asked for that: no cause for alarm."""
+
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
 
 

@@ -17,7 +17,7 @@ from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, StopRequest
+from fullswarm.messages import STOPPED_BY, Command, ControlAck, ControlRequest, EStop, Heartbeat, StopRequest
 from fullswarm.runtime import Scheduler
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ class Inbox:
             return
         self._remember(stop.id)
         for row in self._addressed(stop.robots):
-            self._halt(row, stop.id or "stop", f"it was stopped by {stop.source or 'an operator'}")
+            self._halt(row, stop.id or "stop", f"{STOPPED_BY} {stop.source or 'an operator'}")
         self._agent.wake()
 
     def _remember(self, stop_id: str) -> None:

@@ -40,9 +40,15 @@ class Params:
         """Write one robot's new values into the columns; False if a value is no number or point, or not as before."""
         for name, value in values.items():
             column = self.__dict__.get(name)
-            if not isinstance(column, np.ndarray) or column.shape[1] != _width(value):
+            if not isinstance(column, np.ndarray):
                 return False
-            column[row] = value
+            width = 1 if type(value) is float else _width(value)
+            if column.shape[1] != width:
+                return False
+            if width == 1:
+                column[row, 0] = value  # a number into a place is much cheaper than into a row
+            else:
+                column[row] = value
         return len(values) == len(self.__dict__)
 
     def __getattr__(self, name: str) -> Array:
@@ -66,6 +72,16 @@ def _kind(name: str, value: Value) -> tuple[str, str]:
     """Return what robots must have in common to share one call of a law: kinds, words, and how far they listen."""
     width = _width(value)
     return name, str(width) if width and name != HEARING else repr(value)
+
+
+def _alike(one: ControlRequest, other: ControlRequest) -> bool:
+    """Tell whether two requests differ by no more than their parameters and their time."""
+    return (
+        one.law == other.law
+        and one.filtered == other.filtered
+        and one.centralised == other.centralised
+        and one.survives_core == other.survives_core
+    )
 
 
 def _number(value: Value | None, otherwise: float) -> float:
@@ -147,26 +163,26 @@ class Tasks:
         ConfigError
             The robot has no such law.
         """
-        if task.law != CENTRALISED:
+        request, before = task.request, self.of[row]
+        alike = before is not None and _alike(before.request, request)
+        if not alike and task.law != CENTRALISED:
             registry.law_module(task.law)
-        request = task.request
-        before, self.of[row] = self.of[row], task
+        self.of[row] = task
+        self.lapses_s[row] = task.lapses_s
+        if request.filtered:
+            self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
+            gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
+            self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
+        if alike and self._renew(row, request):
+            return
         self.active[row] = True
         self.filtered[row] = request.filtered
         self.survives_core[row] = request.survives_core
-        self.lapses_s[row] = task.lapses_s
-        self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
-        gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
-        self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
-        if before is None or not self._renew(row, before, task):
-            self._groups = None
+        self._groups = None
 
-    def _renew(self, row: int, before: Task, task: Task) -> bool:
+    def _renew(self, row: int, request: ControlRequest) -> bool:
         """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
-        request = task.request
-        if self._groups is None or (before.law, before.request.filtered) != (task.law, request.filtered):
-            return False
-        for group in self._groups:
+        for group in self._groups or ():
             place = 0 if self.count == 1 else int(np.searchsorted(group.rows, row))
             if place < len(group.rows) and group.rows[place] == row:
                 same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from fullswarm.bus import Bus
 from fullswarm.core.centralised import missing_packages
@@ -28,8 +28,7 @@ OVERTAKEN_S = 5.0
 """So long after a request an older one of the same operator is a straggler; later, his clock was started anew."""
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
+class Asked(NamedTuple):
     """The newest request for a robot."""
 
     request: BehaviourRequest
@@ -123,13 +122,16 @@ class MainController:
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Leave out robots that were asked for something newer by the same operator; return why, and the others."""
         now_s = self._scheduler.now_s()
-        newer = {
-            robot: asked.request.id
-            for robot in robots
-            if (asked := self._newest.get(robot)) is not None and asked.overtakes(request, now_s)
-        }
+        this, newer = Asked(request, now_s), {}
+        for robot in robots:
+            asked = self._newest.get(robot)
+            if asked is not None and asked.overtakes(request, now_s):
+                newer[robot] = asked.request.id
+            else:
+                self._newest[robot] = this
+        if not newer:
+            return "", robots
         left = tuple(robot for robot in robots if robot not in newer)
-        self._newest.update(dict.fromkeys(left, Asked(request, now_s)))
         reasons = (
             f"{', '.join(robot for robot in newer if newer[robot] == each)}: superseded by {each}, which came first"
             for each in dict.fromkeys(newer.values())

@@ -69,7 +69,7 @@ class RequestHandler:
         self._kept: set[str] = set()  # robots with an entry in the database
         # Above the numbers of any core before it on this machine, so that their late commands are known to be old.
         self._counter = itertools.count(int(scheduler.now_s() * 1e6) + 1)
-        self._closed = False
+        self._closed = self._held_back = False
         self._on_change: list[Release] = []
         self._adopted = adopted
         roster.watch(self._reported, self._fell_silent)
@@ -90,11 +90,16 @@ class RequestHandler:
             return
         first = next(iter(orders.values()))
         self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=reason)
+        # The robots first, then the words: what this supersedes is told of at the end, without a timer.
+        self._held_back = True
         applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]
-        self._keep(orders)  # first: a successor must not end what robots or operators have heard of
+        self._keep(orders)  # before sending: a successor must not end what robots or operators have heard of
         for robot in applied:
             self._advance(self._robots[robot])
+        self._held_back = False
         self._publish(first.request_id)
+        self._dirty.pop(first.request_id, None)
+        self._flush()
 
     def holds(self, request_id: str) -> bool:
         """Tell whether some robot still holds the request."""
@@ -275,7 +280,7 @@ class RequestHandler:
 
     def _mark(self, request_id: str) -> None:
         """Have the status worked out once for all that happens at this moment."""
-        if not self._dirty:
+        if not self._dirty and not self._held_back:
             self._scheduler.after(0.0, self._flush)
         self._dirty[request_id] = None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
 from typing import Any, Literal, cast
 
 import msgspec
@@ -45,6 +47,15 @@ class Parameter(Section):
         if self.default is not None:
             self.check("default", self.default)
         return self
+
+    @cached_property
+    def span(self) -> tuple[float, float]:
+        """Smallest and largest float that need no further check; an empty span when it takes no floats."""
+        if self.type != "number":
+            return math.inf, -math.inf
+        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+        below_huge = math.nextafter(float(HUGE), 0.0)
+        return max(low, -below_huge), min(high, below_huge)
 
     def check(self, name: str, value: object) -> Value:
         """Return `value` in the parameter's type; ``ValueError`` says what is wrong, with the range."""

@@ -7,7 +7,7 @@ import math
 from rich.markup import escape
 from rich.table import Table
 
-from fullswarm.messages import Summary
+from fullswarm.messages import STOPPED_BY, Summary
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
 
 _UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
@@ -61,7 +61,7 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
         return f"{latched}FAULT: {health.fault or 'no reason given'}", True
     if health.estop:
         return "E-STOP" if not health.moving else "E-STOP, still rolling", True
-    if health.stop_reason:
+    if health.stop_reason and not (health.stop_reason.startswith(STOPPED_BY) and not health.behaviour):
         return f"STOPPED: {health.stop_reason}", True
     doing = "moving" if health.moving else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):

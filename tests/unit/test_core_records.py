@@ -148,6 +148,27 @@ def test_a_number_is_in_range_or_refused(a: float, b: float, value: float) -> No
         assert not min(a, b) <= value <= max(a, b)
 
 
+BOUND = st.none() | st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(BOUND, BOUND, st.floats())
+def test_what_lies_in_the_span_would_pass_the_check(low: float | None, high: float | None, value: float) -> None:
+    if low is not None and high is not None and low > high:
+        low, high = high, low
+    parameter = Parameter(type="number", min=low, max=high)
+    first, last = parameter.span
+    if first <= value <= last:
+        assert parameter.check("x", value) == value
+    else:
+        with pytest.raises(ValueError, match="x = "):
+            parameter.check("x", value)
+
+
+def test_only_numbers_have_a_span() -> None:
+    first, last = Parameter(type="integer").span
+    assert not first <= 1.0 <= last
+
+
 def test_integers_flags_and_words() -> None:
     assert Parameter(type="integer").check("n", 3.0) == 3
     assert Parameter(type="flag").check("f", True) is True

@@ -135,6 +135,8 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
         ({"estop": True, "moving": True}, ("E-STOP, still rolling", True)),
         ({"estop": True, "fault": "port gone"}, ("E-STOP, FAULT: port gone", True)),
         ({"stop_reason": "the hub is lost"}, ("STOPPED: the hub is lost", True)),
+        ({"stop_reason": "it was stopped by ann", "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": "it was stopped by ann", "behaviour": "drive"}, ("STOPPED: it was stopped by ann", True)),
         ({"lifecycle": "FAULT"}, ("FAULT: no reason given", True)),
         ({"lifecycle": "OPEN"}, ("open, not ready", False)),
         ({"contacts": 1, "moving": True}, ("moving, TOUCHING", True)),
