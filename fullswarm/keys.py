@@ -10,6 +10,7 @@ key                                                     message                w
 ``<swarm>/robot/<id>/behaviour/<name>/control_requests``  ControlRequest       request handler → agent
 ``<swarm>/robot/<id>/ack``                              ControlAck             agent → request handler
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
+``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/health/<host>``                               HealthReport           agent → everybody
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
@@ -76,6 +77,10 @@ class Keys:
     def command(self, robot: str = ANY) -> str:
         """Explicit twists for a robot."""
         return f"{self.swarm}/robot/{robot}/command"
+
+    def pose_fix(self, robot: str = ANY) -> str:
+        """Where something outside sees a robot."""
+        return f"{self.swarm}/robot/{robot}/pose_fix"
 
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""

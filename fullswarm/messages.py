@@ -156,6 +156,23 @@ class Command(Message, frozen=True, kw_only=True):
     stamp_s: float
 
 
+class PoseFix(Message, frozen=True, kw_only=True):
+    """Where a supervisory process sees a robot: motion capture, a camera, the simulator. World frame.
+
+    ``stamp_s`` is the source's own clock: it orders the fixes of one source and tells how late they are.
+    """
+
+    robot: str
+    x_m: float
+    y_m: float
+    heading_rad: float
+    position_sigma_m: float  # standard deviation per axis
+    heading_sigma_rad: float
+    source: str  # unique per process of the source
+    stamp_s: float
+    contacts: int = 0  # bodies and obstacles that the source sees the robot touch now
+
+
 class Heartbeat(Message, frozen=True, kw_only=True):
     """A process of the core or a centralised node is alive, and what it has in hand."""
 

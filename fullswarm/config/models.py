@@ -33,6 +33,7 @@ def _name(text: str, owner: str) -> str:
 
 RobotId = Annotated[str, AfterValidator(_robot_id)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
+Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]
 
 
@@ -122,6 +123,7 @@ class RobotConfig(Section):
 
     id: RobotId
     driver: str = ""  # URL; empty: sim://<id>
+    emulate: Emulated | None = None  # the world gives it a body and a port; its real driver talks to that
     pose: tuple[float, float, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
 
     @property
