@@ -131,6 +131,11 @@ class RobotConfig(Section):
         """The driver's URL."""
         return self.driver or f"sim://{self.id}"
 
+    @property
+    def simulated(self) -> bool:
+        """It lives in the simulated world, behind an emulated port or without one."""
+        return self.emulate is not None or self.url.startswith("sim:")
+
 
 class SwarmConfig(Section):
     """A fleet file."""

@@ -8,22 +8,25 @@ import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from rich.console import Console
 from rich.live import Live
 
 from fullswarm.bus.endpoint import host_of
 from fullswarm.clock import MonotonicClock
-from fullswarm.config import SwarmConfig, load_swarm
+from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
-from fullswarm.launch.show import Show
+from fullswarm.launch.show import Show, acts_for
 from fullswarm.launch.summary import print_summary
 from fullswarm.operator.client import Operator
 from fullswarm.operator.render import fleet_table
 from fullswarm.runtime import Mailbox, Runtime
 
 DEMO_FILE = Path(__file__).with_name("demo.toml")
+NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
+"""Fleets that come with the package, besides the usual one."""
 START_TIMEOUT_S = 60.0
 REFRESH_S = 0.2
 POLL_S = 0.1
@@ -31,19 +34,22 @@ POLL_S = 0.1
 
 def demo_config(fleet: Path | None, overrides: tuple[str, ...]) -> SwarmConfig:
     """Return the demo's settings, or those of the user's own fleet file."""
-    return load_swarm(fleet or DEMO_FILE, overrides)
+    named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
+    return load_swarm(named or fleet or DEMO_FILE, overrides)
 
 
 def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:
     """Run the show on a simulated clock; the JSON of two runs with one seed is the same to the byte."""
     from fullswarm.launch.lockstep import Lockstep
 
+    if any(robot.emulate for robot in config.robot):
+        _say("in lockstep emulated robots run as simulated ones: ports and firmware live on the wall clock")
     world = config.world_or_default.model_copy(update={"seed": seed})
     lockstep = Lockstep(config.model_copy(update={"world": world}))
     numbers = itertools.count(1)
     keys = Keys(config.swarm)
     operator = Operator(lockstep.bus, keys, lockstep.runtime, "demo", new_id=lambda: f"demo-{seed}-{next(numbers)}")
-    show = Show(lockstep.bus, lockstep.runtime, config, operator, seconds)
+    show = Show(lockstep.bus, lockstep.runtime, config, operator, seconds, acts_for(config))
     try:
         lockstep.run(1.0)
         show.start()
@@ -68,7 +74,7 @@ def run_live(config: SwarmConfig, seconds: float, as_json: bool, headless: bool)
     bus = ZenohBus(mailbox, hub=config.hub.endpoint)
     keys = Keys(config.swarm)
     operator = Operator(bus, keys, runtime, "demo")
-    show = Show(bus, runtime, config, operator, seconds)
+    show = Show(bus, runtime, config, operator, seconds, acts_for(config))
     try:
         _say(
             f"starting {len(config.robots)} robots, the core and the world; logs in {supervisor.folder}\n"
@@ -101,12 +107,25 @@ def on_free_ports(config: SwarmConfig) -> SwarmConfig:
     host_of(config.hub.endpoint)
     port = _free_port(socket.SOCK_STREAM, int(config.hub.endpoint.rpartition(":")[2]))
     world_port = _free_port(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1])
-    return config.model_copy(
+    free = config.model_copy(
         update={
             "hub": config.hub.model_copy(update={"endpoint": f"tcp/127.0.0.1:{port}"}),
             "world": world.model_copy(update={"address": f"127.0.0.1:{world_port}"}),
         }
     )
+    return free.model_copy(update={"robot": tuple(_on_free_port(free, each) for each in free.robot)})
+
+
+def _on_free_port(config: SwarmConfig, robot: RobotConfig) -> RobotConfig:
+    """Write the driver of an emulated robot down, a rover's with a UDP port that is free."""
+    from fullswarm.drivers import emulated
+
+    if not robot.emulate or robot.driver:
+        return robot
+    url = urlsplit(emulated.driver_url(config, robot))
+    if url.port is not None:
+        url = url._replace(netloc=f"{url.hostname}:{_free_port(socket.SOCK_DGRAM, url.port)}")
+    return robot.model_copy(update={"driver": url.geturl()})
 
 
 def _free_port(kind: socket.SocketKind, wished: int) -> int:

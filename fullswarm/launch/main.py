@@ -63,7 +63,14 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")] = False,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="One process, simulated clock, repeatable.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the lockstep run.")] = 0,
-    fleet: Annotated[Path | None, typer.Option("--fleet", metavar="FILE", help="Another fleet than eight.")] = None,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(
+            "--fleet",
+            metavar="FILE|mixed",
+            help="A fleet file, or `mixed`: 3 Creates, 3 rovers, 2 CAN bases, emulated with real ports.",
+        ),
+    ] = None,
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:

@@ -13,13 +13,10 @@ from fullswarm.bus.base import Bus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.keys import Keys
 from fullswarm.launch.nodes import Node, process_id
-from fullswarm.messages import Heartbeat
 from fullswarm.runtime import Mailbox, Runtime
 
 INTERRUPTED = 130
-WORLD_HEARTBEAT_S = 0.5
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
 """Process id of who started this one. Asking the system would come too late: he may die while this one imports."""
@@ -70,38 +67,22 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
 def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:
     """Serve the simulated world on its UDP port, in real time."""
     from fullswarm import kernels
-    from fullswarm.drivers.sim.emulator import WorldServer
-    from fullswarm.drivers.sim.world import World
-    from fullswarm.launch import nodes
+    from fullswarm.launch.world import WorldNode
 
-    settings = config.world_or_default
     kernels.compile_all()
-    ids = config.robots
-    simulated = World(settings, ids, nodes.start_poses(config))
-    server = WorldServer(simulated, settings.address, insecure_network=insecure_network)
-
-    def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        steps = 0
-
-        def step() -> None:
-            nonlocal steps
-            server.tick()
-            steps += 1
-
-        def beat() -> None:
-            message = Heartbeat(node="world", process=process, sequence=steps, stamp_s=runtime.now_s())
-            bus.publish(Keys(config.swarm).heartbeat("world"), message)
-
-        process = process_id("world")
-        runtime.every(1.0 / settings.rate_hz, step)
-        runtime.every(WORLD_HEARTBEAT_S, beat, first_s=0.0)
-        return [simulated, server]
-
-    return serve_on_bus(config, with_parent, build)
+    return serve_on_bus(
+        config,
+        with_parent,
+        lambda bus, runtime: [WorldNode(bus, runtime, config, process_id("world"), insecure_network)],
+    )
 
 
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
     """Return the URL of a robot's driver; a simulated one gets the world's address unless it names its own."""
+    if robot.emulate:
+        from fullswarm.drivers import emulated
+
+        return emulated.driver_url(config, robot)
     url = urlsplit(robot.url)
     if url.scheme != "sim" or url.path.strip("/"):
         return robot.url

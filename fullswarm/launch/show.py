@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
@@ -10,9 +11,10 @@ from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.messages import Heartbeat, RequestStatus, Value
 from fullswarm.operator.client import Operator
-from fullswarm.operator.view import FleetView
+from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.runtime import Scheduler
 
+LOOK_S = 0.05
 STOP_S = 1.0
 """At the end the robots get this long to stand."""
 
@@ -33,6 +35,32 @@ ACTS = (
 )
 
 
+CIRCLE = [
+    [3.63, 2.21],
+    [2.81, 3.03],
+    [2.81, 4.17],
+    [3.63, 4.99],
+    [4.77, 2.21],
+    [5.59, 3.03],
+    [5.59, 4.17],
+    [4.77, 4.99],
+]
+"""A ring of 3 m, its places in the order of the mixed fleet's robots so that no way crosses another."""
+
+MIXED_ACTS = (
+    Act("formation_bc", {"targets": [list(each) for each in CIRCLE]}, 0.5),
+    Act("move_to_goal_bc", {"goal": [5.2, 5.2], "arrive_radius_m": 1.5}, 0.5),
+)
+NEAR_M = 0.2
+"""A robot has arrived when it is so close to its target, or within the radius that the request names."""
+
+
+def acts_for(config: SwarmConfig) -> tuple[Act, ...]:
+    """Return what a fleet is asked for: eight robots of several makes show other things than eight of one."""
+    emulated = sum(robot.emulate is not None for robot in config.robot)
+    return MIXED_ACTS if emulated == len(CIRCLE) == len(config.robot) else ACTS
+
+
 @dataclass(slots=True)
 class Sent:
     """A request of the show and its answer."""
@@ -43,6 +71,7 @@ class Sent:
     acknowledged_s: float | None = None
     status: RequestStatus | None = None
     confirmed_by: tuple[str, ...] = ()
+    arrived: tuple[str, ...] | None = None  # who was there when the act was over; None: it has no target
 
     def document(self) -> dict[str, object]:
         """Return plain values for JSON."""
@@ -53,6 +82,7 @@ class Sent:
             "phase": status.phase if status else "unanswered",
             "acknowledged_after_s": None if self.acknowledged_s is None else round(self.acknowledged_s, 4),
             "confirmed_by": sorted(self.confirmed_by),
+            "arrived": None if self.arrived is None else list(self.arrived),
             "missing": sorted(status.missing) if status else [],
             "reason": status.reason if status else "",
         }
@@ -99,6 +129,7 @@ class Show:
         for act in self.acts:
             self.scheduler.after(time_s, lambda act=act: self._ask(act))  # type: ignore[misc]  # bound per turn
             time_s += act.share * (self.seconds - STOP_S)
+            self.scheduler.after(time_s - LOOK_S, self._look)
         self.scheduler.after(time_s, self._stop)
         self.scheduler.after(self.seconds, self._end)
 
@@ -114,6 +145,11 @@ class Show:
         sent = Sent(act, "", now_s)
         self.sent.append(sent)
         sent.request_id = self.operator.request(act.behaviour, (), act.parameters, on_status).request.id
+
+    def _look(self) -> None:
+        """Note who has arrived where the present act sends them."""
+        if self.sent:
+            self.sent[-1].arrived = _arrived(self.sent[-1].act, self.config.robots, self.view.snapshot().robots)
 
     def _stop(self) -> None:
         self.operator.stop()
@@ -171,6 +207,22 @@ class Show:
             "collisions": health.collisions,
             "fault": health.fault,
         }
+
+
+def _arrived(act: Act, robots: Sequence[str], rows: Sequence[RobotRow]) -> tuple[str, ...] | None:
+    goal, targets, radius_m = (act.parameters.get(name) for name in ("goal", "targets", "arrive_radius_m"))
+    places = targets if isinstance(targets, list) else [goal] * len(robots)
+    near_m = NEAR_M + (radius_m if isinstance(radius_m, float) else 0.0)
+    place_of = dict(zip(robots, places, strict=True))
+    found = []
+    for row in rows:
+        place = place_of.get(row.robot)
+        if not isinstance(place, list):
+            return None
+        x_m, y_m = (float(each) for each in place if isinstance(each, int | float))
+        if math.hypot(row.x_m - x_m, row.y_m - y_m) <= near_m:
+            found.append(row.robot)
+    return tuple(found)
 
 
 def _rounded(value: float | None) -> float | None:

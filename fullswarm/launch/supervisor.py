@@ -73,7 +73,7 @@ class Supervisor:
         self._add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
         self._add("core", "core", *file)
         self._add("centralised", "centralised", *file)
-        if self.world and any(each.url.startswith("sim:") for each in self.config.robot):
+        if self.world and any(each.simulated for each in self.config.robot):
             self._add("world", "sim", *file, *network)
         for robot in self.config.robots:
             self._add(robot, "agent", robot, *file)

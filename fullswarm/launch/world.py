@@ -1,0 +1,135 @@
+"""The world's process: steps the simulated world in real time and serves all who live in it.
+
+Simulated robots have a UDP port (`WorldServer`), emulated ones a port of their make's (`drivers.emulated`). Like any
+supervisory process with cameras, the world also tells emulated robots where they are: `PoseFix` on the bus.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fullswarm.bus.base import Bus
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers import emulated
+from fullswarm.drivers.sim.bodies import SKIN_RATE_HZ, SteppedBodies
+from fullswarm.drivers.sim.emulator import WorldServer
+from fullswarm.drivers.sim.world import World
+from fullswarm.keys import Keys
+from fullswarm.launch import nodes
+from fullswarm.messages import Heartbeat, PoseFix
+from fullswarm.runtime import Scheduler
+
+HEARTBEAT_S = 0.5
+FIX_HZ = 20.0
+MOST_AT_ONCE = 20
+LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
+"""What a fix claims when the world has no noise: a filter cannot do with a certainty."""
+
+
+class WorldNode:
+    """Steps the world and everything in it.
+
+    Raises
+    ------
+    ConfigError
+        See :class:`~fullswarm.drivers.sim.world.World` and :class:`~fullswarm.drivers.sim.emulator.WorldServer`.
+    DriverError
+        The port of an emulated robot cannot be had.
+    """
+
+    def __init__(
+        self, bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, insecure_network: bool = False
+    ) -> None:
+        self._bus, self._scheduler, self._process = bus, scheduler, process
+        self._keys = Keys(config.swarm)
+        skins = [each for each in config.robot if each.emulate]
+        settings = config.world_or_default
+        if skins and settings.rate_hz < SKIN_RATE_HZ:
+            settings = settings.model_copy(update={"rate_hz": SKIN_RATE_HZ, "substeps": 1})
+        self._ratio = settings.rate_hz / config.world_or_default.rate_hz
+        self._noise = settings.noise
+        ids = [each.id for each in config.robot]
+        self.world = World(settings, ids, nodes.start_poses(config))
+        self._server = WorldServer(self.world, settings.address, insecure_network=insecure_network)
+        self._bodies = SteppedBodies(self.world, [each.id for each in skins])
+        self._emulators: list[emulated.Emulator] = []
+        try:
+            for robot in skins:
+                if robot.emulate is not None:
+                    url = emulated.driver_url(config, robot)
+                    self._emulators.append(emulated.start(robot.emulate, url, self._bodies.of[robot.id]))
+        except BaseException:
+            self._end()
+            raise
+        self._folder = emulated.port_folder(config) if skins else None
+        self._steps = self._made = 0
+        self._began_s = scheduler.now_s()
+        self._timers = [
+            scheduler.every(1.0 / settings.rate_hz, self._run),
+            scheduler.every(HEARTBEAT_S, self._beat, first_s=0.0),
+        ]
+        if skins:
+            self._timers.append(scheduler.every(1.0 / FIX_HZ, self._tell_where))
+
+    def _run(self) -> None:
+        """Make the steps that are due: physics must keep up with the clocks of the firmware that drives in it."""
+        now_s = self._scheduler.now_s()
+        due = int((now_s - self._began_s) / self.world.dt_s + 1e-6) - self._made
+        for _ in range(min(due, MOST_AT_ONCE)):
+            self._step()
+        if due > MOST_AT_ONCE:  # the machine stood still, or is too slow: the world goes on from here
+            self._began_s, self._made = now_s, 0
+        else:
+            self._made += due
+
+    def _step(self) -> None:
+        self._bodies.before_step()
+        self._server.tick()
+        self._bodies.after_step()
+        self._steps += 1
+
+    def _beat(self) -> None:
+        # In steps of the rate that the fleet file names, so that a reader of that file can tell the time.
+        steps = int(self._steps / self._ratio)
+        beat = Heartbeat(node="world", process=self._process, sequence=steps, stamp_s=self._scheduler.now_s())
+        self._bus.publish(self._keys.heartbeat("world"), beat)
+
+    def _tell_where(self) -> None:
+        now_s = self._scheduler.now_s()
+        for robot in self._bodies.of:
+            row = self.world.row(robot)
+            x_m, y_m, heading_rad = self.world.sensed_pose[row].tolist()
+            fix = PoseFix(
+                robot=robot,
+                x_m=x_m,
+                y_m=y_m,
+                heading_rad=heading_rad,
+                position_sigma_m=max(self._noise.position_m, LEAST_SIGMA_M),
+                heading_sigma_rad=max(self._noise.heading_rad, LEAST_SIGMA_RAD),
+                source=self._process,
+                stamp_s=now_s,
+                contacts=int(self.world.contacts[row]),
+            )
+            self._bus.publish(self._keys.pose_fix(robot), fix)
+
+    def close(self) -> None:
+        """Switch off the emulated robots, give up all ports, let go of the physics."""
+        for timer in self._timers:
+            timer.cancel()
+        self._end()
+        if self._folder is not None:
+            _tidy(self._folder)
+
+    def _end(self) -> None:
+        for emulator in self._emulators:
+            emulator.close()
+        self._server.close()
+        self.world.close()
+
+
+def _tidy(folder: Path) -> None:
+    """Remove the folder of the ports when nobody's port is in it any more."""
+    try:
+        folder.rmdir()
+    except OSError:
+        return
