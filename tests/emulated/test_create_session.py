@@ -7,76 +7,18 @@ import random
 
 import pytest
 
-from fullswarm.clock import SimClock
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
+from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.create_oi import packets, protocol
-from fullswarm.drivers.create_oi.emulator import FreeBody, Quirks
-from fullswarm.drivers.create_oi.firmware import Firmware
+from fullswarm.drivers.create_oi.firmware import BOOT_S, Quirks
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, ROOMBA500, Generation, Mode, Op
-from fullswarm.drivers.create_oi.session import Session, stream_ids
-
-GO = Twist(0.3, 0.5)
-
-
-class Bench:
-    """A session and a firmware that talk over a perfect wire, 5 ms by 5 ms."""
-
-    def __init__(
-        self,
-        generation: Generation = CREATE2,
-        *,
-        quirks: Quirks | None = None,
-        encoders: tuple[int, int] = (0, 0),
-        mode_offset: int = 0,
-        baud: int | None = None,
-    ) -> None:
-        self.clock = SimClock()
-        self.body = FreeBody(generation.wheel_base_m, self.clock)
-        self.robot = Firmware(generation, self.body, quirks=quirks, encoders=encoders)
-        self.session = Session(generation, baud or generation.baud, "bench", mode_offset=mode_offset)
-        self.wire = bytearray()
-        self.sent = bytearray()
-        self.cut = False
-        self.session.send = self.wire.extend
-        self.session.linked(0.0)
-
-    def run(self, duration_s: float, twist: Twist | None = None) -> None:
-        for _ in range(round(duration_s / 0.005)):
-            self.clock.advance_to(self.clock.now_s() + 0.005)
-            now_s = self.clock.now_s()
-            if twist is not None:
-                self.session.command(twist, now_s)
-            told = bytes(self.wire)
-            self.wire.clear()
-            self.sent += told
-            said = self.robot.receive(told, now_s) + self.robot.step(now_s)
-            if said and not self.cut:
-                self.session.received(said, now_s)
-            self.session.tick(now_s)
-
-    def activate(self) -> None:
-        self.session.activate(self.clock.now_s())
-        self.run(0.1)
-
-    def active(self) -> Bench:
-        self.run(0.2)
-        self.activate()
-        assert self.at(Lifecycle.ACTIVE)
-        return self
-
-    def at(self, state: Lifecycle) -> bool:
-        return self.session.state is state
-
-    def robot_in(self, mode: Mode) -> bool:
-        return self.robot.mode is mode
-
-    @property
-    def reading(self) -> Reading:
-        assert self.session.reading is not None
-        return self.session.reading
+from fullswarm.drivers.create_oi.senses import stream_ids
+from fullswarm.drivers.create_oi.session import CALM_S, Session
+from fullswarm.drivers.create_oi.settings import Settings
+from tests.emulated.create_bench import GO, Bench
 
 
-def close_to(told: Pose, true: Pose, way_m: float) -> bool:
+def close_to(told: Pose, true: BodyState, way_m: float) -> bool:
     off_m = math.hypot(told.x_m - true.x_m, told.y_m - true.y_m)
     return off_m < 0.01 * way_m and abs(math.remainder(told.heading_rad - true.heading_rad, math.tau)) < 0.02
 
@@ -89,12 +31,12 @@ def test_every_generation_connects_and_becomes_active(generation: Generation) ->
     assert bench.at(Lifecycle.READY)
     assert bench.robot_in(Mode.PASSIVE)
     bench.run(0.1, GO)
-    assert bench.body.wheels == (0.0, 0.0)  # READY cannot move
+    assert bench.wheels == (0.0, 0.0)  # READY cannot move
     bench.activate()
     assert bench.robot_in(Mode.SAFE)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
     bench.run(0.1, GO)
-    assert bench.body.wheels[0] > 0.0
+    assert bench.wheels[0] > 0.0
     ear = protocol.CommandParser(generation)
     told = {command.op for byte in bench.sent if (command := ear.push(byte)) is not None}
     assert told == {Op.START, Op.STREAM, Op.SAFE, Op.DRIVE_DIRECT}
@@ -109,16 +51,16 @@ def test_odometry_follows_the_body_across_the_wrap(generation: Generation, twist
     assert bench.reading.twist.angular_rad_s == pytest.approx(twist.angular_rad_s, abs=0.7)
     bench.session.deactivate(bench.clock.now_s())
     bench.run(0.1)
-    assert close_to(bench.reading.odometry, bench.body.pose, 5.0 * abs(twist.linear_m_s))
+    assert close_to(bench.reading.odometry, bench.body.state(), 5.0 * abs(twist.linear_m_s))
 
 
 def test_a_command_expires_and_the_session_stays_active() -> None:
     bench = Bench().active()
     bench.run(0.2, GO)
     bench.run(0.25)
-    assert bench.body.wheels != (0.0, 0.0)
+    assert bench.wheels != (0.0, 0.0)
     bench.run(0.1)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
     assert bench.at(Lifecycle.ACTIVE)
 
 
@@ -127,19 +69,19 @@ def test_a_lost_command_is_repeated_until_confirmed() -> None:
     bench.session.command(GO, bench.clock.now_s())
     bench.wire.clear()
     bench.run(0.2, GO)
-    assert bench.body.wheels != (0.0, 0.0)
+    assert bench.wheels != (0.0, 0.0)
     bench.session.command(STAND, bench.clock.now_s())
     bench.wire.clear()
     bench.run(0.2)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
 
 
 def test_a_robot_left_driving_is_stopped_by_the_greeting() -> None:
     bench = Bench()
     bench.robot.receive(protocol.simple(Op.START) + protocol.simple(Op.FULL) + protocol.drive_direct(200, 200), 0.0)
-    assert bench.body.wheels == (0.2, 0.2)
+    assert bench.wheels == (0.2, 0.2)
     bench.run(0.02)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
     bench.run(0.2)
     assert bench.at(Lifecycle.READY)
 
@@ -156,7 +98,7 @@ def test_a_cliff_stops_the_robot_and_bars_it_while_it_lasts() -> None:
     bench.run(0.2, GO)
     bench.robot.cliffs[1] = True
     bench.run(0.02, GO)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
     assert bench.at(Lifecycle.READY)
     assert Hazard.CLIFF in bench.reading.hazards
     assert "cliff" in bench.session.blocked
@@ -169,7 +111,7 @@ def test_a_cliff_stops_the_robot_and_bars_it_while_it_lasts() -> None:
     assert bench.reading.hazards is Hazard.NONE
     bench.activate()
     assert bench.at(Lifecycle.ACTIVE)
-    assert bench.body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
 
 
 def test_a_blip_of_one_frame_is_still_told() -> None:
@@ -181,7 +123,8 @@ def test_a_blip_of_one_frame_is_still_told() -> None:
     assert Hazard.WHEEL_DROP in bench.reading.hazards
 
 
-def test_three_falls_in_ten_seconds_are_a_fault_that_a_reconnect_does_not_clear() -> None:
+def fallen() -> Bench:
+    """Return a bench whose robot has just fallen for the third time, and hangs no more."""
     bench = Bench().active()
     for fall in range(3):
         bench.robot.drops[1] = True
@@ -190,6 +133,47 @@ def test_three_falls_in_ten_seconds_are_a_fault_that_a_reconnect_does_not_clear(
         bench.run(0.4)
         assert bench.at(Lifecycle.FAULT if fall == 2 else Lifecycle.READY)
         bench.activate()
+    return bench
+
+
+def test_three_falls_are_forgiven_after_ten_calm_seconds() -> None:
+    bench = fallen()
+    assert "safe ground" in bench.session.fault
+    bench.run(CALM_S - 3.0, GO)
+    bench.activate()
+    assert bench.at(Lifecycle.FAULT)
+    bench.robot.cliffs[0] = True  # somebody takes it into his hands: the time begins anew
+    bench.run(1.0)
+    bench.robot.cliffs[0] = False
+    bench.run(CALM_S - 1.0, GO)
+    assert bench.at(Lifecycle.FAULT)
+    bench.run(1.5, GO)
+    assert bench.at(Lifecycle.READY)  # and no further: nobody has asked for motion
+    assert bench.session.fault == ""
+    assert bench.wheels == (0.0, 0.0)
+    bench.activate()
+    bench.run(0.1, GO)
+    assert bench.wheels[0] > 0.0
+    bench.robot.drops[1] = True
+    bench.run(0.1)
+    assert bench.at(Lifecycle.READY)  # it counts from one again
+
+
+def test_silence_is_no_calm() -> None:
+    bench = fallen()
+    bench.run(5.0)
+    bench.cut = True
+    bench.run(8.0)
+    bench.cut = False
+    bench.run(8.0)
+    assert bench.at(Lifecycle.FAULT)
+    assert "3 times" in bench.session.fault
+    bench.run(3.5)
+    assert bench.at(Lifecycle.READY)
+
+
+def test_three_falls_in_ten_seconds_are_a_fault_that_a_reconnect_does_not_clear() -> None:
+    bench = fallen()
     assert "3 times" in bench.session.fault
     assert bench.robot_in(Mode.PASSIVE)
     bench.session.lost("unplugged")
@@ -217,10 +201,10 @@ def test_silence_is_a_fault_that_mends_itself_but_never_to_active() -> None:
     bench.run(0.6, GO)
     assert bench.at(Lifecycle.FAULT)
     assert "silent" in bench.session.fault
-    assert bench.body.wheels == (0.0, 0.0)  # the way to the robot still works: it was told to stop
+    assert bench.wheels == (0.0, 0.0)  # the way to the robot still works: it was told to stop
     assert bench.session.command(GO, bench.clock.now_s()) == STAND
     before = bench.reading.odometry
-    bench.body.push(0.02, 0.02)
+    bench.body.push(0.02, 0.0)
     bench.cut = False
     bench.run(1.0, GO)
     assert bench.at(Lifecycle.READY)
@@ -233,7 +217,7 @@ def test_hazards_contacts_and_battery_are_told() -> None:
     bench = Bench().active()
     bench.body.press(True, False)
     bench.robot.overcurrents = 0b01000
-    bench.robot.charge_mah = 200
+    bench.robot.battery.charge_mah = 200.0
     bench.run(0.05)
     assert bench.reading.hazards == Hazard.BUMP | Hazard.OVERCURRENT | Hazard.BATTERY_LOW
     assert bench.reading.contacts == 1
@@ -242,9 +226,9 @@ def test_hazards_contacts_and_battery_are_told() -> None:
 
 
 def test_no_answer_and_noise_are_told_apart() -> None:
-    deaf = Session(CREATE2, 115200, "bench")
+    deaf = Session(Settings("bench"))
     deaf.linked(0.0)
-    noisy = Session(CREATE2, 115200, "bench")
+    noisy = Session(Settings("bench"))
     noisy.linked(0.0)
     for step in range(1200):
         deaf.tick(step * 0.005)
@@ -258,7 +242,7 @@ def test_no_answer_and_noise_are_told_apart() -> None:
 def test_firmware_defects() -> None:
     shifted = Bench(quirks=Quirks(mode_offset=1), mode_offset=1).active()
     shifted.run(0.1, GO)
-    assert shifted.body.wheels != (0.0, 0.0)
+    assert shifted.wheels != (0.0, 0.0)
     unknown = Bench(quirks=Quirks(mode_offset=1))
     unknown.run(6.0)
     assert unknown.at(Lifecycle.FAULT)
@@ -310,7 +294,7 @@ def test_the_firmware_answers_queries_and_counts_up_when_pushed() -> None:
     robot, body = bench.robot, bench.body
     assert robot.receive(protocol.query(100), 0.0) == b""  # off
     robot.receive(protocol.simple(Op.START), 0.0)
-    body.push(-0.0444565, -0.0889130)
+    body.push(-0.06690703, -0.0444565 / 0.235)  # 100.5 counts left, 200.5 right, both backwards
     answer = protocol.decode([100], robot.receive(protocol.query(100), 0.0))
     assert answer is not None
     assert (answer.encoder_left, answer.encoder_right) == (100, 200)
@@ -319,16 +303,19 @@ def test_the_firmware_answers_queries_and_counts_up_when_pushed() -> None:
     assert answer is not None
     assert answer.angle_deg == 0
     robot.receive(protocol.drive_direct(100, 100), 0.0)
-    assert body.wheels == (0.0, 0.0)  # Passive
+    assert bench.wheels == (0.0, 0.0)  # Passive
     robot.receive(protocol.simple(Op.SAFE) + protocol.drive(200, -1), 0.0)
-    assert body.wheels == (0.2, -0.2)
+    assert bench.wheels == (0.2, -0.2)
     robot.receive(protocol.drive(200, 235), 0.0)
-    assert body.wheels == (0.1, 0.3)
+    assert bench.wheels == (0.1, 0.3)
     robot.receive(protocol.drive_pwm(0, 255), 0.0)
-    assert body.wheels == (0.0, 0.5)
-    assert b"release-3" in robot.receive(protocol.simple(Op.RESET), 0.0)
+    assert bench.wheels == (0.0, 0.5)
+    robot.receive(protocol.simple(Op.RESET), 0.0)
     assert robot.mode is Mode.OFF
-    assert body.wheels == (0.0, 0.0)
+    assert bench.wheels == (0.0, 0.0)
+    assert robot.receive(protocol.simple(Op.START) + protocol.query(35), 0.5) == b""  # starting
+    assert b"release-3" in robot.step(BOOT_S)
+    assert robot.receive(protocol.simple(Op.START) + protocol.query(35), BOOT_S) == b"\x01"
 
 
 def test_a_cliff_behind_matters_only_in_place_and_full_mode_ignores_all() -> None:
@@ -355,5 +342,5 @@ def test_a_bad_wire_cannot_keep_the_robot_driving() -> None:
         bench.run(0.3, Twist(luck.uniform(-0.5, 0.5), luck.uniform(-2.0, 2.0)))
         bench.session.received(luck.randbytes(5), bench.clock.now_s())
         bench.run(1.5)
-        assert bench.body.wheels == (0.0, 0.0), round_
+        assert bench.wheels == (0.0, 0.0), round_
         assert bench.at(Lifecycle.ACTIVE)

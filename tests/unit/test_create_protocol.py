@@ -23,7 +23,7 @@ from fullswarm.drivers.create_oi.protocol import (
     Sensors,
     StreamParser,
 )
-from fullswarm.drivers.create_oi.session import stream_ids, wheel_speeds
+from fullswarm.drivers.create_oi.senses import stream_ids, wheel_speeds
 
 SHEET = bytes([19, 5, 29, 2, 25, 13, 0, 163])
 SHEET_OLD_SUM = SHEET[:-1] + bytes([182])
@@ -284,6 +284,16 @@ def test_wheels_keep_the_curvature_within_their_limits(linear: float, angular: f
     scale = min(1.0, 0.5 / max(abs(wish_left), abs(wish_right), 1e-9))
     assert abs(left - 1000.0 * scale * wish_left) <= 0.51
     assert abs(right - 1000.0 * scale * wish_right) <= 0.51
+
+
+@given(speeds, speeds, st.floats(1.0, 50.0))
+def test_wheels_in_steps_are_the_nearest_steps_within_their_limits(linear: float, angular: float, step: float) -> None:
+    told, free = wheel_speeds(Twist(linear, angular), 0.235, step), wheel_speeds(Twist(linear, angular), 0.235)
+    reach = min(1.0, 500.0 // step * step / (max(map(abs, free)) or 1))  # both shrink alike
+    for mm_s, wish in zip(told, free, strict=True):
+        assert abs(mm_s) <= 500
+        assert abs(mm_s - round(mm_s / step) * step) <= 0.5  # a step, in whole mm/s
+        assert abs(mm_s - wish * reach) <= step / 2.0 + 1.1  # two roundings to whole mm/s
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])

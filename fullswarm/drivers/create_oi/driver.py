@@ -1,81 +1,27 @@
-"""The HAL driver of the Create: a :class:`.session.Session` on a serial port, under one lock.
+"""The HAL driver of the Create: a :class:`.session.Session` on a serial port, under one lock. URL: :mod:`.settings`.
 
-URL: ``create:///dev/ttyUSB0?model=create2``; ``model`` is ``create1``, ``roomba500`` or ``create2`` (default),
-``baud`` overrides the model's rate, ``mode_offset=1`` is for firmware that reports its mode one too high.
+Beyond the contract a Create sings, lights its lamps, shows four characters, looks for its dock and tells of its
+battery. Those commands need Safe mode, so they raise ``DriverError`` unless the driver is ACTIVE.
 """
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
-from urllib.parse import parse_qsl, unquote, urlsplit
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import Description, Lifecycle, Limits, Reading, Twist
-from fullswarm.drivers.create_oi.protocol import BAUD_CODES, CREATE2, GENERATIONS, TOP_MM_S, Generation
+from fullswarm.drivers.base import Lifecycle, Reading, Twist
+from fullswarm.drivers.create_oi import protocol
+from fullswarm.drivers.create_oi.senses import Power
 from fullswarm.drivers.create_oi.session import PARK, Session
+from fullswarm.drivers.create_oi.settings import describe, parse_url
+from fullswarm.drivers.create_oi.waking import Brc
 from fullswarm.drivers.link import ByteLog, SerialLink
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import DriverError
 
-ACCEL_M_S2 = 1.0
-"""What the wheels do without slipping on a lab floor; the robot itself takes any step."""
-
-SLOWEST_BAUD = 19200
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What a URL says."""
-
-    path: str
-    generation: Generation = CREATE2
-    baud: int = CREATE2.baud
-    mode_offset: int = 0
-
-
-def parse_url(url: str) -> Settings:
-    """Read a driver URL.
-
-    Raises
-    ------
-    ConfigError
-        Another scheme, no path, an unknown option or a value that does not fit.
-    """
-    parts = urlsplit(url)
-    path = unquote(parts.path)
-    if parts.scheme != "create" or parts.netloc or not path.startswith("/") or path == "/":
-        raise ConfigError("this names no serial port", where=url, hint="write create:///dev/ttyUSB0?model=create2")
-    options = dict(parse_qsl(parts.query, keep_blank_values=True))
-    for name in options.keys() - {"model", "baud", "mode_offset"}:
-        hint = did_you_mean(name, ("model", "baud", "mode_offset"))
-        raise ConfigError(f"unknown option '{name}'", where=url, hint=hint)
-    model = options.get("model", CREATE2.name)
-    if model not in GENERATIONS:
-        raise ConfigError(f"unknown model '{model}'", where=url, hint=did_you_mean(model, GENERATIONS))
-    generation = GENERATIONS[model]
-    rates = tuple(rate for rate in BAUD_CODES.values() if rate >= SLOWEST_BAUD)
-    baud = _choice(url, "baud", options.get("baud", str(generation.baud)), rates)
-    return Settings(path, generation, baud, _choice(url, "mode_offset", options.get("mode_offset", "0"), (0, 1)))
-
-
-def _choice(url: str, name: str, text: str, choices: tuple[int, ...]) -> int:
-    for each in choices:
-        if text == str(each):
-            return each
-    raise ConfigError(f"{name} '{text}' will not do", where=url, hint=f"one of {', '.join(map(str, choices))}")
-
-
-def describe(generation: Generation) -> Description:
-    """Return what is known of a generation before connecting."""
-    top_m_s, base_m = TOP_MM_S / 1000.0, generation.wheel_base_m
-    return Description(
-        make="iRobot",
-        model=generation.label,
-        radius_m=generation.radius_m,
-        limits=Limits(top_m_s, 2.0 * top_m_s / base_m, ACCEL_M_S2, 2.0 * ACCEL_M_S2 / base_m),
-        senses_bumps=True,
-        watchdog_s=None,
-    )
+SONG = 0
+"""The song that :meth:`CreateDriver.sing` overwrites."""
 
 
 class CreateDriver:
@@ -84,20 +30,25 @@ class CreateDriver:
     Parameters
     ----------
     url
-        See the module. Raises ``ConfigError`` if it does not fit; touches nothing.
+        See :mod:`.settings`. Raises ``ConfigError`` if it does not fit; touches nothing.
     log
         Sees every byte, on the link thread.
+    brc
+        Pulls the robot's BRC pin low (True) or lets it go (False): wakes it and keeps it awake. On the link thread;
+        must return at once.
     """
 
-    def __init__(self, url: str, *, log: ByteLog | None = None, clock: Clock | None = None) -> None:
+    def __init__(
+        self, url: str, *, log: ByteLog | None = None, brc: Brc | None = None, clock: Clock | None = None
+    ) -> None:
         self.url = url
         self._settings = parse_url(url)
         self.description = describe(self._settings.generation)
         self._clock = clock or MonotonicClock()
-        self._log = log
+        self._log, self._brc = log, brc
         self._lock = threading.Lock()
         self._link: SerialLink | None = None
-        self._session = self._new_session()
+        self._session = Session(self._settings, brc=brc)
 
     @property
     def state(self) -> Lifecycle:
@@ -118,14 +69,26 @@ class CreateDriver:
 
     @property
     def firmware(self) -> str:
-        """Always empty: the Open Interface tells its version only on a reset."""
-        return ""
+        """Interface and generation, and the version if the robot was heard starting; empty until it answers."""
+        with self._lock:
+            return self._session.firmware
+
+    @property
+    def power(self) -> Power | None:
+        """The battery and what charges it; None before the first reading."""
+        with self._lock:
+            return self._session.power
+
+    @property
+    def docking(self) -> bool:
+        """The robot looks for its dock by itself."""
+        return self._session.docking
 
     def open(self) -> None:
         """Claim the port and call the robot. Raises ``DriverError`` with what to do; opening twice is fine."""
         if self._link is not None:
             return
-        settings, session = self._settings, self._new_session()
+        settings, session = self._settings, Session(self._settings, brc=self._brc)
         served = _Served(session, self._lock, self._clock)
         link = SerialLink(settings.path, settings.baud, served, last_words=PARK, log=self._log, clock=self._clock)
         session.send = link.send
@@ -169,9 +132,56 @@ class CreateDriver:
         with self._lock:
             self._session.closed()
 
-    def _new_session(self) -> Session:
-        settings = self._settings
-        return Session(settings.generation, settings.baud, settings.path, mode_offset=settings.mode_offset)
+    # ------------------------------------------------------------ what only a Create can
+    def dock(self) -> None:
+        """Let the robot look for its dock; it drives by itself then, and stays ACTIVE until it is there (READY).
+
+        `command()` applies zero meanwhile, but has to be called: without it for 0.3 s, or by `deactivate()`, the
+        robot stops.
+
+        Raises
+        ------
+        DriverError
+            Not ACTIVE.
+        """
+        with self._lock:
+            self._session.dock(self._clock.now_s())
+
+    def sing(self, notes: Sequence[tuple[int, float]]) -> float:
+        """Play up to 16 notes (MIDI 31 to 127, or 0 for a rest; seconds up to 3.98); return how long it takes in s.
+
+        Raises
+        ------
+        DriverError
+            Not ACTIVE.
+        ValueError
+            Other notes.
+        """
+        lengths = [(pitch, round(64.0 * duration_s)) for pitch, duration_s in notes]
+        self._tell(protocol.song(SONG, lengths) + protocol.play(SONG), "sing")
+        return sum(length for _, length in lengths) / 64.0
+
+    def set_lamps(self, bits: int, colour: int = 0, intensity: int = 255) -> None:
+        """Light lamps and the power lamp; see :func:`.protocol.leds` for the numbers and what raises."""
+        self._tell(protocol.leds(bits, colour, intensity), "light its lamps")
+
+    def show(self, text: str) -> None:
+        """Show up to four characters.
+
+        Raises
+        ------
+        DriverError
+            Not ACTIVE, or a Create 1, which has no digits.
+        ValueError
+            Longer, or not printable ASCII.
+        """
+        if self._settings.generation is protocol.CREATE1:
+            raise DriverError("a Create 1 has no digits to show", where=self._settings.path, hint="use set_lamps()")
+        self._tell(protocol.digit_leds(text.upper().ljust(4)), "show a text")
+
+    def _tell(self, data: bytes, what: str) -> None:
+        with self._lock:
+            self._session.tell(data, what)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,17 +1,21 @@
 """The robot's end of the Open Interface: bytes and time in, bytes out, over any body. No port, no thread.
 
 What it does with the wheels, the modes and the counters follows the specifications and the defects known of real
-robots; what is not modelled (scripts and waits of the Create 1, LEDs, brushes) is parsed and has no effect.
+robots. Cleaning and docking only drive straight on; the schedule and the clock are heard and forgotten.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
-from fullswarm.drivers.create_oi.packets import LONGEST_STREAM, encode, frame
+from fullswarm.drivers.body import Body, drive_wheels, wheels_rolled
+from fullswarm.drivers.create_oi.counters import Battery, Counters
+from fullswarm.drivers.create_oi.packets import LONGEST_STREAM, MEMBERS, encode, frame, frame_size
+from fullswarm.drivers.create_oi.panel import Panel
 from fullswarm.drivers.create_oi.protocol import (
+    BAUD_CODES,
+    CREATE1,
     PERIOD_S,
     TOP_MM_S,
     Command,
@@ -20,29 +24,28 @@ from fullswarm.drivers.create_oi.protocol import (
     Mode,
     Op,
 )
+from fullswarm.drivers.create_oi.waits import WAITS, Wait
 
-BANNER = b"bl-start\r\nr3-robot/tags/release-3.5.x:6058 CLEAN\r\n"
-"""What a Create 2 prints after a reset (shortened)."""
+BANNER = (
+    b"\r\n2015-08-24-1648-L   \r\nr3-robot/tags/release-3.5.x-tags/release-3.5.4:6058 CLEAN\r\n\r\n"
+    b"bootloader id: 470E 6360 83EB FFFF \r\nassembly: 3.5-lite-batt\r\nrevision: 2\r\nflash version: 10\r\n"
+)
+"""What a Create 2 prints when it has started."""
 
+BOOT_S = 1.0
+SLEEP_S = 300.0
+"""So long it stays awake in Passive mode with nobody there."""
+BUFFER = 256
+"""Bytes that it keeps while it waits; what comes on top is lost."""
 STRAIGHT = (-32768, 32767)
 OWN_SPEED_MM_S = 200
 """How fast it goes when it cleans or looks for its dock by itself."""
 
-
-class Body(Protocol):
-    """What carries the wheels and the bumper: a kinematic toy or a body of the simulated world."""
-
-    def set_wheels(self, left_m_s: float, right_m_s: float) -> None:
-        """Turn the wheels from now on."""
-        ...
-
-    def travelled(self) -> tuple[float, float]:
-        """Return how far the left and right wheel have rolled since the start, metres, backwards negative."""
-        ...
-
-    def bumped(self) -> tuple[bool, bool]:
-        """Tell whether the left and the right half of the bumper are pressed."""
-        ...
+_BY_ITSELF = (Op.SPOT, Op.CLEAN, Op.MAX, Op.DOCK)
+_NEED_CONTROL = (
+    Op.PLAY, Op.LEDS, Op.SCHEDULING_LEDS, Op.DIGIT_LEDS, Op.DIGIT_LEDS_RAW, Op.MOTORS, Op.MOTORS_PWM,
+    Op.DIGITAL_OUTPUTS, Op.SEND_IR,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,47 +56,9 @@ class Quirks:
     deaf_to_safe: bool = False  # after a long time on the charger 131 and 132 do nothing
     speed_quantum_mm_s: float = 0.0  # a Create 2 rounds wheel speeds to steps of about 28.5
     angle_scale: float = 1.0  # firmware up to 3.4.0 reports 0.324056 of the angle
+    distance_scale: float = 1.0  # firmware before 3.3.0 reports a wrong distance
     header_in_sum: bool = True  # False: the checksum as the older documents print it
     angle_forgets: bool = False  # the part of a degree that was not reported is lost
-
-
-class Counters:
-    """Encoders, distance and angle. The encoders have one channel: they cannot tell which way a wheel rolls."""
-
-    def __init__(self, generation: Generation, quirks: Quirks, encoders: tuple[int, int]) -> None:
-        self._generation, self._quirks = generation, quirks
-        self._left, self._right = (float(each) for each in encoders)
-        self._distance_mm = self._angle_deg = 0.0
-
-    def roll(self, left_m: float, right_m: float, wheels: tuple[int, int]) -> None:
-        """Count what the wheels rolled while they were told `wheels`: the command decides the sign, 0 is up."""
-        left = math.copysign(left_m, -1.0 if wheels[0] < 0 else 1.0)
-        right = math.copysign(right_m, -1.0 if wheels[1] < 0 else 1.0)
-        self._distance_mm += 500.0 * (left + right)
-        self._angle_deg += math.degrees((right - left) / self._generation.wheel_base_m)
-        if self._generation.m_per_count is not None:
-            self._left += left / self._generation.m_per_count
-            self._right += right / self._generation.m_per_count
-
-    def values(self) -> dict[str, int]:
-        """Return the packets' values; does not clear distance and angle."""
-        return {
-            "encoder_left": math.floor(self._left) & 0xFFFF,
-            "encoder_right": math.floor(self._right) & 0xFFFF,
-            "distance_mm": _saturate(self._distance_mm),
-            "angle_deg": _saturate(self._angle_deg * self._quirks.angle_scale),
-        }
-
-    def asked(self) -> None:
-        """Start distance and angle anew; the fraction that was not told is kept, unless the quirk says no."""
-        self._distance_mm = math.fmod(self._distance_mm, 1.0)
-        scaled = self._angle_deg * self._quirks.angle_scale
-        rest = math.fmod(scaled, 1.0) / self._quirks.angle_scale
-        self._angle_deg = 0.0 if self._quirks.angle_forgets else rest
-
-
-def _saturate(value: float) -> int:
-    return max(-32768, min(32767, math.trunc(value)))
 
 
 class Firmware:
@@ -114,103 +79,189 @@ class Firmware:
         encoders: tuple[int, int] = (0, 0),
     ) -> None:
         self.generation = generation
-        self.mode = Mode.OFF
         self.cliffs = [False, False, False, False]  # left, front left, front right, right
         self.drops = [False, False]  # left, right
         self.overcurrents = 0
-        self.charger = False
-        self.charge_mah, self.capacity_mah = 2200, 2696
-        self.songs: dict[int, bytes] = {}
-        self._body, self._quirks = body, quirks or Quirks()
-        self._counters = Counters(generation, self._quirks, encoders)
+        self.charger = self.dock = False
+        self.battery, self.panel = Battery(), Panel()
+        self._body, self._quirks, self._encoders = body, quirks or Quirks(), encoders
         self._parser = CommandParser(generation)
-        self._rolled = body.travelled()
+        self._rolled = wheels_rolled(body.state(), generation.wheel_base_m)
+        self._frozen: dict[str, int] | None = None
+        self._boot_s = -math.inf  # when it will have started
+        self._power_on()
+
+    def _power_on(self) -> None:
+        generation, quirks = self.generation, self._quirks
+        self.mode, self.asleep, self.baud = Mode.OFF, False, generation.baud
+        self._counters = Counters(
+            generation, self._encoders, angle_scale=quirks.angle_scale, distance_scale=quirks.distance_scale,
+            angle_forgets=quirks.angle_forgets,
+        )  # fmt: skip
+        self._parser.reset()
+        self._inbox = bytearray()
+        self._script = b""
+        self._wait: Wait | None = None
         self._wheels = (0, 0)  # as told, mm/s
         self._velocity, self._radius = 0, 0
         self._stream: tuple[int, ...] = ()
         self._streaming = False
-        self._due_s = 0.0
+        self._due_s = self._awake_s = -math.inf
 
     @property
     def wheels_mm_s(self) -> tuple[int, int]:
         """Left and right wheel as last told."""
         return self._wheels
 
+    @property
+    def due_s(self) -> float:
+        """When it will next say something by itself."""
+        booting = self._boot_s if self._boot_s != -math.inf else math.inf
+        talks = self._streaming and self._wait is None and self.mode is not Mode.OFF
+        return min(booting, self._due_s if talks else math.inf)
+
+    def reboot(self, now_s: float) -> None:
+        """Start anew: everything forgotten, the counts too; hears and says nothing until it has started."""
+        self._turn((0, 0), now_s)
+        self._power_on()
+        self.panel = Panel()
+        self._boot_s = now_s + BOOT_S
+
+    def brc(self, now_s: float) -> None:
+        """Take a falling edge at the BRC pin: stays awake, or wakes up."""
+        self._awake_s = now_s
+        if self.asleep:
+            self.reboot(now_s)
+
+    def stick(self, stuck: bool, now_s: float) -> None:
+        """Tell the present sensor values for ever, or true ones again."""
+        self._frozen = self._values(now_s) if stuck else None
+
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the wire; return the answers to queries."""
-        answer = b""
-        for byte in data:
-            if self.mode is Mode.OFF:  # deaf, but for one byte
-                if byte == Op.START:
-                    self._enter(Mode.PASSIVE)
-                continue
-            command = self._parser.push(byte)
-            if command is not None:
-                answer += self._obey(command, now_s)
-        return answer
+        if self.asleep or now_s < self._boot_s:
+            return b""
+        if self._wait is None or len(self._inbox) + len(data) <= BUFFER:  # it reads nothing while it waits
+            self._inbox += data
+        return self._work(now_s)
 
     def step(self, now_s: float, budget: int = LONGEST_STREAM + 3) -> bytes:
         """Look at the world, react, and return the stream frame that is due; longer than `budget` is cut off."""
-        self._measure()
-        self._guard()
-        if not self._streaming or self.mode is Mode.OFF or now_s < self._due_s:
-            return b""
+        said = b""
+        if self._boot_s != -math.inf and now_s >= self._boot_s:
+            self._boot_s = -math.inf
+            said = BANNER if self.generation is not CREATE1 else b""
+        self._measure(now_s)
+        self._guard(now_s)
+        charges = (self.charger or self.dock) and self.mode in (Mode.OFF, Mode.PASSIVE)
+        self.battery.step(now_s, charges, self._wheels != (0, 0))
+        if self._wait is not None and self._wait.over(now_s, *self._gone(), self._values(now_s)):
+            self._wait = None
+        said += self._work(now_s)
+        if not self._streaming or self.mode is Mode.OFF or self._wait is not None or now_s < self._due_s:
+            return said
         self._due_s += PERIOD_S
         if self._due_s <= now_s:
             self._due_s = now_s + PERIOD_S
-        told = frame(self._stream, self._values(), header_in_sum=self._quirks.header_in_sum)
-        self._counters.asked()
-        return told[:budget]
+        told = frame(self._stream, self._values(now_s), header_in_sum=self._quirks.header_in_sum)
+        self._asked(self._stream)
+        return said + told[:budget]
 
     # ------------------------------------------------------------ commands
+    def _work(self, now_s: float) -> bytes:
+        """Read what has arrived, byte by byte, until the end or a wait."""
+        answer, taken = b"", 0
+        while taken < len(self._inbox) and self._wait is None:
+            byte = self._inbox[taken]
+            taken += 1
+            if self.mode is Mode.OFF:  # deaf, but for one byte
+                if byte == Op.START:
+                    self._enter(Mode.PASSIVE, now_s)
+                continue
+            command = self._parser.push(byte)
+            if command is None:
+                continue
+            if command.op is Op.PLAY_SCRIPT:
+                # The rest waits for the next step: a script that plays itself goes on for ever, but not in here.
+                self._inbox[:taken] = self._script
+                return answer
+            answer += self._obey(command, now_s)
+            if self.asleep or now_s < self._boot_s:
+                self._inbox.clear()
+                return answer
+        del self._inbox[:taken]
+        return answer
+
     def _obey(self, command: Command, now_s: float) -> bytes:
         op, data = command.op, command.data
+        in_control = self.mode in (Mode.SAFE, Mode.FULL)
         if op in (Op.QUERY, Op.QUERY_LIST):
-            return self._answer(data if op is Op.QUERY else data[1:])
+            return self._answer(data if op is Op.QUERY else data[1:], now_s)
+        if op is Op.SHOW_SCRIPT:
+            return bytes([len(self._script)]) + self._script
         if op is Op.STREAM:
-            self._stream = tuple(each for each in data[1:] if self.generation.has_packet(each))
-            self._streaming, self._due_s = bool(self._stream), now_s
+            self._start_stream(data[1:], now_s)
         elif op is Op.PAUSE_STREAM:
             self._streaming = bool(data[0]) and bool(self._stream)
-        elif op is Op.SONG:
-            self.songs[data[0]] = data[2:]
+        elif op is Op.BAUD:
+            self.baud = BAUD_CODES.get(data[0], self.baud)
+        elif op is Op.SCRIPT:
+            self._script = data[1:]
+        elif op in WAITS:
+            self._wait = Wait(command, now_s, *self._gone())
         elif op in (Op.DRIVE, Op.DRIVE_DIRECT, Op.DRIVE_PWM):
-            if self.mode in (Mode.SAFE, Mode.FULL):
-                self._drive(op, data)
+            if in_control:
+                self._drive(op, data, now_s)
+        elif op in _NEED_CONTROL or op in (Op.SONG, Op.BUTTONS):
+            if in_control or op not in _NEED_CONTROL:
+                self.panel.obey(command, now_s)
         else:
-            return self._change_mode(op)
+            self._change_mode(op, now_s)
         return b""
 
-    def _change_mode(self, op: Op) -> bytes:
+    def _start_stream(self, ids: bytes, now_s: float) -> None:
+        """Stream the packets that it knows, as many as the length byte of a frame can count."""
+        stream: list[int] = []
+        for each in ids:
+            if self.generation.has_packet(each) and frame_size([*stream, each]) <= LONGEST_STREAM + 3:
+                stream.append(each)
+        self._stream, self._streaming, self._due_s = tuple(stream), bool(stream), now_s
+
+    def _change_mode(self, op: Op, now_s: float) -> None:
         if op in (Op.SAFE, Op.CONTROL, Op.FULL):
             if not self._quirks.deaf_to_safe:
-                self._enter(Mode.FULL if op is Op.FULL else Mode.SAFE)
-        elif op in (Op.START, Op.POWER, Op.SPOT, Op.CLEAN, Op.MAX, Op.DOCK):
-            self._enter(Mode.PASSIVE)
-            if op in (Op.SPOT, Op.CLEAN, Op.MAX, Op.DOCK):
-                self._turn((OWN_SPEED_MM_S, OWN_SPEED_MM_S))
-        elif op in (Op.STOP, Op.RESET):
-            self._enter(Mode.OFF)
+                self._enter(Mode.FULL if op is Op.FULL else Mode.SAFE, now_s)
+        elif op in (Op.START, Op.POWER, *_BY_ITSELF):
+            self._enter(Mode.PASSIVE, now_s)
+            self.asleep = op is Op.POWER
+            if op in _BY_ITSELF:
+                self._turn((OWN_SPEED_MM_S, OWN_SPEED_MM_S), now_s)
+        elif op is Op.STOP:
+            self._enter(Mode.OFF, now_s)
             self._streaming, self._stream = False, ()
-            return BANNER if op is Op.RESET else b""
-        return b""
+        elif op is Op.RESET:
+            self.reboot(now_s)
 
-    def _enter(self, mode: Mode) -> None:
+    def _enter(self, mode: Mode, now_s: float) -> None:
+        if mode is not self.mode:
+            self._awake_s = now_s
         if mode is not self.mode or mode is Mode.PASSIVE:
-            self._turn((0, 0))
+            self._turn((0, 0), now_s)
+        if mode not in (Mode.SAFE, Mode.FULL):
+            self.panel.stop()
         self.mode = mode
         if mode is Mode.OFF:
             self._parser.reset()
 
-    def _drive(self, op: Op, data: bytes) -> None:
+    def _drive(self, op: Op, data: bytes, now_s: float) -> None:
         first = int.from_bytes(data[:2], "big", signed=True)
         second = int.from_bytes(data[2:], "big", signed=True)
         if op is Op.DRIVE:
             self._velocity, self._radius = first, second
-            self._turn(self._arc(max(-TOP_MM_S, min(TOP_MM_S, first)), second))
+            self._turn(self._arc(max(-TOP_MM_S, min(TOP_MM_S, first)), second), now_s)
         else:
             scale = 1.0 if op is Op.DRIVE_DIRECT else TOP_MM_S / 255.0
-            self._turn((_clip(second * scale), _clip(first * scale)))
+            self._turn((_clip(second * scale), _clip(first * scale)), now_s)
 
     def _arc(self, speed: int, radius: int) -> tuple[int, int]:
         if radius in STRAIGHT or radius == 0:
@@ -220,28 +271,42 @@ class Firmware:
         half = self.generation.wheel_base_m * 500.0
         return _clip(speed * (radius - half) / radius), _clip(speed * (radius + half) / radius)
 
-    def _turn(self, wheels: tuple[int, int]) -> None:
-        self._measure()  # what was rolled until now counts for the old direction
+    def _turn(self, wheels: tuple[int, int], now_s: float) -> None:
+        self._measure(now_s)  # what was rolled until now counts for the old direction
         self._wheels = wheels
+        self._counters.told(*wheels, now_s)
         step = self._quirks.speed_quantum_mm_s
         left, right = (round(each / step) * step if step else float(each) for each in wheels)
-        self._body.set_wheels(left / 1000.0, right / 1000.0)
+        drive_wheels(self._body, left / 1000.0, right / 1000.0, self.generation.wheel_base_m)
 
     # ------------------------------------------------------------ sensors
-    def _measure(self) -> None:
-        rolled = self._body.travelled()
-        self._counters.roll(rolled[0] - self._rolled[0], rolled[1] - self._rolled[1], self._wheels)
+    def _measure(self, now_s: float) -> None:
+        rolled = wheels_rolled(self._body.state(), self.generation.wheel_base_m)
+        self._counters.roll(rolled[0] - self._rolled[0], rolled[1] - self._rolled[1], now_s)
         self._rolled = rolled
 
-    def _guard(self) -> None:
-        """Leave Safe mode where the robot does so by itself; a bump is no reason."""
+    def _gone(self) -> tuple[float, float]:
+        """Return how far the robot has rolled in mm and turned in degrees since ever."""
+        left, right = self._rolled
+        return 500.0 * (left + right), math.degrees((right - left) / self.generation.wheel_base_m)
+
+    def _guard(self, now_s: float) -> None:
+        """Leave Safe mode where the robot does so by itself, and fall asleep; a bump is no reason."""
+        if self.mode is Mode.PASSIVE:
+            if self._wheels != (0, 0) or self.charger or self.dock:
+                self._awake_s = now_s
+            if self._wheels != (0, 0) and (self.dock or any(self.drops)):
+                self._turn((0, 0), now_s)
+            self.asleep |= now_s - self._awake_s > SLEEP_S
+            self._streaming &= not self.asleep
+            return
         if self.mode is not Mode.SAFE:
             return
         left, right = self._wheels
         backwards_in_place = left + right < 0 and self._turn_radius_m() < self.generation.radius_m
         cliff = any(self.cliffs) and (left + right > 0 or backwards_in_place)
         if cliff or any(self.drops) or self.charger:
-            self._enter(Mode.PASSIVE)
+            self._enter(Mode.PASSIVE, now_s)
 
     def _turn_radius_m(self) -> float:
         left, right = self._wheels
@@ -249,15 +314,21 @@ class Firmware:
             return math.inf
         return abs(self.generation.wheel_base_m / 2.0 * (left + right) / (right - left))
 
-    def _answer(self, ids: bytes) -> bytes:
-        self._measure()
+    def _answer(self, ids: bytes, now_s: float) -> bytes:
+        self._measure(now_s)
         known = [each for each in ids if self.generation.has_packet(each)]
-        answer = encode(known, self._values())
-        self._counters.asked()
+        answer = encode(known, self._values(now_s))
+        self._asked(known)
         return answer
 
-    def _values(self) -> dict[str, int]:
-        bump_left, bump_right = self._body.bumped()
+    def _asked(self, ids: tuple[int, ...] | list[int]) -> None:
+        told = {packet.id for each in ids for packet in MEMBERS[each]}
+        self._counters.asked(19 in told, 20 in told)
+
+    def _values(self, now_s: float) -> dict[str, int]:
+        if self._frozen is not None:
+            return self._frozen
+        bump_left, bump_right = self._body.state().bumps
         drop_left, drop_right = self.drops
         left, front_left, front_right, right = (int(each) for each in self.cliffs)
         return {
@@ -268,13 +339,7 @@ class Firmware:
             "cliff_right": right,
             "overcurrents": self.overcurrents,
             "ir_omni": 0 if self.generation.m_per_count is not None else 255,
-            "charging_state": 2 if self.charger else 0,
-            "chargers": int(self.charger),
-            "voltage_mv": 15000,
-            "current_ma": 500 if self.charger else -300,
-            "temperature_c": 25,
-            "charge_mah": self.charge_mah,
-            "capacity_mah": self.capacity_mah,
+            "chargers": self.charger | self.dock << 1,
             "mode": self.mode + self._quirks.mode_offset,
             "stream_count": len(self._stream),
             "velocity_mm_s": self._velocity,
@@ -282,6 +347,8 @@ class Firmware:
             "right_mm_s": self._wheels[1],
             "left_mm_s": self._wheels[0],
             "stasis": int(self._wheels != (0, 0)),
+            **self.battery.values(),
+            **self.panel.values(now_s),
             **self._counters.values(),
         }
 

@@ -54,14 +54,14 @@ class Odometry:
         self._granted_m = FIRST_M
         self._track.clear()
 
-    def update(self, sensors: Sensors, now_s: float) -> None:
-        """Take one frame in. An impossible jump re-bases instead of moving the pose."""
+    def update(self, sensors: Sensors, now_s: float) -> bool:
+        """Take one frame in; tell whether a wheel moved. An impossible jump re-bases instead of moving the pose."""
         first = self._stamp_s is None
         elapsed_s = 0.0 if self._stamp_s is None else now_s - self._stamp_s
         self._stamp_s = now_s
         wheels = self._wheels(sensors)
         if wheels is None or first:
-            return
+            return False
         self._granted_m = min(self._granted_m, SAVED_M) + TOP_M_S * elapsed_s
         farthest = max(abs(wheels[0]), abs(wheels[1]))
         if farthest > self._granted_m:
@@ -69,9 +69,10 @@ class Odometry:
             self.rebase()
             self._stamp_s = now_s
             self._counts = _counts(sensors)
-            return
+            return False
         self._granted_m -= farthest
         self._move(*wheels, now_s)
+        return farthest > 0.0
 
     def _wheels(self, sensors: Sensors) -> tuple[float, float] | None:
         """Return the travel of both wheels since the last frame in metres; None when unknown."""

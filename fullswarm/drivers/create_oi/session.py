@@ -5,10 +5,16 @@
     linked() -> OPEN: 145 0 0, 128, 148 -> first good frame that says Passive -> READY (wheels cannot move)
     READY -> activate(): 131 -> packet 35 says Safe -> 145 0 0 -> ACTIVE
     ACTIVE -> the robot falls to Passive by itself (cliff, wheel drop, charger) -> READY, third time in 10 s -> FAULT
+    ACTIVE -> dock(): 143, the robot drives by itself -> on its dock -> READY; deactivate() or silence stops it
+    ACTIVE -> a set-point neither confirmed nor followed for 1 s (its sensors are stuck) -> FAULT, hello again
     READY, ACTIVE -> no good frame for 0.5 s -> FAULT, hello again each 0.5 s -> READY
+    FAULT of three falls -> 10 s in a row without cliff, wheel drop, charger or silence -> READY
 
 Safe mode, never Full: the robot's own reflexes stay on. It has no command timeout, so :meth:`Session.tick` sends
 zero when no command came for 0.3 s, and repeats a set-point until packets 41 and 42 confirm it.
+
+Ten calm seconds are what a person needs to put the robot down; READY moves nothing, and whoever drove it has lost
+his task with the FAULT, so that motion takes a new request.
 """
 
 from __future__ import annotations
@@ -16,20 +22,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
+from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.create_oi.odometry import Odometry
-from fullswarm.drivers.create_oi.protocol import (
-    TOP_MM_S,
-    Generation,
-    Mode,
-    Op,
-    Sensors,
-    StreamParser,
-    drive_direct,
-    frame_size,
-    simple,
-    stream,
-)
+from fullswarm.drivers.create_oi.protocol import Mode, Op, Sensors, StreamParser, drive_direct, simple, stream
+from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, power, stream_ids, wheel_speeds
+from fullswarm.drivers.create_oi.settings import Settings
+from fullswarm.drivers.create_oi.waking import Brc, Waking
+from fullswarm.errors import DriverError
 
 COMMAND_TTL_S = 0.3
 SILENT_S = 0.5
@@ -38,41 +37,13 @@ CONFIRM_S = 0.5
 """For the mode asked for to show up in packet 35."""
 REPEAT_S = 0.06
 """Between two repeats of a set-point or a mode that the robot does not confirm."""
-HOLD_S = 0.2
-"""A hazard is reported at least this long: a reader at 10 Hz must not miss a blip of one frame."""
+STUCK_S = 1.0
+"""A set-point neither confirmed nor followed for so long: what the robot tells is not true."""
 FALLS, FALL_WINDOW_S = 3, 10.0
-LOW_BATTERY = 0.1
+CALM_S = 10.0
 
 PARK = drive_direct(0, 0) + simple(Op.START)
 """Stops the wheels and takes the drive away. Begins with zero: mode changes alone do not stop every firmware."""
-
-_WANTED_IDS = (35, 7, 9, 10, 11, 12, 14, 34, 41, 42, 25, 26)
-
-
-def stream_ids(generation: Generation, baud: int) -> tuple[int, ...]:
-    """Choose what to stream: odometry and safety always, the rest while it fits into 15 ms at this rate."""
-    ids = [43, 44] if generation.m_per_count is not None else [19, 20]
-    for number in _WANTED_IDS:
-        if frame_size([*ids, number]) <= generation.budget(baud):
-            ids.append(number)
-    return tuple(ids)
-
-
-def wheel_speeds(twist: Twist, wheel_base_m: float) -> tuple[int, int]:
-    """Return left and right wheel in whole mm/s, both scaled alike to ±500 so that the curvature stays.
-
-    Raises
-    ------
-    ValueError
-        The twist is not finite.
-    """
-    if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
-        raise ValueError(f"not a velocity: {twist.linear_m_s} m/s, {twist.angular_rad_s} rad/s")
-    # Half speeds: the sum of two huge but finite numbers must not overflow.
-    forward, turn = twist.linear_m_s / 2.0, twist.angular_rad_s * wheel_base_m / 4.0
-    left, right = forward - turn, forward + turn
-    per_half_m_s = min(2000.0, TOP_MM_S / max(abs(left), abs(right), 1e-3))
-    return round(left * per_half_m_s), round(right * per_half_m_s)
 
 
 def _nowhere(_data: bytes) -> None:
@@ -80,30 +51,52 @@ def _nowhere(_data: bytes) -> None:
 
 
 class Session:
-    """One robot, from its port's opening to its closing. Not thread-safe."""
+    """One robot, from its port's opening to its closing. Not thread-safe.
 
-    def __init__(self, generation: Generation, baud: int, where: str, *, mode_offset: int = 0) -> None:
+    Parameters
+    ----------
+    brc
+        The line that wakes the robot, if there is one; called from `tick`, `lost` and `closed`.
+    """
+
+    def __init__(self, settings: Settings, *, brc: Brc | None = None) -> None:
         self.send: Callable[[bytes], None] = _nowhere  # to the robot; must not block
         self.state = Lifecycle.CLOSED
         self.fault = ""
         self.blocked = ""  # why the robot left ACTIVE or does not become it
         self.reading: Reading | None = None
-        self._generation, self._where, self._mode_offset = generation, where, mode_offset
-        self._ids = stream_ids(generation, baud)
+        self.docking = False
+        generation = settings.generation
+        self._settings, self._base_m = settings, generation.wheel_base_m
+        self._ids = stream_ids(generation, settings.baud)
         self._parser = StreamParser(self._ids, both_checksums=generation.both_checksums)
-        self._odometry = Odometry(generation)
-        self._latched = ""  # a fault that only close() and open() clear
+        self._odometry, self._senses = Odometry(generation), Senses()
+        self._waking, self._banner = Waking(brc), Banner()
+        self._newest: Sensors | None = None
+        self._latched = ""  # the fault of too many falls
+        self._calm_s = -math.inf  # since when nothing would make the robot fall again
         self._hello_s: float | None = None  # when to say hello next; None: connected
         self._hellos = 0
         self._list_s: float | None = None
         self._heard = self._mode = -1  # bytes since the first hello; newest mode
-        self._frame_s = self._command_s = self._sent_s = -math.inf
+        self._frame_s = self._command_s = self._sent_s = self._followed_s = -math.inf
         self._activate_by_s: float | None = None  # activation asked for, not confirmed
         self._safe_sent = False
         self._wheels = (0, 0)
         self._falls: list[float] = []
-        self._seen: dict[Hazard, float] = {}
-        self._on_charger = False
+
+    @property
+    def power(self) -> Power | None:
+        """The battery as last told."""
+        return None if self._newest is None else power(self._newest)
+
+    @property
+    def firmware(self) -> str:
+        """What the robot is and, if it has been heard starting, the version it runs; empty before it answers."""
+        if self._newest is None:
+            return ""
+        version = f", firmware {self._banner.version}" if self._banner.version else ""
+        return f"Open Interface, {self._settings.generation.label}{version}"
 
     # ------------------------------------------------------------ link events
     def linked(self, now_s: float) -> None:
@@ -116,15 +109,19 @@ class Session:
         self.state, self.fault = Lifecycle.FAULT, self._about(reason)
         self._hello_s = None
         self._forget()
+        self._waking.release()
 
     def closed(self) -> None:
         """Mark the port as closed on purpose."""
         self.state, self.fault, self.blocked = Lifecycle.CLOSED, "", ""
         self._forget()
+        self._waking.release()
 
     def received(self, data: bytes, now_s: float) -> None:
         """Take bytes from the robot."""
         self._heard += len(data)
+        if self._hello_s is not None:
+            self._banner.hear(data)
         for frame in self._parser.feed(data):
             self._take(frame.sensors, now_s)
 
@@ -137,19 +134,23 @@ class Session:
             self._greet(now_s)
             self._hello(now_s)
         elif self.state is Lifecycle.ACTIVE:
-            if self._wheels != (0, 0) and now_s - self._command_s > COMMAND_TTL_S:
-                self._turn_wheels((0, 0), now_s)
+            self._watch(now_s)
         elif self._activate_by_s is not None and now_s > self._activate_by_s:
             self._forget()
             self._park(now_s)
             self.blocked = f"the robot did not go into Safe mode within {CONFIRM_S} s; take it off its charger"
+        asleep = self._hello_s is not None and self._hellos > 1 and self._heard == 0
+        if self._waking.tick(now_s, asleep) and self.state is Lifecycle.READY and self._may_nudge():
+            self._waking.active(now_s)
+            self._sent_s = now_s
+            self.send(simple(Op.SAFE))  # the next frame says so, and is answered with Passive
 
     # ------------------------------------------------------------ what the agent asks
     def activate(self, now_s: float) -> None:
         """Ask for Safe mode; refused while a cause to fall out of it lasts."""
         if self.state is not Lifecycle.READY or self._activate_by_s is not None:
             return
-        cause = self._cause()
+        cause = self._senses.cause
         self.blocked = f"not activated: {cause}" if cause else ""
         if not cause:
             self._activate_by_s, self._safe_sent = now_s + CONFIRM_S, False
@@ -158,30 +159,50 @@ class Session:
         """Stop the wheels and take the drive away."""
         self._forget()
         if self.state is Lifecycle.ACTIVE:
-            self.state = Lifecycle.READY
-            self._park(now_s)
+            self._stand_down(now_s, "")
 
     def command(self, twist: Twist, now_s: float) -> Twist:
         """Turn the wheels if ACTIVE; return what they were told. Raises ``ValueError`` if not finite, and stops."""
-        base_m = self._generation.wheel_base_m
         try:
-            wheels = wheel_speeds(twist, base_m)
+            wheels = wheel_speeds(twist, self._base_m, self._settings.speed_step_mm_s)
         except ValueError:
-            if self.state is Lifecycle.ACTIVE:
+            if self.docking:
+                self._stand_down(now_s, "not docked: it was told a velocity that is none")
+            elif self.state is Lifecycle.ACTIVE:
                 self._turn_wheels((0, 0), now_s)
             raise
         if self.state is not Lifecycle.ACTIVE:
             return STAND
         self._command_s = now_s
+        if self.docking:
+            return STAND
         if wheels != self._wheels:
             self._turn_wheels(wheels, now_s)
         left, right = wheels
-        return Twist((left + right) / 2000.0, (right - left) / 1000.0 / base_m)
+        return Twist((left + right) / 2000.0, (right - left) / 1000.0 / self._base_m)
+
+    def dock(self, now_s: float) -> None:
+        """Let the robot look for its dock. Raises ``DriverError`` unless ACTIVE."""
+        self._demand_active("look for its dock")
+        self._turn_wheels((0, 0), now_s)
+        self.docking, self._command_s = True, now_s
+        self.send(simple(Op.DOCK))
+
+    def tell(self, data: bytes, what: str) -> None:
+        """Send a command that only works in Safe mode. Raises ``DriverError`` unless ACTIVE."""
+        self._demand_active(what)
+        self.send(data)
+
+    def _demand_active(self, what: str) -> None:
+        if self.state is not Lifecycle.ACTIVE or self.docking:
+            doing = "looking for its dock" if self.docking else self.state.value
+            raise DriverError(f"it cannot {what} while {doing}", where=self._settings.path, hint="activate it first")
 
     # ------------------------------------------------------------ within
     def _greet(self, now_s: float) -> None:
         self._parser.reset()
         self._odometry.rebase()
+        self._waking.active(now_s)
         self._hello_s, self._hellos, self._list_s, self._heard, self._mode = now_s, 0, None, 0, -1
         self._forget()
 
@@ -203,37 +224,51 @@ class Session:
             return f"it answers, but stays in mode {self._mode} instead of Passive; some need '?mode_offset=1'"
         if self._heard > 0:
             return "it sends bytes, but none that make a frame: wrong model or baud rate in its URL?"
-        return "no answer: press its power button, check the cable, and 'model' and 'baud' in its URL"
+        asleep = "it does not wake up" if self._waking.can_wake else "it may be asleep: press its power button"
+        return f"no answer: {asleep}, check the cable, and 'model' and 'baud' in its URL"
 
     def _take(self, sensors: Sensors, now_s: float) -> None:
-        self._frame_s = now_s
-        self._odometry.update(sensors, now_s)
-        self._note(sensors, now_s)
-        self._mode = mode = (sensors.mode or 0) - self._mode_offset
+        self._frame_s, self._newest = now_s, sensors
+        if self._hello_s is not None:
+            self._odometry.rebase()  # frames of an earlier drive may still be on the way
+        moved = self._odometry.update(sensors, now_s)
+        self._senses.note(sensors, now_s)
+        self._mode = mode = (sensors.mode or 0) - self._settings.mode_offset
+        if mode != Mode.PASSIVE:
+            self._waking.active(now_s)
         if self._hello_s is not None:
             if mode == Mode.PASSIVE:
-                self._settle()
+                self._settle(now_s)
         elif self.state is Lifecycle.ACTIVE:
-            if mode != Mode.SAFE:
-                self._fall(now_s)
-            elif sensors.left_mm_s is not None and (sensors.left_mm_s, sensors.right_mm_s) != self._wheels:
-                self._repeat_wheels(now_s)
+            self._drive_on(mode, sensors, moved, now_s)
         elif self._activate_by_s is not None:
             self._go_on_activating(mode, now_s)
         elif mode != Mode.PASSIVE and now_s - self._sent_s > REPEAT_S:
             self._park(now_s)
+        if self._latched:
+            self._calm_down(now_s)
         self._publish(sensors, now_s)
 
-    def _settle(self) -> None:
+    def _settle(self, now_s: float) -> None:
         """End the greeting: the robot is there and its wheels cannot move."""
         self._hello_s = self._list_s = None
         self.state, self.fault = Lifecycle.READY, ""
+        self._waking.active(now_s)
         if self._latched:
+            self._calm_s = now_s
             self._fail(self._latched)
 
+    def _calm_down(self, now_s: float) -> None:
+        """End the fault of too many falls when nothing has been wrong for long enough."""
+        if self._senses.cause or self._hello_s is not None:
+            self._calm_s = now_s
+        elif now_s - self._calm_s >= CALM_S:
+            self._latched, self._falls = "", []
+            self.state, self.fault = Lifecycle.READY, ""
+
     def _go_on_activating(self, mode: int, now_s: float) -> None:
-        if self._cause():
-            self.blocked = f"not activated: {self._cause()}"
+        if self._senses.cause:
+            self.blocked = f"not activated: {self._senses.cause}"
             self._forget()
             self._park(now_s)
         elif not self._safe_sent:
@@ -244,56 +279,66 @@ class Session:
         elif mode == Mode.SAFE:
             self._forget()
             self.state, self.blocked, self._command_s = Lifecycle.ACTIVE, "", now_s
+            self._followed_s = now_s
             self._turn_wheels((0, 0), now_s)
+
+    def _drive_on(self, mode: int, sensors: Sensors, moved: bool, now_s: float) -> None:
+        """Compare what an ACTIVE robot tells with what it was told."""
+        if self.docking:
+            if (sensors.chargers or 0) & 0b10:
+                self._stand_down(now_s, "it has found its dock")
+            elif mode != Mode.PASSIVE and now_s - self._sent_s > REPEAT_S:
+                self._sent_s = now_s
+                self.send(simple(Op.DOCK))
+        elif mode != Mode.SAFE:
+            self._fall(now_s)
+        else:
+            told = sensors.left_mm_s is None or (sensors.left_mm_s, sensors.right_mm_s) == self._wheels
+            if told or moved:
+                self._followed_s = now_s
+            if not told and now_s - self._sent_s > REPEAT_S:
+                self._turn_wheels(self._wheels, now_s)
+
+    def _watch(self, now_s: float) -> None:
+        """Stop an ACTIVE robot that nobody commands, or whose sensors do not follow what it is told."""
+        silent = now_s - self._command_s > COMMAND_TTL_S
+        if self.docking and silent:
+            self._stand_down(now_s, "it stopped looking for its dock: nobody was in charge")
+        elif self._wheels != (0, 0) and silent:
+            self._turn_wheels((0, 0), now_s)
+        elif now_s - self._followed_s > STUCK_S and not self.docking:
+            self._fail(f"what it tells has not changed for {STUCK_S} s of other set-points: restart the robot")
+            self._greet(now_s)
+            self._hello(now_s)
 
     def _fall(self, now_s: float) -> None:
         """Follow a robot that left Safe mode by itself."""
-        cause = self._cause() or f"it is in mode {self._mode}"
-        self.blocked = f"the robot stopped itself: {cause}"
-        self.state = Lifecycle.READY
-        self._forget()
-        self._park(now_s)
+        cause = self._senses.cause or f"it is in mode {self._mode}"
+        self._stand_down(now_s, f"the robot stopped itself: {cause}")
         self._falls = [each for each in self._falls if now_s - each < FALL_WINDOW_S] + [now_s]
         if len(self._falls) >= FALLS:
             self._latched = (
                 f"it stopped itself {FALLS} times within {FALL_WINDOW_S:.0f} s, last because {cause}; "
-                "put it on safe ground, then close and open its driver"
+                f"put it on safe ground, it is ready again after {CALM_S:.0f} s there"
             )
+            self._calm_s = now_s
             self._fail(self._latched)
 
-    def _note(self, sensors: Sensors, now_s: float) -> None:
-        checks = (
-            (Hazard.BUMP, sensors.bump_left or sensors.bump_right),
-            (Hazard.CLIFF, sensors.cliff),
-            (Hazard.WHEEL_DROP, sensors.wheel_drop),
-            (Hazard.OVERCURRENT, sensors.wheel_overcurrent),
-            (Hazard.BATTERY_LOW, sensors.battery is not None and sensors.battery < LOW_BATTERY),
-        )
-        self._seen.update({hazard: now_s for hazard, present in checks if present})
-        self._on_charger = bool((sensors.chargers or 0) & 1)
+    def _stand_down(self, now_s: float, why: str) -> None:
+        self.state, self.blocked = Lifecycle.READY, why
+        self._forget()
+        self._park(now_s)
 
-    def _hazards(self) -> Hazard:
-        hazards = Hazard.NONE
-        for hazard, seen_s in self._seen.items():
-            if self._frame_s - seen_s <= HOLD_S:
-                hazards |= hazard
-        return hazards
-
-    def _cause(self) -> str:
-        """Say what would make the robot leave Safe mode at once; empty when nothing would."""
-        hazards = self._hazards()
-        if Hazard.WHEEL_DROP in hazards:
-            return "a wheel hangs"
-        if Hazard.CLIFF in hazards:
-            return "a cliff sensor sees no floor"
-        return "the charger is plugged in" if self._on_charger else ""
+    def _may_nudge(self) -> bool:
+        chargers = self._newest.chargers if self._newest is not None else 0
+        return not self._senses.cause and not chargers and self._activate_by_s is None
 
     def _publish(self, sensors: Sensors, now_s: float) -> None:
         self.reading = Reading(
             stamp_s=now_s,
             odometry=self._odometry.pose,
             twist=self._odometry.twist,
-            hazards=self._hazards(),
+            hazards=self._senses.hazards,
             contacts=int(sensors.bump_left or sensors.bump_right),
             battery=sensors.battery,
         )
@@ -302,20 +347,16 @@ class Session:
         self._wheels, self._sent_s = wheels, now_s
         self.send(drive_direct(*wheels))
 
-    def _repeat_wheels(self, now_s: float) -> None:
-        if now_s - self._sent_s > REPEAT_S:
-            self._turn_wheels(self._wheels, now_s)
-
     def _park(self, now_s: float) -> None:
         self._wheels, self._sent_s = (0, 0), now_s
         self.send(PARK)
 
     def _forget(self) -> None:
-        """Drop an activation under way and the set-point."""
-        self._activate_by_s, self._safe_sent, self._wheels = None, False, (0, 0)
+        """Drop an activation under way, a search for the dock and the set-point."""
+        self._activate_by_s, self._safe_sent, self._wheels, self.docking = None, False, (0, 0), False
 
     def _fail(self, reason: str) -> None:
         self.state, self.fault = Lifecycle.FAULT, self._about(reason)
 
     def _about(self, reason: str) -> str:
-        return f"{self._where}: {reason}"
+        return f"{self._settings.path}: {reason}"
