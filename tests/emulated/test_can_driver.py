@@ -1,46 +1,22 @@
-"""The driver against the emulated controllers on python-can buses: one process, multicast, a serial adapter."""
+"""The driver against the emulated controllers on buses of python-can: one process, multicast."""
 
 from __future__ import annotations
 
 import contextlib
-import itertools
-import os
-import select
 import socket
-import threading
-import time
-import tty
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import can
 import pytest
 from can.interfaces.virtual import VirtualBus
 
-from fullswarm.drivers.base import STAND, Driver, Lifecycle, Reading, Twist
+from fullswarm.drivers.base import STAND, Driver, Hazard, Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase, ODriveEmulator
-from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.errors import DriverError
+from tests.emulated.can_robot import ODRIVE, VESC, Robot, channel, wait, wait_state
 
 GROUP = "239.74.163.2"
-ODRIVE = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&watchdog=0.5"
-VESC = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&gear=10&pole_pairs=7"
-_channels = itertools.count()
-
-
-def wait(condition: Callable[[], bool], limit_s: float, what: Callable[[], str] = str) -> float:
-    """Wait until `condition`; return how long it took."""
-    start_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - start_s < limit_s, what()
-        time.sleep(0.002)
-    return time.monotonic() - start_s
-
-
-def wait_state(driver: CanBaseDriver, state: Lifecycle, limit_s: float = 4.0) -> float:
-    return wait(lambda: driver.state is state, limit_s, lambda: f"{driver.state}, not {state}: {driver.fault}")
 
 
 def multicast_refusal() -> str:
@@ -62,68 +38,14 @@ def free_port() -> int:
         return port
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+@pytest.fixture(params=[pytest.param("virtual", marks=pytest.mark.slow), "udp_multicast"])
 def where(request: pytest.FixtureRequest) -> str:
     """Return the part of a URL that names a bus of its own."""
     if request.param == "virtual":
-        return f"{next(_channels)}?interface=virtual"
+        return f"{channel()}?interface=virtual"
     if reason := multicast_refusal():
         pytest.skip(f"no multicast on loopback: {reason}")
     return f"{GROUP}?interface=udp_multicast&port={free_port()}"
-
-
-class Robot:
-    """A driver and its emulated base."""
-
-    def __init__(self, url: str) -> None:
-        self.url = url
-        self.emulated = EmulatedBase(url)
-        self.driver = CanBaseDriver(url)
-
-    @property
-    def odrives(self) -> tuple[ODriveEmulator, ODriveEmulator]:
-        left, right = self.emulated.left, self.emulated.right
-        assert isinstance(left, ODriveEmulator)
-        assert isinstance(right, ODriveEmulator)
-        return left, right
-
-    def idle(self) -> bool:
-        return all(each.state is AxisState.IDLE for each in self.odrives)
-
-    def speed(self) -> float:
-        return max(abs(self.emulated.left.spin.speed_m_s), abs(self.emulated.right.spin.speed_m_s))
-
-    def travelled_m(self) -> float:
-        """Return how far the middle of the base has gone; a busy machine starts one wheel a little later."""
-        return sum(self.emulated.body.travelled()) / 2.0
-
-    def reading(self) -> Reading:
-        reading = self.driver.read()
-        assert reading is not None
-        return reading
-
-    def beyond(self, goal_m: float, sign: float) -> Callable[[], bool]:
-        """Return what tells whether the odometry has passed `goal_m` in direction `sign`."""
-        return lambda: sign * (self.reading().odometry.x_m - goal_m) > 0.0
-
-    def activate(self) -> None:
-        wait_state(self.driver, Lifecycle.READY)
-        self.driver.activate()
-        wait_state(self.driver, Lifecycle.ACTIVE, 1.0)
-
-    def drive(self, twist: Twist, until: Callable[[], bool], limit_s: float = 4.0) -> Twist:
-        """Command at 50 Hz until a condition holds; return what was applied last."""
-        end_s, applied = time.monotonic() + limit_s, STAND
-        while not until():
-            assert time.monotonic() < end_s, f"{self.driver.state} {self.driver.fault} {self.driver.read()}"
-            applied = self.driver.command(twist)
-            time.sleep(0.02)
-        return applied
-
-    def moving(self) -> None:
-        """Bring to ACTIVE and up to speed."""
-        self.activate()
-        self.drive(Twist(0.3, 0.0), lambda: self.speed() > 0.25)
 
 
 @pytest.fixture
@@ -144,19 +66,19 @@ def make_robot() -> Iterator[Callable[[str], Robot]]:
 @pytest.fixture
 def robot(make_robot: Callable[[str], Robot]) -> Robot:
     """Return an ODrive base on a bus of its own within this process."""
-    return make_robot(f"can+odrive://{next(_channels)}?interface=virtual&{ODRIVE}")
+    return make_robot(f"can+odrive://{channel()}?interface=virtual&{ODRIVE}")
 
 
 def there_and_back(robot: Robot) -> None:
     """Drive forwards and backwards; the odometry must agree with the body within 1 %."""
     for sign in (1.0, -1.0):
-        before_m, began_m = robot.reading().odometry.x_m, robot.travelled_m()
+        before_m, began_m = robot.reading().odometry.x_m, robot.emulated.body.state().rolled_m
         goal_m = before_m + sign * 0.15
         applied = robot.drive(Twist(0.4 * sign, 0.0), robot.beyond(goal_m, sign))
         assert applied.linear_m_s == pytest.approx(0.4 * sign, rel=1e-3)
         assert robot.reading().twist.linear_m_s == pytest.approx(0.4 * sign, rel=0.1)
         robot.drive(STAND, lambda: robot.speed() < 0.002 and abs(robot.reading().twist.linear_m_s) < 0.002)
-        true_m = robot.travelled_m() - began_m
+        true_m = robot.emulated.body.state().rolled_m - began_m
         assert true_m * sign > 0.15
         assert robot.reading().odometry.x_m - before_m == pytest.approx(true_m, rel=0.01)
 
@@ -184,20 +106,22 @@ def test_a_life(where: str, make_robot: Callable[[str], Robot]) -> None:
     assert robot.driver.malformed == 0
 
 
+@pytest.mark.slow
 def test_a_vesc_base(make_robot: Callable[[str], Robot]) -> None:
-    robot = make_robot(f"can+vesc://{next(_channels)}?interface=virtual&{VESC}")
+    robot = make_robot(f"can+vesc://{channel()}?interface=virtual&{VESC}")
     robot.activate()
     there_and_back(robot)
     assert robot.driver.malformed == 0
 
 
+@pytest.mark.slow
 def test_lost_heartbeats_are_a_fault_and_coming_back_is_ready(robot: Robot) -> None:
     robot.moving()
-    robot.odrives[0].unplugged = True
+    robot.odrives[0].mishaps.unplugged = True
     robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.FAULT, 2.0)
     assert "no heartbeat from the left wheel (node 1)" in robot.driver.fault
     wait(robot.idle, 1.5)  # the right one was told, the left one has its watchdog
-    robot.odrives[0].unplugged = False
+    robot.odrives[0].mishaps.unplugged = False
     robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.READY, 3.0)
     assert robot.idle()
 
@@ -213,7 +137,7 @@ def test_close_goes_over_zero_to_idle(robot: Robot) -> None:
     assert robot.reading().odometry.x_m == pytest.approx(0.0, abs=0.02)
 
 
-def test_bus_off_is_a_fault(robot: Robot) -> None:
+def test_bus_off_is_a_fault_and_ends_ready(robot: Robot) -> None:
     robot.moving()
     bus = port_of(robot.driver)._bus
     assert isinstance(bus, VirtualBus)
@@ -221,6 +145,8 @@ def test_bus_off_is_a_fault(robot: Robot) -> None:
     wait_state(robot.driver, Lifecycle.FAULT)
     assert "bus-off" in robot.driver.fault
     wait(robot.idle, 1.5)
+    assert wait_state(robot.driver, Lifecycle.READY) < 2.0
+    assert robot.idle()
 
 
 def test_a_stray_datagram_is_counted_and_ignored(make_robot: Callable[[str], Robot]) -> None:
@@ -249,69 +175,65 @@ def test_a_missing_adapter_is_said_by_open() -> None:
     driver.close()
 
 
-class SlcanAdapter:
-    """A USB adapter: ASCII frames on a pty at `path`, a virtual bus behind it. Closing it is unplugging it."""
-
-    def __init__(self, path: Path, channel: str) -> None:
-        self._path = path
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        path.symlink_to(os.ttyname(slave))
-        self._slave = slave
-        self._bus = can.Bus(interface="virtual", channel=channel, ignore_config=True)
-        self._open = threading.Event()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        pending = b""
-        while not self._stopping.is_set():
-            while select.select([self._master], [], [], 0.002)[0]:
-                pending += os.read(self._master, 4096)
-                *lines, pending = pending.split(b"\r")
-                for line in filter(None, lines):
-                    self._obey(line.decode())
-            while (message := self._bus.recv(timeout=0)) is not None:
-                if self._open.is_set():
-                    text = f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex()}\r"
-                    os.write(self._master, text.encode())
-
-    def _obey(self, line: str) -> None:
-        if line[0] == "t":
-            data = bytes.fromhex(line[5:])
-            self._bus.send(can.Message(arbitration_id=int(line[1:4], 16), is_extended_id=False, data=data))
-        elif line[0] == "r":
-            message = can.Message(arbitration_id=int(line[1:4], 16), is_extended_id=False, is_remote_frame=True)
-            self._bus.send(message)
-        elif line[0] in "OC":
-            (self._open.set if line[0] == "O" else self._open.clear)()
-        os.write(self._master, b"\r")
-
-    def close(self) -> None:
-        self._path.unlink()  # first: the kernel gives the pty's number to whoever asks next
-        self._stopping.set()
-        self._thread.join()
-        self._bus.shutdown()
-        os.close(self._slave)
-        os.close(self._master)
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["can+odrive", "can+vesc"])
+def test_unplugged_in_mid_drive_it_stands_and_comes_back_ready(scheme: str, make_robot: Callable[[str], Robot]) -> None:
+    options = ODRIVE if scheme == "can+odrive" else f"{VESC}&watchdog=0.5"
+    robot = make_robot(f"{scheme}://{channel()}?interface=virtual&{options}")
+    robot.moving()
+    robot.emulated.unplug()
+    robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.FAULT, 1.0)
+    wait(robot.standing, 0.7)  # watchdog 0.5 s from the last word, and rolling out
+    robot.emulated.replug()
+    assert wait_state(robot.driver, Lifecycle.READY) < 2.0
+    assert robot.driver.command(Twist(0.3, 0.0)) == STAND
+    assert robot.standing()
+    robot.moving()
 
 
-def test_an_slcan_adapter_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
-    channel = str(next(_channels))
-    adapter = SlcanAdapter(tmp_path / "adapter", channel)
-    driver = CanBaseDriver(f"can+odrive://{tmp_path}/adapter?interface=slcan&settle=0&{ODRIVE}")
-    with EmulatedBase(f"can+odrive://{channel}?interface=virtual&{ODRIVE}") as base:
-        driver.open()
-        wait_state(driver, Lifecycle.READY)
-        driver.activate()
-        wait_state(driver, Lifecycle.ACTIVE, 1.0)
-        adapter.close()
-        wait_state(driver, Lifecycle.FAULT)
-        left = base.left
-        assert isinstance(left, ODriveEmulator)
-        wait(lambda: left.state is AxisState.IDLE, 1.5)  # by its watchdog
-        adapter = SlcanAdapter(tmp_path / "adapter", channel)
-        wait_state(driver, Lifecycle.READY, 5.0)
-        driver.close()
-    adapter.close()
+def test_an_emulator_that_ends_leaves_no_body_moving(robot: Robot) -> None:
+    robot.moving()
+    robot.emulated.close()
+    assert robot.standing()
+    wait_state(robot.driver, Lifecycle.FAULT)
+
+
+@pytest.mark.slow
+def test_a_bad_link_is_survived(robot: Robot) -> None:
+    robot.moving()
+    faults = robot.emulated.faults
+    faults.drop, faults.corrupt, faults.delay_s = 0.3, 0.05, 0.03
+    for _ in range(20):
+        reasons = robot.keep_driving(Twist(0.3, 0.0), 0.04)
+        assert not any("unexpected" in each for each in reasons)
+        assert abs(robot.reading().twist.linear_m_s) <= 2.0  # a mangled speed is not believed
+    faults.drop = faults.corrupt = faults.delay_s = 0.0
+    wait(lambda: robot.driver.state in (Lifecycle.ACTIVE, Lifecycle.READY), 3.0)
+
+
+@pytest.mark.slow
+def test_button_battery_and_reboot(make_robot: Callable[[str], Robot]) -> None:
+    robot = make_robot(f"can+odrive://{channel()}?interface=virtual&{ODRIVE}&volts_empty=21&volts_full=29.4")
+    robot.emulated.set_battery(0.1)
+    robot.moving()
+    wait(lambda: Hazard.BATTERY_LOW in robot.reading().hazards, 1.5)
+    assert robot.reading().battery == pytest.approx(0.1, abs=0.01)
+    robot.emulated.press_estop(True)
+    wait_state(robot.driver, Lifecycle.FAULT, 0.5)
+    wait(lambda: Hazard.ESTOP_BUTTON in robot.reading().hazards and robot.standing(), 0.5)
+    robot.emulated.press_estop(False)
+    wait_state(robot.driver, Lifecycle.READY, 2.0)
+    robot.moving()
+    robot.emulated.reboot()
+    wait_state(robot.driver, Lifecycle.FAULT, 1.0)
+    wait_state(robot.driver, Lifecycle.READY, 2.5)
+    assert robot.standing()
+
+
+def test_what_cannot_be_watched_is_said_at_open(capsys: pytest.CaptureFixture[str]) -> None:
+    driver = CanBaseDriver(f"can+odrive://{channel()}?interface=virtual&{ODRIVE.replace('&watchdog=0.5', '')}")
+    assert driver.description.watchdog_s is None
+    driver.open()
+    driver.close()
+    assert "no CANSimple message switches it on" in driver.warning
+    assert "no device watchdog" in capsys.readouterr().out

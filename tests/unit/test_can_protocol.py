@@ -14,10 +14,12 @@ import fullswarm
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.drivers.can import odrive, settings, vesc
 from fullswarm.drivers.can.kinematics import Odometry, WheelTrack, body_twist, wheel_speeds
-from fullswarm.drivers.can.odrive import AxisState, Firmware, OdriveCodec
+from fullswarm.drivers.can.odrive import Firmware
+from fullswarm.drivers.can.odrive_axis import MAX_TURN_S, OdriveCodec
+from fullswarm.drivers.can.odrive_states import AxisState
 from fullswarm.drivers.can.port import CanPort
-from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Version, Wheel, WheelCodec
-from fullswarm.drivers.can.vesc import VescCodec
+from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Version, Want, Wheel, WheelCodec
+from fullswarm.drivers.can.vesc_motor import VescCodec
 from fullswarm.errors import ConfigError, DriverError, MissingExtra
 
 ODRIVE = "can+odrive://here?interface=virtual&left=1&right=2&wheel_radius=0.05&base=0.3"
@@ -36,24 +38,24 @@ def codecs(node: int = 1, wheel: Wheel | None = None) -> list[WheelCodec]:
 
 # ---------------------------------------------------------------- examples from the makers' documents
 def test_vesc_51_amperes_to_23() -> None:
-    assert vesc.set_current(23, 51.0) == Frame(0x117, True, bytes.fromhex("0000C738"))
+    assert vesc.encode(23, vesc.SetCurrent(51.0)) == Frame(0x117, True, bytes.fromhex("0000C738"))
 
 
 def test_vesc_erpm_ping_and_brake() -> None:
-    assert vesc.set_erpm(23, -4000) == Frame(0x317, True, struct.pack(">i", -4000))
-    assert vesc.ping(23, 253) == Frame(0x1117, True, b"\xfd")
-    assert vesc.set_brake(1, 5.0) == Frame(0x201, True, bytes.fromhex("00001388"))
+    assert vesc.encode(23, vesc.SetErpm(-4000)) == Frame(0x317, True, struct.pack(">i", -4000))
+    assert vesc.encode(23, vesc.Ping(253)) == Frame(0x1117, True, b"\xfd")
+    assert vesc.encode(1, vesc.SetBrake(5.0)) == Frame(0x201, True, bytes.fromhex("00001388"))
 
 
 @pytest.mark.parametrize(
     ("got", "identifier", "data"),
     [
-        (odrive.set_state(3, AxisState.CLOSED_LOOP), 0x067, "08000000"),
-        (odrive.set_mode(3, odrive.PASSTHROUGH), 0x06B, "0200000001000000"),
-        (odrive.set_velocity(3, 1.0), 0x06D, "0000803F00000000"),
-        (odrive.clear_errors(3), 0x078, ""),
-        (odrive.estop(3), 0x062, ""),
-        (odrive.heartbeat(63, 0x800, 1), 0x7E1, "0008000001000000"),
+        (odrive.encode(3, odrive.SetState(AxisState.CLOSED_LOOP)), 0x067, "08000000"),
+        (odrive.encode(3, odrive.SetMode()), 0x06B, "0200000001000000"),
+        (odrive.encode(3, odrive.SetVelocity(1.0)), 0x06D, "0000803F00000000"),
+        (odrive.encode(3, odrive.ClearErrors()), 0x078, "00"),
+        (odrive.encode(3, odrive.Estop()), 0x062, ""),
+        (odrive.encode(63, odrive.Heartbeat(0x800, 1)), 0x7E1, "0008000001000000"),
     ],
 )
 def test_odrive_frames(got: Frame, identifier: int, data: str) -> None:
@@ -62,13 +64,16 @@ def test_odrive_frames(got: Frame, identifier: int, data: str) -> None:
 
 def test_odrive_start_clears_before_it_configures_and_moves_nothing() -> None:
     commands = [frame.id & 0x1F for frame in OdriveCodec(1, Wheel(0.05), "0.5").start()]
-    assert commands == [odrive.Command.CLEAR_ERRORS, odrive.Command.SET_MODE, odrive.Command.SET_VELOCITY]
+    assert commands == [0x18, 0x0B, 0x0D]
 
 
 def test_odrive_activation_never_clears_errors() -> None:
     engaged = OdriveCodec(1, Wheel(0.05)).engage()
-    assert odrive.clear_errors(1) not in engaged
-    assert engaged[-2:] == (odrive.set_velocity(1, 0.0), odrive.set_state(1, AxisState.CLOSED_LOOP))
+    assert odrive.encode(1, odrive.ClearErrors()) not in engaged
+    assert engaged[-2:] == (
+        odrive.encode(1, odrive.SetVelocity(0.0)),
+        odrive.encode(1, odrive.SetState(AxisState.CLOSED_LOOP)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +88,7 @@ def test_odrive_activation_never_clears_errors() -> None:
     ],
 )
 def test_odrive_error_names(firmware: Firmware, bits: int, names: str, estop: bool) -> None:
-    report = OdriveCodec(5, Wheel(0.05), firmware).decode(odrive.heartbeat(5, bits, 1))
+    report = OdriveCodec(5, Wheel(0.05), firmware).decode(odrive.encode(5, odrive.Heartbeat(bits, 1)))
     assert report == Beat(Mode.IDLE, "IDLE", names, estop)
 
 
@@ -91,14 +96,14 @@ def test_odrive_error_names(firmware: Firmware, bits: int, names: str, estop: bo
     ("state", "mode"), [(1, Mode.IDLE), (8, Mode.DRIVING), (3, Mode.BUSY), (11, Mode.BUSY), (200, Mode.BUSY)]
 )
 def test_odrive_states(state: int, mode: Mode) -> None:
-    report = OdriveCodec(5, Wheel(0.05)).decode(odrive.heartbeat(5, 0, state))
+    report = OdriveCodec(5, Wheel(0.05)).decode(odrive.encode(5, odrive.Heartbeat(0, state)))
     assert isinstance(report, Beat)
     assert report.mode is mode
     assert report.state
 
 
 def test_odrive_version_is_told_by_06_only() -> None:
-    frame = odrive.frame(5, odrive.Command.GET_VERSION, bytes([2, 4, 4, 58, 0, 6, 10, 0]))
+    frame = odrive.encode(5, odrive.Version(2, 4, 4, 58, 0, 6, 10))
     assert OdriveCodec(5, Wheel(0.05), "0.6").decode(frame) == Version("ODrive 0.6.10")
     assert OdriveCodec(5, Wheel(0.05), "0.5").decode(frame) is None
 
@@ -130,8 +135,10 @@ def test_odrive_velocity_round_trip(node: int, wheel: Wheel, speed: float) -> No
 
 @given(nodes, wheels, speeds, st.floats(-1000.0, 1000.0))
 def test_odrive_motion_round_trip(node: int, wheel: Wheel, speed: float, distance: float) -> None:
-    assume(abs(wheel.turns(speed)) < odrive.MAX_TURN_S)
-    report = OdriveCodec(node, wheel).decode(odrive.encoder(node, wheel.turns(distance), wheel.turns(speed)))
+    assume(abs(wheel.turns(speed)) < MAX_TURN_S)
+    report = OdriveCodec(node, wheel).decode(
+        odrive.encode(node, odrive.Encoder(wheel.turns(distance), wheel.turns(speed)))
+    )
     assert isinstance(report, Motion)
     assert report.speed_m_s == pytest.approx(speed, rel=1e-6, abs=1e-30)
     assert report.distance_m == pytest.approx(distance, rel=1e-6, abs=1e-30)
@@ -144,18 +151,18 @@ def test_vesc_speed_round_trip(node: int, wheel: Wheel, speed: float) -> None:
     (frame,) = codec.drive(speed)
     (value,) = struct.unpack(">i", frame.data)
     if abs(round(wheel.erpm(speed))) < 900:
-        assert frame == vesc.set_brake(node, codec.brake_a)
+        assert frame == vesc.encode(node, vesc.SetBrake(codec.brake_a))
         assert codec.quantised(speed) == 0.0
     else:
-        assert frame == vesc.set_erpm(node, value)
+        assert frame == vesc.encode(node, vesc.SetErpm(value))
         assert codec.quantised(speed) == pytest.approx(wheel.speed_of_erpm(value))
         assert abs(wheel.erpm(speed) - value) <= 0.5
-        assert codec.decode(vesc.status_1(node, value, 0.0, 0.0)) == Motion(codec.quantised(speed), None)
+        assert codec.decode(vesc.encode(node, vesc.Status1(value, 0.0, 0.0))) == Motion(codec.quantised(speed), None)
 
 
 @given(nodes, wheels, st.integers(-(2**31), 2**31 - 1))
 def test_vesc_tachometer(node: int, wheel: Wheel, counts: int) -> None:
-    report = VescCodec(node, wheel).decode(vesc.status_5(node, counts, 24.0))
+    report = VescCodec(node, wheel).decode(vesc.encode(node, vesc.Status5(counts, 24.0)))
     assert isinstance(report, Motion)
     assert report.distance_m is not None
     assert wheel.turns(report.distance_m) * wheel.pole_pairs * 6 == pytest.approx(counts, abs=1e-5)
@@ -163,9 +170,9 @@ def test_vesc_tachometer(node: int, wheel: Wheel, counts: int) -> None:
 
 def test_vesc_pong_is_for_us_and_from_our_wheel() -> None:
     codec = VescCodec(7, Wheel(0.05), host=253)
-    assert codec.decode(vesc.pong(253, 7)) == Beat(Mode.UNKNOWN)
-    assert codec.decode(vesc.pong(253, 8)) is None
-    assert codec.decode(vesc.pong(252, 7)) is None
+    assert codec.decode(vesc.encode(253, vesc.Pong(7))) == Beat(Mode.UNKNOWN)
+    assert codec.decode(vesc.encode(253, vesc.Pong(8))) is None
+    assert codec.decode(vesc.encode(252, vesc.Pong(7))) is None
     assert codec.malformed == 0
 
 
@@ -186,7 +193,7 @@ def test_no_payload_makes_a_codec_raise(command: int, data: bytes, remote: bool)
 
 
 def _check_report(report: object) -> None:
-    assert report is None or isinstance(report, (Beat, Motion, Version))
+    assert report is None or isinstance(report, (Beat, Motion, Version, Power))
     if isinstance(report, Motion):
         for value in (report.speed_m_s, report.distance_m):
             assert value is None or math.isfinite(value)
@@ -198,13 +205,13 @@ def _check_report(report: object) -> None:
         (OdriveCodec(1, Wheel(0.05)), Frame(0x21, False, b"1234")),
         (OdriveCodec(1, Wheel(0.05)), Frame(0x21, False, bytes(9))),
         (OdriveCodec(1, Wheel(0.05)), Frame(0x29, False, b"1234567")),
-        (OdriveCodec(1, Wheel(0.05)), odrive.encoder(1, math.nan, 0.0)),
-        (OdriveCodec(1, Wheel(0.05)), odrive.encoder(1, 0.0, math.inf)),
-        (OdriveCodec(1, Wheel(0.05)), odrive.encoder(1, 0.0, math.nan)),
+        (OdriveCodec(1, Wheel(0.05)), Frame(0x29, False, struct.pack("<ff", math.nan, 0.0))),
+        (OdriveCodec(1, Wheel(0.05)), Frame(0x29, False, struct.pack("<ff", 0.0, math.inf))),
+        (OdriveCodec(1, Wheel(0.05)), Frame(0x29, False, struct.pack("<ff", 0.0, math.nan))),
         (VescCodec(1, Wheel(0.05)), Frame(0x901, True, b"1234")),
         (VescCodec(1, Wheel(0.05)), Frame(0x1B01, True, b"12345")),
         (VescCodec(1, Wheel(0.05)), Frame(0x12FD, True, b"")),
-        (VescCodec(1, Wheel(0.05)), vesc.status_1(1, 2**31 - 1, 0.0, 0.0)),
+        (VescCodec(1, Wheel(0.05)), vesc.encode(1, vesc.Status1(2**31 - 1, 0.0, 0.0))),
     ],
 )
 def test_malformed_is_counted(codec: WheelCodec, frame: Frame) -> None:
@@ -217,14 +224,14 @@ def test_a_codec_does_not_listen_to_itself(speed: float) -> None:
     """`udp_multicast` hands back what was sent."""
     for codec in codecs():
         sent = codec.start() + codec.engage() + codec.drive(speed) + codec.release() + codec.keep_alive()
-        for frame in sent + codec.poll(motion_due=True):
+        for frame in sent + codec.poll(Want.MOTION | Want.BEAT | Want.POWER | Want.VERSION):
             assert codec.decode(frame) is None
         assert codec.malformed == 0
 
 
 def test_other_nodes_and_other_formats_are_not_ours() -> None:
     codec = OdriveCodec(1, Wheel(0.05))
-    assert codec.decode(odrive.heartbeat(2, 0, 1)) is None
+    assert codec.decode(odrive.encode(2, odrive.Heartbeat(0, 1))) is None
     assert codec.decode(Frame(0x21, True, bytes(8))) is None
     assert VescCodec(1, Wheel(0.05)).decode(Frame(0x101, False, bytes(8))) is None
     assert codec.malformed == 0
@@ -309,6 +316,8 @@ def test_all_that_is_wrong_is_said_at_once() -> None:
         (VESC.replace("&pole_pairs=7", ""), "pole_pairs"),
         (VESC.replace("gear=10", "gear=1"), "lower s_pid_min_erpm"),
         (VESC + "&host=2", "our own address"),
+        (VESC + "&volts_full=30", "volts_empty and volts_full go together"),
+        (ODRIVE + "&volts_empty=30&volts_full=30", "volts_empty is not below volts_full"),
     ],
 )
 def test_impossible_urls(url: str, text: str) -> None:
@@ -321,9 +330,12 @@ def test_settings_of_both_makes() -> None:
     base = settings.parse(ODRIVE + "&right_sign=-1&speed=0.6&watchdog=0.5")
     assert (base.channel, base.bus.interface, base.bus.bitrate) == ("here", "virtual", 250_000)
     assert [codec.wheel.sign for codec in base.codecs()] == [1, -1]
-    assert base.description().watchdog_s == 0.5
+    assert (base.description().watchdog_s, base.warning) == (0.5, "")
     assert base.description().limits.turn_rad_s == pytest.approx(4.0)
     assert settings.parse(ODRIVE).description().watchdog_s is None
+    assert "no CANSimple message switches it on" in settings.parse(ODRIVE).warning
+    assert settings.parse(VESC + "&watchdog=0.4").description().watchdog_s == 0.4
+    assert settings.parse(VESC).warning == ""
     assert settings.parse(ODRIVE + "&speed=5").wheel_limit_m_s == pytest.approx(2 * math.tau * 0.05)
     slcan = settings.parse(VESC.replace("here", "/dev/ttyACM0").replace("virtual", "slcan"))
     assert (slcan.channel, slcan.bus.bitrate, slcan.description().watchdog_s) == ("/dev/ttyACM0", 500_000, 1.0)
@@ -350,8 +362,14 @@ def test_without_python_can_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
         CanPort(settings.parse(ODRIVE))
 
 
-@pytest.mark.parametrize("interface", ["socketcan", "slcan"])
-def test_a_bus_that_cannot_be_had_says_what_to_do(interface: str) -> None:
+@pytest.mark.parametrize(
+    ("interface", "text"),
+    [
+        ("socketcan", r"no-such-can: cannot open the bus: .*\(bring the interface up: ip link"),
+        ("slcan", r"no-such-can: there is no such port \(plug the robot in"),
+    ],
+)
+def test_a_bus_that_cannot_be_had_says_what_to_do(interface: str, text: str) -> None:
     url = ODRIVE.replace("virtual", interface).replace("//here", "//no-such-can")
-    with pytest.raises(DriverError, match=r"no-such-can: cannot open the bus: .*\(.*\)"):
+    with pytest.raises(DriverError, match=text):
         CanPort(settings.parse(url))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import atexit
 import threading
 
+import structlog
+
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import Lifecycle, Reading, Twist
 from fullswarm.drivers.can.machine import BaseMachine
@@ -15,9 +17,12 @@ from fullswarm.errors import DriverError, FullswarmError, LinkLost, MissingExtra
 
 PERIOD_S = 0.02  # of the set-points
 SLICE_S = 0.005  # a stop waits no longer than that for the thread to look up from listening
-REOPEN_S = 0.5
+REOPEN_S = 0.25
+MOUTHFUL = 64  # frames at most between two looks at what is due
 CLOSING_S = 1.0  # at most for rolling out and letting go
 JOIN_S = 2.0  # at most for the adapter to let go of the link thread
+
+_log = structlog.get_logger("fullswarm.drivers.can")
 
 
 class CanBaseDriver:
@@ -27,7 +32,7 @@ class CanBaseDriver:
     options are in :mod:`fullswarm.drivers.can.settings`. Set-points go out at 50 Hz while they are fresh; without
     `command` for 0.3 s they are zero. Should this process die, only the controllers' own watchdogs stop the
     robot: a VESC's is on (1 s, it then coasts), an ODrive's must be switched on once over USB (see
-    :class:`~fullswarm.drivers.can.odrive.OdriveCodec`) and declared with ``watchdog=0.5``. Neither protocol can
+    :class:`~fullswarm.drivers.can.odrive_axis.OdriveCodec`) and declared with ``watchdog=0.5``. Neither protocol can
     do that over CAN.
 
     Parameters
@@ -44,7 +49,8 @@ class CanBaseDriver:
         self.description = self._settings.description()
         self._codecs = self._settings.codecs()
         self._clock = clock or MonotonicClock()
-        self._machine = BaseMachine(self._codecs, self._settings.base.base, self._settings.wheel_limit_m_s)
+        base = self._settings.base
+        self._machine = BaseMachine(self._codecs, base.base, self._settings.wheel_limit_m_s, base.volts)
         self._lock = threading.Lock()  # guards the machine; held for microseconds
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -63,8 +69,13 @@ class CanBaseDriver:
 
     @property
     def firmware(self) -> str:
-        """What the controllers say they run; only ODrive 0.6 does."""
+        """What the controllers say they run (only ODrive 0.6 does), or else what the URL says they are."""
         return self._machine.firmware
+
+    @property
+    def warning(self) -> str:
+        """What an operator must know before this base drives; empty: nothing. Logged by `open` as well."""
+        return self._settings.warning
 
     @property
     def malformed(self) -> int:
@@ -76,6 +87,8 @@ class CanBaseDriver:
         if self._thread is not None:
             return
         self._port = CanPort(self._settings)
+        if self.warning:
+            _log.warning("no device watchdog", url=self.url, why=self.warning)
         self._closing.clear()
         with self._lock:
             self._machine.opened(self._clock.now_s())
@@ -139,16 +152,21 @@ class CanBaseDriver:
             next_s = self._step(next_s)
 
     def _step(self, next_s: float) -> float:
-        """Take in one frame or a moment's silence, then speak if it is time; return when it is time next."""
+        """Take in what is there or a moment's silence, then speak if it is time; return when it is time next."""
         port = self._port
         if port is None:
             raise LinkLost("the bus is closed", where=self.url)
+        heard: list[Frame] = []
         frame = port.receive(min(SLICE_S, next_s - self._clock.now_s()))
+        # All of it: after a pause a tick must not find a wheel silent whose words wait in the port.
+        while frame is not None and len(heard) < MOUTHFUL:
+            heard.append(frame)
+            frame = port.receive(0.0)
         now_s = self._clock.now_s()
         frames: list[Frame] = []
         with self._lock:
-            if frame is not None:
-                self._machine.receive(frame, now_s)
+            for each in heard:
+                self._machine.receive(each, now_s)
             if now_s >= next_s or self._machine.urgent:
                 frames = self._machine.tick(now_s)
         for each in frames:

@@ -15,6 +15,8 @@ SLACK_M = 0.02
 """A count may run ahead by this much, because messages arrive in bursts."""
 SKEW_S = 0.05
 """At most so much of a wheel's motion is foreseen."""
+CREEP_M_S = 0.05
+"""A wheel that tells a higher speed than this must count."""
 HUGE = 1e6
 
 
@@ -48,11 +50,18 @@ class WheelTrack:
     _count_s: float = -math.inf  # … when that was …
     _at_count_m: float = 0.0  # … and `travelled_m` there
     fresh: bool = False  # something has come since the pose was stepped
+    _still_s: float = math.inf  # since when it has told a speed without counting
 
     def update(self, motion: Motion, now_s: float) -> None:
-        """Take in one message."""
+        """Take in one message; a speed that no wheel has is noise on the line."""
+        if motion.speed_m_s is not None and abs(motion.speed_m_s) > self.limit_m_s:
+            return
         gap_s = now_s - self.seen_s
         if motion.distance_m is not None:
+            if motion.distance_m != self._count_m or abs(self.speed_m_s) < CREEP_M_S:
+                self._still_s = math.inf
+            elif self._still_s == math.inf:
+                self._still_s = now_s
             self._count(motion.distance_m, now_s)
         elif motion.speed_m_s is not None and gap_s < GAP_S:
             self.travelled_m += (self.speed_m_s + motion.speed_m_s) / 2.0 * gap_s
@@ -67,6 +76,10 @@ class WheelTrack:
         The two wheels never report at the same instant: 20 ms at 0.3 m/s would be a heading error of 1°.
         """
         return self.travelled_m + self.speed_m_s * min(now_s - self.seen_s, SKEW_S)
+
+    def stuck_for(self, now_s: float) -> float:
+        """Return for how long the wheel has told a speed without counting, in s; negative: not at all."""
+        return now_s - self._still_s
 
     def _count(self, count_m: float, now_s: float) -> None:
         elapsed_s, step_m = now_s - self._count_s, count_m - self._count_m

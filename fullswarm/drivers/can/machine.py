@@ -8,61 +8,43 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
+from fullswarm.drivers.can.axis import SILENT_S, Axis
 from fullswarm.drivers.can.kinematics import Odometry, body_twist, wheel_speeds
-from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, WheelCodec
+from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Version, Want, WheelCodec
 
 COMMAND_TTL_S = 0.3  # without `command` for that long the set-points are zero
 ENGAGE_S = 0.5  # within which both wheels must confirm that they obey
-SILENT_S = 1.0  # without heartbeat or motion for that long a wheel counts as lost
 PATIENCE_S = 3.0  # after opening, until silence is called a fault
 RETRY_S = 0.5  # between two start sequences
 BEAT_S = 0.1  # between polls, keep-alives and repeated stops
+TELL_S = 1.0  # between questions for what changes slowly
 HOLD_S = 1.0  # a fault stays to be seen at least that long
 STOPPING_S = 0.5  # at most for rolling out before the motors are let go
 STANDING_M_S = 0.01
 PUSHED_M_S = 2.0  # a wheel pushed by hand may turn that fast
-TRIPS, TRIPS_WITHIN_S = 3, 30.0  # so many faults while driving latch the fault
-
-
-SILENCE = Beat(Mode.UNKNOWN)
-
-
-@dataclass(slots=True)
-class Axis:
-    """What is known of one wheel's controller."""
-
-    side: str
-    codec: WheelCodec
-    beat_s: float = -math.inf
-    motion_s: float = -math.inf
-    beat: Beat = SILENCE
-    firmware: str = ""
-
-    @property
-    def name(self) -> str:
-        """Return how messages call it."""
-        return f"{self.side} wheel (node {self.codec.node})"
-
-    def complaint(self, now_s: float) -> str:
-        """Return what this wheel fails to tell; empty when it is alive."""
-        if now_s - self.beat_s > SILENT_S:
-            return f"no heartbeat from the {self.name}: check its power, node number and the bus' bitrate"
-        if now_s - self.motion_s > SILENT_S:
-            return (
-                f"no motion from the {self.name}: switch its cyclic messages on "
-                "(ODrive: encoder estimates, VESC: CAN status 1 and 5)"
-            )
-        return ""
+TRIPS, TRIPS_WITHIN_S = 3, 30.0  # so many faults of the robot while driving latch the fault
+BATTERY_LOW = 0.15
 
 
 class BaseMachine:
-    """Two wheels driven as one. All times are seconds of one monotonic clock."""
+    """Two wheels driven as one. All times are seconds of one monotonic clock.
 
-    def __init__(self, codecs: tuple[WheelCodec, WheelCodec], base_m: float, limit_m_s: float) -> None:
-        self._codecs, self._base_m, self._limit_m_s = codecs, base_m, limit_m_s
+    Parameters
+    ----------
+    volts
+        Of the empty and the full battery; None: no battery reading.
+    """
+
+    def __init__(
+        self,
+        codecs: tuple[WheelCodec, WheelCodec],
+        base_m: float,
+        limit_m_s: float,
+        volts: tuple[float, float] | None = None,
+    ) -> None:
+        self._codecs, self._base_m, self._limit_m_s, self._volts = codecs, base_m, limit_m_s, volts
         self.state = Lifecycle.CLOSED
         self.fault = ""
         self.reading: Reading | None = None
@@ -70,18 +52,21 @@ class BaseMachine:
         self._reset(-math.inf)
 
     def _reset(self, now_s: float) -> None:
-        left, right = self._codecs
-        self.axes = (Axis("left", left), Axis("right", right))
         self._odometry = Odometry(self._base_m, max(PUSHED_M_S, 3.0 * self._limit_m_s))
+        tracks = zip(("left", "right"), self._codecs, self._odometry.wheels, strict=True)
+        self.axes = tuple(Axis(side, codec, track) for side, codec, track in tracks)
         self._target = (0.0, 0.0)
         self._commanded_s = -math.inf
         self._since_s = now_s  # when the present state began
         self._engaging_s: float | None = None
         self._stopping_s: float | None = None
         self._start_s: float | None = None  # when the start sequence was sent last
-        self._next_beat_s = -math.inf
+        self._back_s = -math.inf  # when the bus came back
+        self._next_beat_s = self._next_tell_s = -math.inf
+        self._met = False  # has been READY
         self._trips: deque[float] = deque(maxlen=TRIPS)
-        self._latched = self._leaving = False
+        self._latched = ""  # why it stays in FAULT until it is opened anew; empty: it does not
+        self._leaving = False
         self._bus_up = True
 
     # ------------------------------------------------------------ what the driver is asked
@@ -138,24 +123,28 @@ class BaseMachine:
         return self._released() if self._bus_up else ()
 
     def bus_lost(self, why: str, now_s: float) -> None:
-        """The bus cannot be used: FAULT, and nothing known of the wheels any more."""
+        """The bus cannot be used (still, or any more): FAULT, and nothing known of the wheels."""
+        if self._bus_up or self.state is not Lifecycle.FAULT:
+            self._trip(why, now_s)
         self._bus_up = False
+        self.fault = f"{why}; before that: {self._latched}" if self._latched else why
         for axis in self.axes:
-            axis.beat_s = axis.motion_s = -math.inf
-        self._trip(why, now_s)
+            axis.forget()
 
     def bus_back(self, now_s: float) -> None:
         """The bus was opened again; the fault ends when both wheels are heard."""
         self._bus_up = True
-        self.fault = "the bus is open again, waiting for both wheels"
-        self._since_s = now_s
+        self.fault = self._latched or "the bus is open again, waiting for both wheels"
+        self._back_s = now_s
         self._next_beat_s = -math.inf
         self.urgent = True
 
     @property
     def firmware(self) -> str:
-        """Return what the wheels say they run."""
-        return ", ".join(sorted({axis.firmware for axis in self.axes} - {""}))
+        """Return what the wheels say they run, or what is known without; empty before they were READY."""
+        generic = {axis.codec.generic_firmware for axis in self.axes} if self._met else set()
+        told = {axis.firmware for axis in self.axes} - {""}
+        return ", ".join(sorted(told or generic))
 
     # ------------------------------------------------------------ what the wheels tell
     def receive(self, frame: Frame, now_s: float) -> None:
@@ -170,12 +159,28 @@ class BaseMachine:
             elif isinstance(report, Motion):
                 if report.speed_m_s is not None:  # a count alone does not tell whether the wheel stands
                     axis.motion_s = now_s
+                axis.volts = report.power.volts if report.power else axis.volts
                 if self._odometry.update(side, report, now_s):
-                    stopped = any(each.beat.estop for each in self.axes)
-                    hazards = Hazard.ESTOP_BUTTON if stopped else Hazard.NONE
-                    self.reading = Reading(now_s, self._odometry.pose, self._odometry.twist, hazards=hazards)
-            else:
+                    self.reading = self._read(now_s)
+            elif isinstance(report, Power):
+                axis.volts = report.volts
+            elif isinstance(report, Version):
                 axis.firmware = report.firmware
+
+    def _read(self, now_s: float) -> Reading:
+        hazards = Hazard.ESTOP_BUTTON if any(axis.beat.estop for axis in self.axes) else Hazard.NONE
+        battery = self._battery()
+        if battery is not None and battery < BATTERY_LOW:
+            hazards |= Hazard.BATTERY_LOW
+        return Reading(now_s, self._odometry.pose, self._odometry.twist, hazards=hazards, battery=battery)
+
+    def _battery(self) -> float | None:
+        """Return how full it is by the lower of the two voltages."""
+        told = [axis.volts for axis in self.axes if axis.volts is not None]
+        if self._volts is None or not told:
+            return None
+        empty, full = self._volts
+        return max(0.0, min(1.0, (min(told) - empty) / (full - empty)))
 
     def _on_beat(self, axis: Axis, now_s: float) -> None:
         beat = axis.beat
@@ -186,9 +191,10 @@ class BaseMachine:
                 self._trip(_estopped(axis), now_s)
         elif self.state in (Lifecycle.READY, Lifecycle.ACTIVE):
             if beat.error:
-                self._trip(f"{axis.name} reports {beat.error}", now_s)
+                self._trip(f"{axis.name} reports {beat.error}", now_s, own=True)
             elif self.state is Lifecycle.ACTIVE and beat.mode not in (Mode.DRIVING, Mode.UNKNOWN):
-                self._trip(f"{axis.name} left closed loop by itself (now {beat.state}), no error given", now_s)
+                why = f"{axis.name} left closed loop by itself (now {beat.state}), no error given"
+                self._trip(why, now_s, own=True)
 
     # ------------------------------------------------------------ what goes to the wheels
     def tick(self, now_s: float) -> list[Frame]:
@@ -208,8 +214,19 @@ class BaseMachine:
             self._tick_fault(now_s, due or self.urgent, frames)
             self.urgent = False
         if due and self._bus_up and self.state is not Lifecycle.CLOSED:
-            for axis in self.axes:
-                frames += axis.codec.poll(motion_due=now_s - axis.motion_s > BEAT_S / 2.0)
+            frames += self._questions(now_s)
+        return frames
+
+    def _questions(self, now_s: float) -> list[Frame]:
+        """Return the requests for what the wheels do not tell by themselves."""
+        slow = Want(0)
+        if now_s >= self._next_tell_s:
+            self._next_tell_s = now_s + TELL_S
+            slow = Want.VERSION if self._volts is None else Want.VERSION | Want.POWER
+        frames: list[Frame] = []
+        for axis in self.axes:
+            wants = Want.BEAT | (slow & ~Want.VERSION if axis.firmware else slow)
+            frames += axis.codec.poll(wants | Want.MOTION if now_s - axis.motion_s > BEAT_S / 2.0 else wants)
         return frames
 
     def _tick_open(self, now_s: float, due: bool, frames: list[Frame]) -> None:
@@ -222,11 +239,12 @@ class BaseMachine:
             self._start_s = now_s
             for axis in self.axes:
                 frames += axis.codec.release() + axis.codec.start()
-        elif all(_well(axis, started_s, now_s) for axis in self.axes):
+        elif all(axis.well(started_s, now_s) for axis in self.axes):
+            self._met = True
             self._enter(Lifecycle.READY, now_s)
             return
         if now_s - self._since_s > PATIENCE_S:
-            complaints = [axis.complaint(now_s) or _unwell(axis) for axis in self.axes]
+            complaints = [axis.complaint(now_s) or axis.unwell() for axis in self.axes]
             self._trip("; ".join(filter(None, complaints)), now_s)
 
     def _tick_ready(self, now_s: float, due: bool, frames: list[Frame]) -> None:
@@ -259,6 +277,7 @@ class BaseMachine:
             self._trip(
                 f"{axis.name} did not enter closed loop within {ENGAGE_S} s{state}: are motor and encoder calibrated?",
                 now_s,
+                own=True,
             )
         else:
             for axis, obeys in zip(self.axes, obeying, strict=True):
@@ -281,7 +300,7 @@ class BaseMachine:
         if self._latched or self._leaving or now_s - self._since_s < HOLD_S:
             return
         if complaints := [text for axis in self.axes if (text := axis.complaint(now_s))]:
-            if now_s - self._since_s > PATIENCE_S:  # by now this is what keeps it in FAULT
+            if now_s - max(self._since_s, self._back_s) > PATIENCE_S:  # by now this is what keeps it in FAULT
                 self.fault = "; ".join(complaints)
             return
         if any(axis.beat.estop for axis in self.axes):
@@ -314,13 +333,13 @@ class BaseMachine:
         self.urgent = True
 
     # ------------------------------------------------------------ states
-    def _trip(self, why: str, now_s: float) -> None:
-        """Any state → FAULT; both wheels are let go with the next tick."""
-        if self.state is Lifecycle.ACTIVE or self._engaging_s is not None:
+    def _trip(self, why: str, now_s: float, *, own: bool = False) -> None:
+        """Any state → FAULT; both wheels are let go with the next tick. `own`: the robot's fault, not the link's."""
+        if own and (self.state is Lifecycle.ACTIVE or self._engaging_s is not None):
             self._trips.append(now_s)
             if len(self._trips) == TRIPS and now_s - self._trips[0] < TRIPS_WITHIN_S:
-                self._latched = True
                 why += f"; {TRIPS} faults within {TRIPS_WITHIN_S:.0f} s: find the cause, then restart the agent"
+                self._latched = why
         self._stopping_s = None
         self._enter(Lifecycle.FAULT, now_s, why)
 
@@ -329,18 +348,6 @@ class BaseMachine:
         self._engaging_s = self._start_s = None
         self._next_beat_s = -math.inf
         self._stand()
-
-
-def _well(axis: Axis, started_s: float, now_s: float) -> bool:
-    """Tell whether a wheel has answered the start sequence in good health."""
-    beat = axis.beat
-    return axis.beat_s > started_s and not axis.complaint(now_s) and not beat.error and beat.mode is not Mode.BUSY
-
-
-def _unwell(axis: Axis) -> str:
-    if axis.beat.error:
-        return f"{axis.name} reports {axis.beat.error}"
-    return f"{axis.name} is busy: {axis.beat.state}" if axis.beat.mode is Mode.BUSY else ""
 
 
 def _estopped(axis: Axis) -> str:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import select
 from typing import TYPE_CHECKING, Any
 
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame
 from fullswarm.drivers.can.settings import Settings
+from fullswarm.drivers.link import claim
 from fullswarm.errors import DriverError, LinkLost, MissingExtra
 
 if TYPE_CHECKING:
     import can
+    import serial
 
 SEND_TIMEOUT_S = 0.01
 FAILURES = 3
@@ -48,19 +51,46 @@ class CanPort:
         self._errors = (library.CanError, OSError, ValueError, LookupError, TypeError)
         self._message = library.Message
         self._lost_state = library.BusState.ERROR
+        self._claim: serial.Serial | None = None
         try:
-            self._bus: can.BusABC = library.Bus(
-                channel=settings.channel,
-                interface=settings.bus.interface,
-                ignore_config=True,
-                **_interface_options(settings),
-            )
+            if settings.bus.interface == "slcan":
+                self._bus: can.BusABC = self._open_serial(settings)
+            else:
+                self._bus = library.Bus(
+                    channel=settings.channel,
+                    interface=settings.bus.interface,
+                    ignore_config=True,
+                    **_interface_options(settings),
+                )
         except library.CanInterfaceNotImplementedError as error:
             raise MissingExtra(str(error), where=self._where, hint="pip install 'fullswarm[can]'") from error
         except (library.CanError, OSError, ValueError) as error:
+            self._let_go()
+            cause = f" ({error.__cause__})" if error.__cause__ else ""
             raise DriverError(
-                f"cannot open the bus: {error}", where=self._where, hint=_HINTS[settings.bus.interface]
+                f"cannot open the bus: {error}{cause}", where=self._where, hint=_HINTS[settings.bus.interface]
             ) from error
+
+        self._drained = True  # nothing more has been read than was returned
+        try:
+            self._descriptor: int | None = self._bus.fileno()
+        except NotImplementedError:
+            self._descriptor = None
+
+    def _open_serial(self, settings: Settings) -> can.BusABC:
+        """Claim the adapter's port before python-can, which does not, says a word to it."""
+        from fullswarm.drivers.can.slcan_bus import SlcanBus
+
+        bus = settings.bus
+        self._claim = claim(settings.channel, bus.tty_baud)
+        return SlcanBus(
+            settings.channel, bitrate=settings.bitrate, tty_baudrate=bus.tty_baud, sleep_after_open=bus.settle
+        )
+
+    def _let_go(self) -> None:
+        port, self._claim = self._claim, None
+        if port is not None:
+            port.close()
 
     def send(self, frame: Frame) -> None:
         """Send `frame`, waiting at most 10 ms.
@@ -87,16 +117,23 @@ class CanPort:
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next frame, None when none came in time.
 
+        python-can measures a wait by the wall clock: set back, it lasts an hour. So the kernel waits here wherever
+        a bus has a file descriptor (all but ``virtual``).
+
         Raises
         ------
         LinkLost
             The adapter went bus-off, or the third error in a row.
         """
+        timeout_s = max(0.0, timeout_s)
         try:
-            message = self._bus.recv(timeout=max(0.0, timeout_s))
+            if not self._worth_reading(timeout_s):
+                return None
+            message = self._bus.recv(timeout=timeout_s if self._descriptor is None else 0.0)
         except self._errors as error:
             self._failed(f"cannot receive: {error}", error)
             return None
+        self._drained = message is None
         if message is None:
             return None
         if message.is_error_frame:
@@ -106,6 +143,12 @@ class CanPort:
         if message.is_fd:
             return None
         return Frame(message.arbitration_id, message.is_extended_id, bytes(message.data), message.is_remote_frame)
+
+    def _worth_reading(self, timeout_s: float) -> bool:
+        """Wait until something has arrived, where the kernel can tell."""
+        if self._descriptor is None or not self._drained:
+            return True
+        return bool(select.select([self._descriptor], [], [], timeout_s)[0])
 
     def _on_error_frame(self, error_class: int) -> None:
         self.dropped += 1
@@ -133,20 +176,22 @@ class CanPort:
             serial_port = getattr(self._bus, "serialPortOrig", None)
             if serial_port is not None:
                 serial_port.close()
+        finally:
+            self._let_go()
 
 
 _HINTS = {
     "socketcan": "bring the interface up: ip link set can0 up type can bitrate 250000",
     "slcan": "check the device name, and that you may open it (group dialout)",
     "virtual": "the name of a virtual channel is any word",
-    "udp_multicast": "the channel is a multicast group such as 239.74.163.2",
+    "udp_multicast": "the channel is a multicast group such as 239.74.163.2, and it needs a route: "
+    "without a network, ip route add 239.0.0.0/8 dev lo",
 }
 
 
 def _interface_options(settings: Settings) -> dict[str, Any]:
     bus = settings.bus
     options: dict[str, dict[str, Any]] = {
-        "slcan": {"bitrate": bus.bitrate, "sleep_after_open": bus.settle},
         "udp_multicast": {"port": bus.port, "hop_limit": bus.hop_limit},
     }
     return options.get(bus.interface, {})

@@ -85,11 +85,19 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
+class Power:
+    """What the controller is supplied with."""
+
+    volts: float
+
+
+@dataclass(frozen=True, slots=True)
 class Motion:
     """How the wheel moves: m/s and m along the robot's x axis; None where this message does not tell."""
 
     speed_m_s: float | None
     distance_m: float | None  # since the controller started
+    power: Power | None = None  # in the same message
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +107,16 @@ class Version:
     firmware: str
 
 
-Report = Beat | Motion | Version
+Report = Beat | Motion | Version | Power
+
+
+class Want(enum.Flag):
+    """What a controller is asked for where it does not tell by itself."""
+
+    BEAT = 1  # a sign of life
+    MOTION = 2
+    POWER = 4
+    VERSION = 8
 
 
 class WheelCodec(Protocol):
@@ -112,6 +129,11 @@ class WheelCodec(Protocol):
     @property
     def max_speed_m_s(self) -> float:
         """Return the wheel speed that the controller itself allows; ``inf`` when it says nothing."""
+        ...
+
+    @property
+    def generic_firmware(self) -> str:
+        """Return what is known of the firmware when the controller tells nothing."""
         ...
 
     def quantised(self, speed_m_s: float) -> float:
@@ -138,8 +160,8 @@ class WheelCodec(Protocol):
         """Feed the controller's watchdog while it is idle; empty where that is needless."""
         ...
 
-    def poll(self, *, motion_due: bool) -> tuple[Frame, ...]:
-        """Ask for a sign of life and, with `motion_due`, for the motion, where they do not come by themselves."""
+    def poll(self, wants: Want) -> tuple[Frame, ...]:
+        """Ask for what is wanted, as far as this protocol can be asked."""
         ...
 
     def decode(self, frame: Frame) -> Report | None:

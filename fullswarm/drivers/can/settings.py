@@ -1,6 +1,16 @@
 """The URL of a CAN base, checked: ``can+odrive://vcan0?left=1&right=2&wheel_radius=0.05&base=0.3``.
 
-The part after ``://`` is python-can's channel: ``vcan0``, ``/dev/ttyACM0``, a multicast group, any word.
+The part after ``://`` is python-can's channel:
+
+======================================  ==============================================================
+``can+odrive://vcan0?…``                ``socketcan``, the default: a kernel interface, real or virtual
+``can+odrive:///dev/ttyACM0?…``         with ``interface=slcan``: a serial adapter, or an emulated base's pty
+``can+odrive://239.74.163.2?…``         with ``interface=udp_multicast``: emulators in other processes
+``can+odrive://word?…``                 with ``interface=virtual``: emulators in this process
+======================================  ==============================================================
+
+Multicast stays on this machine (hop limit 0) but needs a route: a machine without any network has none until
+``ip route add 239.0.0.0/8 dev lo``. Anybody on the machine may talk on it; a pty has one owner.
 """
 
 from __future__ import annotations
@@ -14,9 +24,9 @@ from pydantic import Field, PositiveFloat, ValidationError
 from fullswarm.config import Section
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.can import odrive, vesc
-from fullswarm.drivers.can.odrive import OdriveCodec
+from fullswarm.drivers.can.odrive_axis import OdriveCodec
 from fullswarm.drivers.can.protocol import Wheel, WheelCodec
-from fullswarm.drivers.can.vesc import VescCodec
+from fullswarm.drivers.can.vesc_motor import VescCodec
 from fullswarm.errors import ConfigError, did_you_mean
 
 Sign = Literal["1", "-1"]
@@ -32,6 +42,7 @@ class BusOptions(Section):
     interface: Literal["socketcan", "slcan", "virtual", "udp_multicast"] = "socketcan"
     bitrate: int | None = Field(None, gt=0)  # slcan only; None: the maker's default
     settle: float = Field(0.1, ge=0.0, le=5.0)  # slcan only: seconds that the adapter needs after opening
+    tty_baud: int = Field(115_200, gt=0)  # slcan only, and of no meaning to a USB adapter
     port: int = Field(43113, gt=0, le=65535)  # udp_multicast only
     hop_limit: int = Field(0, ge=0, le=255)  # udp_multicast only; 0: frames do not leave this machine
 
@@ -49,6 +60,15 @@ class BaseOptions(Section):
     speed: PositiveFloat = 0.5  # of a wheel, at most
     accel: PositiveFloat = 1.0
     radius: PositiveFloat | None = None  # of the footprint; None: wheels at the rim
+    volts_empty: PositiveFloat | None = None  # of the battery; without both there is no battery reading
+    volts_full: PositiveFloat | None = None
+
+    @property
+    def volts(self) -> tuple[float, float] | None:
+        """Return the voltages of the empty and the full battery; None: not told."""
+        if self.volts_empty is None or self.volts_full is None:
+            return None
+        return self.volts_empty, self.volts_full
 
     def wheel(self, side: int, pole_pairs: int = 1) -> Wheel:
         """Return the wheel of a side (0 left, 1 right)."""
@@ -77,6 +97,7 @@ class VescOptions(Section):
     min_erpm: float = Field(900.0, ge=0.0)
     brake: float = Field(5.0, ge=0.0, le=100.0)  # A
     host: int = Field(253, ge=0, le=vesc.MAX_NODE)  # our own address
+    watchdog: PositiveFloat = vesc.FIRMWARE_TIMEOUT_S  # s, its timeout as configured in VESC Tool
 
     def codec(self, base: BaseOptions, side: int) -> VescCodec:
         """Return the codec of a side."""
@@ -121,8 +142,24 @@ class Settings(Section):
             model="differential base",
             radius_m=base.radius or math.hypot(base.base / 2.0, base.wheel_radius),
             limits=limits,
-            watchdog_s=self.drive.watchdog if isinstance(self.drive, OdriveOptions) else vesc.FIRMWARE_TIMEOUT_S,
+            watchdog_s=self.drive.watchdog,
         )
+
+    @property
+    def warning(self) -> str:
+        """Return what an operator must know before this base drives; empty: nothing."""
+        if self.drive.watchdog is not None:
+            return ""
+        return (
+            "should this computer die, the wheels go on turning: an ODrive's watchdog is off as delivered and no"
+            " CANSimple message switches it on. Do it once over USB (axis0.config.watchdog_timeout = 0.5,"
+            " enable_watchdog = True, save_configuration()) and add watchdog=0.5 to the URL"
+        )
+
+    @property
+    def bitrate(self) -> int:
+        """Return the bus' speed."""
+        return self.bus.bitrate or _MAKERS[f"can+{self.make}"][3]
 
 
 def parse(url: str) -> Settings:
@@ -170,6 +207,10 @@ def _impossible(base: BaseOptions, drive: OdriveOptions | VescOptions, greatest_
     problems = []
     if base.left == base.right:
         problems.append(f"left and right are the same node {base.left}")
+    if (base.volts_empty is None) != (base.volts_full is None):
+        problems.append("volts_empty and volts_full go together")
+    elif base.volts and base.volts[0] >= base.volts[1]:
+        problems.append("volts_empty is not below volts_full")
     if max(base.left, base.right) > greatest_node:
         problems.append(f"nodes go up to {greatest_node}")
     if isinstance(drive, VescOptions):

@@ -1,0 +1,177 @@
+"""An emulated ODrive axis: states, errors, watchdog (off unless `watchdog_s`), heartbeats, answers to all questions."""
+
+from __future__ import annotations
+
+import math
+
+from fullswarm.drivers.can import odrive
+from fullswarm.drivers.can.odrive import Firmware
+from fullswarm.drivers.can.odrive_states import AxisState, error_bit
+from fullswarm.drivers.can.protocol import Frame, Wheel
+from fullswarm.drivers.can.spin import BOOT_S, DRIVEN_S, STEP_S, Mishaps, Sender, Spin
+
+HEARTBEAT_S = 0.1
+COUNTS_PER_TURN = 8192
+SERIAL = bytes.fromhex("393538313338")
+VERSION = odrive.Version(2, 4, 4, 58, 0, 6, 10)
+_SETPOINTS = (odrive.SetVelocity, odrive.SetPosition, odrive.SetTorque)
+
+
+class ODriveEmulator:
+    """One axis in velocity control.
+
+    Torque and position control are accepted and let the wheel roll: nothing here uses them.
+    """
+
+    def __init__(
+        self,
+        bus: Sender,
+        node: int,
+        wheel: Wheel,
+        *,
+        firmware: Firmware = "0.6",
+        limit_turn_s: float = 2.0,
+        watchdog_s: float | None = None,
+        volts: float = 24.0,
+    ) -> None:
+        self._bus, self.node, self._wheel = bus, node, wheel
+        self._firmware, self._limit_turn_s, self._watchdog_s = firmware, limit_turn_s, watchdog_s
+        self.volts = volts
+        self.spin = Spin()
+        self.mishaps = Mishaps()
+        self.state = AxisState.IDLE
+        self.error = self._disarm_reason = 0
+        self.cyclic_motion = True  # sends encoder estimates by itself, not only when asked
+        self.refuses = False  # never enters closed loop, as an axis that is not calibrated
+        self._turn_s = 0.0
+        self._velocity_control = False
+        self._zero_turn = 0.0
+        self._told = odrive.Encoder(0.0, 0.0)
+        self._fed_s = self._beat_s = self._encoder_s = -math.inf
+
+    # ------------------------------------------------------------ what happens to it
+    def inject(self, error: str) -> None:
+        """Raise an error by its name: the axis disarms."""
+        self.error |= error_bit(error, self._firmware)
+        self._disarm_reason = self.error
+        self.drop_out()
+
+    def drop_out(self) -> None:
+        """Leave closed loop without saying why."""
+        self.state, self._turn_s = AxisState.IDLE, 0.0
+
+    def press_estop(self, on: bool) -> None:
+        """Press the button, or free it and clear the error at the controller, as its owner would."""
+        self.mishaps.estop = on
+        if on:
+            self.inject("ESTOP_REQUESTED")
+        else:
+            self.error &= ~error_bit("ESTOP_REQUESTED", self._firmware)
+
+    def reboot(self, now_s: float) -> None:
+        """Start anew: silent for a while, idle, position zero, no errors but a pressed button."""
+        self.error, self._velocity_control, self._zero_turn = 0, False, self._turns()
+        self.drop_out()
+        self.mishaps.booting_until_s = now_s + BOOT_S
+        if self.mishaps.estop:
+            self.inject("ESTOP_REQUESTED")
+
+    # ------------------------------------------------------------ the bus
+    def receive(self, frame: Frame, now_s: float) -> None:
+        """Obey one frame; short payloads are accepted as far as they go."""
+        if self.mishaps.deaf(now_s) or frame.extended or frame.id >> 5 != self.node:
+            return
+        if self._firmware == "0.5":
+            self._fed_s = now_s
+        if frame.remote:
+            self._answer(frame.id & 0x1F, now_s)
+        else:
+            self._obey(odrive.decode(frame, self._firmware), now_s)
+
+    def _obey(self, message: object, now_s: float) -> None:
+        if isinstance(message, _SETPOINTS):
+            self._fed_s = now_s
+        match message:
+            case odrive.SetState(state=state):
+                self._request(state, now_s)
+            case odrive.SetMode(control=control):
+                self._velocity_control = control == odrive.VELOCITY_CONTROL
+            case odrive.SetVelocity(velocity_turn_s=turn_s) if self._velocity_control:
+                self._turn_s = max(-self._limit_turn_s, min(self._limit_turn_s, turn_s))
+            case odrive.SetLimits(velocity_turn_s=turn_s) if turn_s > 0.0:
+                self._limit_turn_s = turn_s
+            case odrive.SetAbsolutePosition(position_turn=turns):
+                self._zero_turn = self._turns() - turns
+            case odrive.SetLinearCount(count=count):
+                self._zero_turn = self._turns() - count / COUNTS_PER_TURN
+            case odrive.ClearErrors():
+                self.error = error_bit("ESTOP_REQUESTED", self._firmware) if self.mishaps.estop else 0
+            case odrive.Estop():
+                self.inject("ESTOP_REQUESTED")
+            case odrive.Reboot():
+                self.reboot(now_s)
+
+    def _request(self, state: int, now_s: float) -> None:
+        if state == AxisState.CLOSED_LOOP and not self.error and not self.refuses:
+            self.state, self._fed_s = AxisState.CLOSED_LOOP, now_s
+        elif state == AxisState.IDLE:
+            self.drop_out()
+        elif state not in (AxisState.CLOSED_LOOP, AxisState.IDLE) and self._firmware == "0.5":
+            self.inject("INVALID_STATE")
+
+    def _answer(self, command: int, now_s: float) -> None:
+        layout = odrive.TABLES[self._firmware].by_command.get(command)
+        message = self._known(layout.kind) if layout else None
+        if message is not None:
+            self._send(message, now_s)
+
+    def _known(self, kind: type[object]) -> object | None:
+        """Return what it tells when asked for a message of this kind; None for what is only told to it."""
+        turns, turn_s = self._turns() - self._zero_turn, self._wheel.turns(self.spin.measured_m_s)
+        if kind is odrive.Encoder:
+            if not self.mishaps.stuck_sensor:
+                self._told = odrive.Encoder(turns, turn_s)
+            return None if self.mishaps.silent_motion else self._told
+        if kind is odrive.EncoderCount:
+            count = math.floor(turns * COUNTS_PER_TURN)
+            return odrive.EncoderCount((count + 2**31) % 2**32 - 2**31, count % COUNTS_PER_TURN)
+        if kind in (odrive.MotorError, odrive.EncoderError, odrive.SensorlessError, odrive.ControllerError):
+            return kind(0)
+        amperes = 0.5 + abs(turn_s)
+        answers: dict[type[object], object] = {
+            odrive.Heartbeat: odrive.Heartbeat(self.error, self.state),
+            odrive.Heartbeat05: odrive.Heartbeat05(self.error, self.state),
+            odrive.Version: VERSION,
+            odrive.Errors: odrive.Errors(self.error, self._disarm_reason),
+            odrive.Address: odrive.Address(self.node, SERIAL),
+            odrive.Iq: odrive.Iq(0.0, 0.0),
+            odrive.Sensorless: odrive.Sensorless(0.0, 0.0),
+            odrive.Temperature: odrive.Temperature(35.0, None),
+            odrive.BusPower: odrive.BusPower(self.volts, amperes),
+            odrive.AdcVoltage: odrive.AdcVoltage(0.0),
+            odrive.Torques: odrive.Torques(0.0, 0.0),
+            odrive.Powers: odrive.Powers(self.volts * amperes, 0.0),
+        }
+        return answers.get(kind)
+
+    def step(self, now_s: float) -> None:
+        """Turn the wheel and send heartbeat (10 Hz) and encoder estimates (100 Hz)."""
+        driving = self.state is AxisState.CLOSED_LOOP
+        if driving and self._watchdog_s and now_s - self._fed_s > self._watchdog_s:
+            self.inject("WATCHDOG_TIMER_EXPIRED")
+            driving = False
+        moved = driving and self._velocity_control
+        self.spin.step(self._wheel.metres(self._turn_s) if moved else 0.0, DRIVEN_S if driving else None, now_s)
+        if now_s - self._beat_s >= HEARTBEAT_S - STEP_S / 2.0:
+            self._beat_s = now_s
+            self._answer(1, now_s)
+        if self.cyclic_motion and now_s - self._encoder_s >= STEP_S / 2.0:
+            self._encoder_s = now_s
+            self._answer(9, now_s)
+
+    def _send(self, message: object, now_s: float) -> None:
+        if not self.mishaps.dumb(now_s):
+            self._bus.send(odrive.encode(self.node, message, self._firmware))
+
+    def _turns(self) -> float:
+        return self._wheel.turns(self.spin.travelled_m)

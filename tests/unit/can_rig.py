@@ -1,0 +1,119 @@
+"""A machine and two emulated controllers in simulated time: no bus, no thread, no waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fullswarm.clock import SimClock
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
+from fullswarm.drivers.body import FreeBody, wheels_rolled
+from fullswarm.drivers.can.emulator import Base
+from fullswarm.drivers.can.machine import BaseMachine
+from fullswarm.drivers.can.odrive_emulator import ODriveEmulator
+from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.protocol import Frame
+from fullswarm.drivers.can.settings import parse
+
+BASE_M, LIMIT_M_S = 0.3, 0.5
+TICK_S = 0.005
+URL = "can+{}://rig?interface=virtual&left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&gear=10"
+OPTIONS = {"odrive": "vel_limit=50", "vesc": "pole_pairs=7"}
+
+
+class Wire(list[Frame]):
+    """A bus with one listener."""
+
+    def send(self, frame: Frame) -> None:
+        self.append(frame)
+
+
+class Rig:
+    """5 ms at a time; the controllers step every 10 ms, commands come every 20 ms."""
+
+    def __init__(self, make: str = "odrive", *more: str, statuses: frozenset[int] | None = None) -> None:
+        self.settings = parse("&".join((URL.format(make), OPTIONS[make], *more)))
+        self.clock = SimClock(100.0)
+        self.body = FreeBody(clock=self.clock)
+        self.wire = Wire()
+        self.base = Base(self.settings, self.body, self.wire)
+        self.wheels = self.base.wheels
+        for wheel in self.wheels:
+            if not isinstance(wheel, ODriveEmulator) and statuses is not None:
+                wheel.statuses = statuses
+        self.machine = BaseMachine(self.settings.codecs(), BASE_M, LIMIT_M_S, self.settings.base.volts)
+        self.sent: list[tuple[float, Frame]] = []
+        self.link = True
+        self.twist: Twist | None = None
+        self.applied = STAND
+        self._step = 0
+        self.machine.opened(self.now)
+
+    @property
+    def now(self) -> float:
+        return self.clock.now_s()
+
+    @property
+    def odrives(self) -> list[ODriveEmulator]:
+        return [wheel for wheel in self.wheels if isinstance(wheel, ODriveEmulator)]
+
+    @property
+    def reading(self) -> Reading:
+        assert self.machine.reading is not None
+        return self.machine.reading
+
+    def state(self) -> Lifecycle:
+        return self.machine.state
+
+    def hazards(self) -> Hazard:
+        return self.reading.hazards
+
+    def rolled(self) -> tuple[float, float]:
+        return wheels_rolled(self.body.state(), BASE_M)
+
+    def step(self) -> None:
+        self._step += 1
+        self.clock.advance_to(100.0 + self._step * TICK_S)
+        if self._step % 2 == 0:
+            self.base.step(self.now)
+        if not self.link:
+            self.wire.clear()
+            return
+        for frame in self.wire:
+            self.machine.receive(frame, self.now)
+        self.wire.clear()
+        if self.twist is not None and self._step % 4 == 0:
+            self.applied = self.machine.command(self.twist, self.now)
+        if self._step % 4 == 0 or self.machine.urgent:
+            for frame in self.machine.tick(self.now):
+                self.sent.append((self.now, frame))
+                self.base.receive(frame, self.now)
+
+    def run(self, duration_s: float) -> None:
+        for _ in range(round(duration_s / TICK_S)):
+            self.step()
+
+    def until(self, condition: Callable[[], bool], limit_s: float) -> float:
+        """Run until `condition`; return how long it took."""
+        start_s = self.now
+        while not condition():
+            assert self.now - start_s <= limit_s, f"{self.machine.state} {self.machine.fault}"
+            self.step()
+        return self.now - start_s
+
+    def until_state(self, state: Lifecycle, limit_s: float) -> float:
+        return self.until(lambda: self.machine.state is state, limit_s)
+
+    def active(self, twist: Twist | None = None) -> None:
+        """Bring the robot to ACTIVE and let it drive."""
+        self.until_state(Lifecycle.READY, 2.0)
+        self.machine.activate(self.now)
+        self.until_state(Lifecycle.ACTIVE, 0.6)
+        self.twist = twist
+        if twist is not None:
+            self.run(0.5)
+
+    def speeds(self) -> list[float]:
+        return [wheel.spin.speed_m_s for wheel in self.wheels]
+
+    def idle(self) -> bool:
+        return all(each.state is AxisState.IDLE for each in self.odrives)
