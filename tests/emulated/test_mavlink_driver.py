@@ -11,8 +11,8 @@ from contextlib import contextmanager
 import pytest
 
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
-from fullswarm.drivers.mavlink.body import BodyState, UnicycleBody
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
+from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.protocol import Mode
@@ -54,7 +54,7 @@ ADDRESSES: dict[str, Callable[[], str]] = {"udp": lambda: f"udp://127.0.0.1:{fre
 
 
 @contextmanager
-def pair(address: str = "", body: UnicycleBody | None = None) -> Iterator[tuple[MavlinkDriver, RoverEmulator]]:
+def pair(address: str = "", body: Body | None = None) -> Iterator[tuple[MavlinkDriver, RoverEmulator]]:
     with RoverEmulator(address or ADDRESSES["udp"](), body) as emulator:
         driver = MavlinkDriver(emulator.url)
         try:
@@ -74,10 +74,15 @@ def active(driver: MavlinkDriver) -> None:
     until(lambda: driver.state is Lifecycle.ACTIVE)
 
 
+def last_speed(emulator: RoverEmulator) -> float:
+    """Return the speed of the newest set-point; NaN before the first."""
+    records = emulator.setpoints
+    return records[-1].speed_m_s if records else math.nan
+
+
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
 def test_drives_counter_clockwise_and_silence_is_zero(kind: str) -> None:
-    start = BodyState(2.0, -1.0, math.pi / 2)
-    with pair(ADDRESSES[kind](), UnicycleBody(start)) as (driver, emulator):
+    with pair(ADDRESSES[kind](), FreeBody(Pose(2.0, -1.0, math.pi / 2))) as (driver, emulator):
         assert driver.state is Lifecycle.OPEN
         ready(driver)
         assert emulator.firmware.parameters["FS_GCS_ENABLE"] == 1.0
@@ -101,7 +106,7 @@ def test_drives_counter_clockwise_and_silence_is_zero(kind: str) -> None:
         assert (reading.twist.linear_m_s > 0.2, reading.twist.angular_rad_s > 0.2) == (True, True)
         assert reading.battery == 0.87
         silent_s = CLOCK.now_s()
-        until(lambda: emulator.setpoints[-1].speed_m_s == 0.0)
+        until(lambda: last_speed(emulator) == 0.0)
         assert 0.2 < emulator.setpoints[-1].at_s - silent_s < 0.7
         records = emulator.setpoints
         assert {(s.mask, s.frame) for s in records} == {(1511, 8)}
@@ -123,13 +128,13 @@ def test_a_stop_and_a_non_finite_set_point_go_out_at_once() -> None:
     with pair() as (driver, emulator):
         active(driver)
         for stop in (STAND, Twist(math.nan, 0.0)):
-            until(lambda: emulator.setpoints[-1].speed_m_s == 0.25, each=lambda: driver.command(Twist(0.25, 0.0)))
+            until(lambda: last_speed(emulator) == 0.25, each=lambda: driver.command(Twist(0.25, 0.0)))
             if math.isfinite(stop.linear_m_s):
                 driver.command(stop)
             else:
                 with pytest.raises(ValueError, match="finite"):
                     driver.command(stop)
-            until(lambda: emulator.setpoints[-1].speed_m_s == 0.0, timeout_s=0.25)
+            until(lambda: last_speed(emulator) == 0.0, timeout_s=0.25)
 
 
 def test_a_pilot_who_takes_over_is_reported_and_not_fought() -> None:
@@ -173,7 +178,7 @@ def test_killed_and_restarted_it_comes_back_ready_never_active(kind: str) -> Non
             seen.append(driver.state)
 
         active(driver)
-        emulator.stop()
+        emulator.close()
         until(lambda: driver.state is Lifecycle.FAULT, each=drive)
         assert driver.fault != ""
         assert driver.command(Twist(0.5, 0.0)) == STAND
@@ -203,7 +208,7 @@ def test_another_system_id_is_not_ours_and_two_drivers_cannot_share_a_port() -> 
 def test_a_failing_link_thread_is_a_fault_and_stops_the_rover(monkeypatch: pytest.MonkeyPatch) -> None:
     with pair() as (driver, emulator):
         active(driver)
-        until(lambda: emulator.setpoints[-1].speed_m_s == 0.5, each=lambda: driver.command(Twist(0.5, 0.0)))
+        until(lambda: last_speed(emulator) == 0.5, each=lambda: driver.command(Twist(0.5, 0.0)))
 
         def broken(*_: object) -> list[bytes]:
             raise RuntimeError("boom")
@@ -212,7 +217,7 @@ def test_a_failing_link_thread_is_a_fault_and_stops_the_rover(monkeypatch: pytes
         until(lambda: driver.state is Lifecycle.FAULT)
         assert "boom" in driver.fault
         until(lambda: emulator.firmware.mode == Mode.HOLD and not emulator.firmware.armed)
-        assert emulator.setpoints[-1].speed_m_s == 0.0
+        assert last_speed(emulator) == 0.0
 
 
 def test_open_says_what_is_wrong() -> None:

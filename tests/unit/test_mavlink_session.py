@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import pytest
 
+from fullswarm.clock import SimClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Limits, Twist
-from fullswarm.drivers.mavlink.body import UnicycleBody
-from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser, decode
+from fullswarm.drivers.body import FreeBody
+from fullswarm.drivers.mavlink.codec import StreamParser, decode
 from fullswarm.drivers.mavlink.firmware import Firmware
 from fullswarm.drivers.mavlink.protocol import Mode, StatusText
 from fullswarm.drivers.mavlink.session import Options, Session
@@ -23,8 +24,8 @@ class Bench:
     """Session and firmware with a wire between them that may lose frames."""
 
     def __init__(self, boot_s: float = 0.2, loss: float = 0.0, loop_hz: float = 50.0) -> None:
-        self.now_s = 100.0
-        self.body = UnicycleBody()
+        self._clock = SimClock(100.0)
+        self.body = FreeBody(clock=self._clock)
         self.rover = Firmware(self.body, boot_s=boot_s, loop_hz=loop_hz)
         self.rover.power_on(self.now_s)
         self.session = Session(Options(1, LIMITS, "bench"), self.now_s)
@@ -33,8 +34,12 @@ class Bench:
         self._loss, self._random = loss, random.Random(1)
         self._down, self._up = StreamParser(), StreamParser()
 
+    @property
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
     def step(self) -> None:
-        self.now_s += STEP_S
+        self._clock.advance_to(self.now_s + STEP_S)
         for frame in self.rover.tick(self.now_s):
             for message in self._pass(frame, self._down):
                 received = decode(message)
@@ -211,11 +216,56 @@ def test_rates_that_were_forgotten_are_asked_again() -> None:
     bench = Bench()
     bench.ready()
     for message in (30, 32):
-        bench.rover.command_interval([message, 0.0, 0.0], bench.now_s)  # back to 1 Hz
+        bench.rover.set_interval(message, 0.0, bench.now_s)  # back to 1 Hz
     bench.run(5.0)
     stamps = set()
     bench.run(1.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
     assert len(stamps) > 15
+
+
+def test_the_name_of_the_station_s_parameter_from_4_7_on_is_known() -> None:
+    bench = Bench()
+    bench.rover.parameters["MAV_GCS_SYSID"] = 250.0
+    bench.run(4.0)
+    assert "MAV_GCS_SYSID is 250" in bench.session.why
+
+
+def test_after_a_cut_it_is_ready_within_two_seconds_never_active_and_disarmed_first() -> None:
+    bench = Bench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    bench.cut = True
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 1.5, bench.drive)
+    bench.run(4.0, bench.drive)
+    assert "no heartbeat" in bench.session.fault
+    bench.cut = False
+    back_s, seen = bench.now_s, set()
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 2.0, lambda: seen.add(bench.session.lifecycle))
+    assert Lifecycle.ACTIVE not in seen
+    assert bench.now_s - back_s < 2.0
+    assert (bench.rover.armed, bench.drive()) == (False, STAND)
+
+
+def test_the_vehicle_s_warnings_can_be_read() -> None:
+    bench = Bench()
+    bench.ready()
+    bench.rover.text("Battery 1 low voltage 10.21V used 2100 mAh, and this is a second chunk")
+    bench.rover.text("EKF3 IMU0 is using GPS", severity=6)
+    bench.run(0.1)
+    texts = bench.session.texts(bench.now_s)
+    assert texts == ["Battery 1 low voltage 10.21V used 2100 mAh, and this is a second chunk"]
+    assert bench.session.texts(bench.now_s + 60.0) == []
+
+
+def test_the_safety_switch_is_an_emergency_stop() -> None:
+    bench = Bench()
+    bench.active()
+    for pressed in (True, False):
+        bench.rover.safety = pressed
+        bench.run(0.6)
+        reading = bench.session.reading()
+        assert reading is not None
+        assert bool(reading.hazards & Hazard.ESTOP_BUTTON) is pressed
 
 
 # ---------------------------------------------------------------- into motion and out of it
@@ -343,7 +393,7 @@ def test_attitude_lost_while_driving_is_a_fault_although_heartbeats_go_on() -> N
     bench.active()
 
     def drive_without_attitude() -> None:
-        bench.rover.command_interval([30, -1.0, 0.0], bench.now_s)
+        bench.rover.set_interval(30, -1.0, bench.now_s)
         bench.drive()
 
     bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 1.3, drive_without_attitude)
@@ -381,89 +431,3 @@ def test_a_restart_is_a_fault_and_the_rates_are_asked_again() -> None:
     after = bench.session.reading()
     assert after is not None
     assert after.odometry.x_m == pytest.approx(before.odometry.x_m, abs=0.3)
-
-
-# ---------------------------------------------------------------- the firmware's own traps
-class Wire:
-    """Raw frames to the firmware, without our session."""
-
-    def __init__(self) -> None:
-        self.now_s, self.body = 0.0, UnicycleBody()
-        self.rover = Firmware(self.body, boot_s=0.1)
-        self.rover.power_on(0.0)
-        self.station, self._up, self._down = StationEncoder(255, 190, 1), StreamParser(), StreamParser()
-        self.types: list[str] = []
-        self.acks: list[tuple[int, int]] = []
-        self.texts: list[str] = []
-        self.run(0.2)
-
-    def send(self, frame: bytes) -> None:
-        for message in self._up.feed(frame):
-            self.rover.receive(message, self.now_s)
-        self.run(0.02)
-
-    def run(self, duration_s: float) -> None:
-        for _ in range(round(duration_s / STEP_S)):
-            self.now_s += STEP_S
-            for frame in self.rover.tick(self.now_s):
-                for message in self._down.feed(frame):
-                    self.types.append(message.get_type())
-                    if message.get_type() == "COMMAND_ACK":
-                        self.acks.append((message.command, message.result))
-                    if message.get_type() == "STATUSTEXT":
-                        self.texts.append(message.text)
-
-
-def test_a_setpoint_stored_while_disarmed_drives_off_on_arming() -> None:
-    wire = Wire()
-    wire.send(wire.station.set_mode(Mode.GUIDED))
-    wire.send(wire.station.drive(0.8, 0.0))
-    wire.send(wire.station.arm(True))
-    wire.run(1.0)
-    assert wire.body.state().speed_m_s > 0.7
-
-
-def test_setpoints_expire_after_three_seconds_with_a_text() -> None:
-    wire = Wire()
-    wire.send(wire.station.set_mode(Mode.GUIDED))
-    wire.send(wire.station.arm(True))
-    wire.send(wire.station.drive(0.5, 0.0))
-    wire.run(2.9)
-    assert wire.body.state().speed_m_s == pytest.approx(0.5)
-    wire.run(1.0)
-    assert wire.body.state().speed_m_s == 0.0
-    assert "target not received last 3secs, stopping" in wire.texts
-    assert wire.rover.armed
-
-
-def test_results_of_commands() -> None:
-    wire = Wire()
-    station = wire.station
-    for frame in (
-        station.message_interval(30, 40.0), station.message_interval(30, 41.0), station.message_interval(331, 5.0),
-        station.command(176, 0.0, 15.0), station.set_mode(99), station.command(400, 2.0), station.command(60001),
-        station.request_message(148), station.request_message(300), station.set_mode(Mode.RTL), station.arm(True),
-    ):  # fmt: skip
-        wire.send(frame)
-    assert [result for _, result in wire.acks] == [0, 2, 2, 2, 4, 3, 3, 0, 4, 0, 4]
-    assert "Arm: Mode not armable" in wire.texts
-    wire.send(StationEncoder(255, 190, 2).arm(True))  # another vehicle's
-    assert len(wire.acks) == 11
-
-
-def test_frame_12_and_a_velocity_without_vy_are_ignored() -> None:
-    from fullswarm.drivers.mavlink.body import BodyState, interpret
-    from fullswarm.drivers.mavlink.codec import dialect
-
-    def read(frame: int, mask: int, vx: float = 0.5, vy: float = 0.0, rate: float = 0.3) -> object:
-        message = dialect().MAVLink_set_position_target_local_ned_message(
-            0, 1, 1, frame, mask, 0, 0, 0, vx, vy, 0, 0, 0, 0, 0, rate
-        )
-        return interpret(message, BodyState())
-
-    assert read(8, 1511) == read(1, 0x5C7) == (0.5, -0.3)
-    assert read(12, 1511) is None
-    assert read(8, 0x5D7) == (0.0, -0.3)  # one ignored axis ignores the velocity
-    assert read(8, 0x407) is None
-    assert read(8, 1511, vx=-0.3, vy=0.4) == (-0.5, -0.3)  # speed is hypot, sign of vx
-    assert read(8, 1511, vx=math.nan) == (0.0, 0.0)

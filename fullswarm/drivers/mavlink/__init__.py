@@ -1,20 +1,27 @@
-"""MAVLink ground rovers (ArduPilot Rover). Extra: ``pip install 'fullswarm[mavlink]'``.
+"""MAVLink ground rovers: ArduPilot Rover (GUIDED) and PX4 (OFFBOARD). Extra: ``pip install 'fullswarm[mavlink]'``.
 
 ::
 
     driver.py        MavlinkDriver: the HAL contract; owns the link thread
+      settings.py    what the URL asks for
       link.py        bytes in and out: UDP, TCP, serial port
       session.py     the conversation as a state machine; no I/O, no clock of its own
+        autopilot.py what differs between autopilots; ArduPilot's Rover
+        px4.py       PX4's: velocity vectors that lead the heading
         startup.py   version, message rates, failsafe, position: what READY needs
-        arming.py    into motion (GUIDED, armed) and out of it (zero, HOLD, disarmed), confirmed by state
+        arming.py    into motion (driving mode, armed) and out of it (zero, hold, disarmed), confirmed by state
+        external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
         vehicle.py   what the vehicle has told so far, and the reading made of it
-      codec.py       frames ↔ messages (pymavlink's dialect), tolerant stream parser
+      signing.py     MAVLink 2 signing: key, timestamps over restarts, whom to believe
+      codec.py       frames ↔ messages (pymavlink's dialect)
+      stream.py      bytes → frames: tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU
-    emulator.py      RoverEmulator: an emulated rover behind a real port
+    emulator.py      RoverEmulator: an emulated ArduPilot rover behind real ports
       firmware.py    ArduRover as its wire shows it; no I/O, no clock of its own
-      telemetry.py   its streams
-      body.py        what it drives
+      rover/         its parts
+    px4_emulator.py  Px4Emulator: an emulated PX4 rover behind a real port
+      px4_firmware.py, px4_telemetry.py  PX4 as its wire shows it
 
-Set-points (twists) flow in, readings (pose, twist, battery, hazards) flow out.
+Set-points (twists) and poses from outside flow in, readings (pose, twist, battery, hazards) flow out.
 """

@@ -1,10 +1,13 @@
-"""Into motion and out of it: GUIDED and armed, confirmed by state; zero, HOLD and disarmed, confirmed by state."""
+"""Into motion and out of it: the driving mode and armed, confirmed by state; zero, hold and disarmed, by state too."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
+from fullswarm.drivers.base import STAND
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.autopilot import Autopilot, Known
 from fullswarm.drivers.mavlink.codec import StationEncoder
 from fullswarm.drivers.mavlink.requests import RESEND_S, Pursuit
 from fullswarm.drivers.mavlink.vehicle import Vehicle
@@ -16,18 +19,42 @@ STANDING_M_S = 0.06  # a rover told zero creeps at up to 0.036 m/s
 SETPOINT_S = 0.05
 
 
-class Activation:
-    """One attempt: GUIDED seen in a heartbeat, then armed seen in a heartbeat. Sends no set-point.
+class Controls:
+    """One vehicle's autopilot and the encoder to it: the commands that both procedures below use."""
 
-    A set-point sent before arming is stored by the firmware and drives off the moment it arms.
+    def __init__(self, autopilot: Autopilot, encoder: StationEncoder, known: Known) -> None:
+        self.autopilot, self.encoder, self._known = autopilot, encoder, known
+
+    def mode(self, mode: int) -> Pursuit:
+        """Return the pursuit of a mode."""
+        return Pursuit(p.COMMAND_SET_MODE, partial(self.autopilot.set_mode, self.encoder, mode))
+
+    def arm(self, arm: bool, *, repeat_accepted: bool = True) -> Pursuit:
+        """Return the pursuit of the armed state."""
+        return Pursuit(p.COMMAND_ARM, partial(self.encoder.arm, arm), repeat_accepted=repeat_accepted)
+
+    def stand(self) -> bytes:
+        """Return a set-point that moves nothing."""
+        return self.autopilot.setpoint(self.encoder, STAND, self._known)
+
+
+class Activation:
+    """One attempt: the driving mode seen in a heartbeat, then armed seen in a heartbeat.
+
+    ArduPilot gets no set-point before that: it stores one and drives off the moment it arms. PX4 lets nobody into
+    its driving mode who has not sent standing set-points for a while, and keeps nobody in it who stops.
     """
 
-    def __init__(self, encoder: StationEncoder, vehicle: Vehicle, now_s: float) -> None:
-        self._vehicle, self._start_s, self._deadline_s = vehicle, now_s, now_s + STEP_S
-        self._mode = Pursuit(p.COMMAND_SET_MODE, partial(encoder.set_mode, p.Mode.GUIDED))
+    def __init__(self, controls: Controls, vehicle: Vehicle, now_s: float) -> None:
+        self._controls, self._vehicle, self._start_s = controls, vehicle, now_s
+        autopilot = controls.autopilot
+        self._mode_s = now_s + autopilot.stream_s
+        self._deadline_s = self._mode_s + STEP_S
+        self._setpoint_s = now_s if autopilot.stream_s > 0.0 else math.inf
+        self._mode = controls.mode(autopilot.drive_mode)
         # An accepted arm is not repeated: were the pilot to disarm at that moment, it would fight him.
-        self._arm = Pursuit(p.COMMAND_ARM, partial(encoder.arm, True), repeat_accepted=False)
-        self._in_guided = False
+        self._arm = controls.arm(True, repeat_accepted=False)
+        self._in_mode = False
         self._refused_s: float | None = None
         self.armed = False
         self.refusal = ""
@@ -38,38 +65,52 @@ class Activation:
         """Whether an arm command is under way that the vehicle has not refused."""
         return self._arm.sent > 0 and not self._arm.refused
 
+    @property
+    def next_due_s(self) -> float:
+        """When :meth:`tick` has a set-point to send."""
+        return self._setpoint_s
+
     def receive(self, body: p.Body, now_s: float) -> None:
         """Take a message that arrived after the attempt began."""
         if isinstance(body, p.Ack):
-            (self._arm if self._in_guided else self._mode).on_ack(body)
+            (self._arm if self._in_mode else self._mode).on_ack(body)
         elif isinstance(body, p.Heartbeat):
             self._see(body, now_s)
 
     def _see(self, heartbeat: p.Heartbeat, now_s: float) -> None:
-        guided = heartbeat.custom_mode == p.Mode.GUIDED
-        if self._in_guided and not guided:
+        autopilot = self._controls.autopilot
+        drives = heartbeat.custom_mode == autopilot.drive_mode
+        if self._in_mode and not drives:
             self.taken_over = True
-            self.refusal = self._explain(f"the mode went to {p.mode_name(heartbeat.custom_mode)} while arming")
-        elif guided and not self._in_guided:
-            self._in_guided, self._deadline_s = True, now_s + STEP_S
+            name = autopilot.mode_name(heartbeat.custom_mode)
+            self.refusal = self._explain(f"the mode went to {name} while arming")
+        elif drives and not self._in_mode and now_s >= self._mode_s:
+            self._in_mode, self._deadline_s = True, now_s + STEP_S
         elif self._arm.sent and heartbeat.armed:
             self.armed = True
 
     def tick(self, now_s: float) -> list[bytes]:
-        """Return the command that is due; sets `refusal` when the attempt is over."""
+        """Return the frames that are due; sets `refusal` when the attempt is over."""
         if self.armed or self.refusal:
             return []
-        step, what = (self._arm, "arm") if self._in_guided else (self._mode, "enter GUIDED")
+        frames: list[bytes] = []
+        if now_s >= self._setpoint_s:
+            self._setpoint_s = now_s + SETPOINT_S
+            frames.append(self._controls.stand())
+        if now_s < self._mode_s:
+            return frames
+        name = self._controls.autopilot.mode_name(self._controls.autopilot.drive_mode)
+        step, what = (self._arm, "arm") if self._in_mode else (self._mode, f"enter {name}")
         if step.refused:
             self._refused_s = now_s if self._refused_s is None else self._refused_s
             if self._vehicle.texts_since(self._start_s) or now_s - self._refused_s > TEXT_WAIT_S:
                 result = p.result_name(step.result or 0)
                 self.refusal = self._explain(f"the vehicle refused to {what} ({result})")
-            return []
+            return frames
         if now_s > self._deadline_s:
             self.refusal = self._explain(f"the vehicle did not {what} within {STEP_S:g} s")
-            return []
-        return step.tick(now_s)
+            return frames
+        return frames + step.tick(now_s)
 
     def _explain(self, what: str) -> str:
         texts = self._vehicle.texts_since(self._start_s)
@@ -77,15 +118,16 @@ class Activation:
 
 
 class StandDown:
-    """Zero set-point until standing, then HOLD, then disarm, each repeated until a heartbeat shows it.
+    """Zero set-point until standing, then hold, then disarm, each repeated until a heartbeat shows it.
 
-    A vehicle that is in neither GUIDED nor HOLD is in somebody else's hands and is left alone.
+    A vehicle that is in neither the driving nor the holding mode is in somebody else's hands and is left alone.
     """
 
-    def __init__(self, encoder: StationEncoder, vehicle: Vehicle, now_s: float, *, arm_pending: bool = False) -> None:
-        self._encoder, self._vehicle, self.start_s = encoder, vehicle, now_s
-        self._hold = Pursuit(p.COMMAND_SET_MODE, partial(encoder.set_mode, p.Mode.HOLD))
-        self._disarm = Pursuit(p.COMMAND_ARM, partial(encoder.arm, False))
+    def __init__(self, controls: Controls, vehicle: Vehicle, now_s: float, *, arm_pending: bool = False) -> None:
+        self._controls, self._vehicle, self.start_s = controls, vehicle, now_s
+        self._drive_mode, self._hold_mode = controls.autopilot.drive_mode, controls.autopilot.hold_mode
+        self._hold = controls.mode(self._hold_mode)
+        self._disarm = controls.arm(False)
         self._brake_until_s = now_s + BRAKE_S
         # An arm command on its way can still take effect after the newest heartbeat that said disarmed.
         self._not_done_before_s = now_s + (2 * RESEND_S if arm_pending else 0.0)
@@ -95,23 +137,23 @@ class StandDown:
     def tick(self, now_s: float) -> list[bytes]:
         """Return the frames that are due; sets `done` when the vehicle's state shows it."""
         vehicle = self._vehicle
-        guided, armed = vehicle.mode == p.Mode.GUIDED, vehicle.armed
+        drives, armed = vehicle.mode == self._drive_mode, vehicle.armed
         pending = now_s < self._not_done_before_s
-        if vehicle.mode not in (p.Mode.GUIDED, p.Mode.HOLD):
+        if vehicle.mode not in (self._drive_mode, self._hold_mode):
             self.done = True
             return []
-        if not guided and not armed and not pending:
+        if not drives and not armed and not pending:
             self.done = True
             return []
         frames: list[bytes] = []
-        if guided and armed and now_s >= self._setpoint_s:
+        if drives and (armed or self._controls.autopilot.stream_s) and now_s >= self._setpoint_s:
             self._setpoint_s = now_s + SETPOINT_S
-            frames.append(self._encoder.stand())
-        if armed and guided and self._rolling(now_s):
+            frames.append(self._controls.stand())
+        if armed and drives and self._rolling(now_s):
             return frames
-        if guided:
+        if drives:
             frames += self._hold.tick(now_s)
-        if (armed or pending) and (not guided or self._hold.sent > 1):
+        if (armed or pending) and (not drives or self._hold.sent > 1):
             frames += self._disarm.tick(now_s)
         return frames
 

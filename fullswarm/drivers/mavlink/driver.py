@@ -7,41 +7,44 @@ URLs::
     mavlink+tcp://127.0.0.1:5760
     mavlink+serial:///dev/ttyACM0?baud=115200
 
-Options: ``sysid=1`` the vehicle's system id; ``ekf=ignore`` do not wait for the position filter's own approval;
-``speed=``, ``turn=`` (m/s, rad/s) limits below the vehicle's own; ``radius=`` of the footprint in metres.
+Options: ``sysid=1`` the vehicle's system id; ``autopilot=ardupilot|px4`` what it must run (default: what its
+heartbeat says; name it, for `description` is read before there is one); ``ekf=ignore`` do not wait for the position
+filter's own approval; ``speed=``, ``turn=`` (m/s, rad/s) limits below the vehicle's own; ``radius=`` of the footprint
+in metres; ``sign_key=`` the file with the key of MAVLink 2 signing, ``sign_state=`` the file with its timestamps,
+``sign_link=0`` the link id; ``pose=external`` hand the fixes that :meth:`MavlinkDriver.locate` gets to the vehicle,
+``origin=lat,lon,alt`` where its local frame begins then (see ``external.py`` for the parameters it needs).
 
-Opening sets ``FS_GCS_ENABLE=1`` in the vehicle, for good: a rover that loses us then goes to HOLD by itself.
+Opening writes one parameter, for good, so that a rover that loses us stops by itself: ``FS_GCS_ENABLE=1`` on
+ArduPilot (HOLD), ``COM_OBL_RC_ACT=5`` on PX4 (Hold).
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import math
 import threading
 from collections.abc import Callable
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Reading, Twist
-from fullswarm.drivers.mavlink.codec import StreamParser, dialect
-from fullswarm.drivers.mavlink.link import Transport, Waker, open_transport, parse_url
-from fullswarm.drivers.mavlink.session import Options, Session
-from fullswarm.errors import ConfigError, DriverError, LinkLost, did_you_mean
+from fullswarm.drivers.base import STAND, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.mavlink.codec import StreamParser, decoded_ids, dialect
+from fullswarm.drivers.mavlink.link import Address, Transport, Waker, open_transport, parse_url
+from fullswarm.drivers.mavlink.session import Session
+from fullswarm.drivers.mavlink.settings import describe, read_settings
+from fullswarm.errors import DriverError, LinkLost
 
 REOPEN_S = 0.5
 LONGEST_WAIT_S = 0.05
 CLOSE_S = 4.0
-GUIDED_TIMEOUT_S = 3.0
-# ArduRover's defaults (ATC_ACCEL_MAX, ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED.
-LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=1.0, turn_accel_rad_s2=2.0)
-RADIUS_M = 0.35
 
 
 class MavlinkDriver:
-    """An ArduPilot rover. Nothing is touched before :meth:`open`, nothing moves before :meth:`activate`.
+    """An ArduPilot or PX4 rover. Nothing is touched before :meth:`open`, nothing moves before :meth:`activate`.
 
-    `activate` starts an attempt and returns: ACTIVE follows once the vehicle's heartbeats show GUIDED and armed.
-    When it refuses, the state stays READY and `fault` holds the firmware's words. When a pilot changes the mode,
-    the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands back GUIDED,
+    `activate` starts an attempt and returns: ACTIVE follows once the vehicle's heartbeats show GUIDED (PX4: OFFBOARD)
+    and armed. When it refuses, the state stays READY and `fault` holds the firmware's words. When a pilot changes the
+    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands it back,
     until `deactivate`, or until `activate` comes after a pause of a second.
 
     Parameters
@@ -61,7 +64,8 @@ class MavlinkDriver:
         self.url = url
         self._address, options = parse_url(url)
         self._clock = clock or MonotonicClock()
-        self.description, self._options = _settings(url, str(self._address), options)
+        self._settings = read_settings(url, str(self._address), options)
+        self.description = self._settings.description  # of an ArduPilot, until a heartbeat says PX4
         self._lock = threading.Lock()
         self._session: Session | None = None
         self._thread: threading.Thread | None = None
@@ -92,11 +96,19 @@ class MavlinkDriver:
         session = self._session
         return "" if session is None else session.firmware
 
+    @property
+    def texts(self) -> list[str]:
+        """The vehicle's warnings of the last half minute, and what is odd about its settings."""
+        with self._lock:
+            return [] if self._session is None else self._session.texts(self._clock.now_s())
+
     def open(self) -> None:
         """Claim the port and start the link thread.
 
         Raises
         ------
+        ConfigError
+            The signing key cannot be used.
         DriverError
             The port cannot be had, or the driver is open already.
         MissingExtra
@@ -105,10 +117,13 @@ class MavlinkDriver:
         if self._thread is not None:
             raise DriverError("this driver is open already", where=self.url, hint="close it first")
         dialect()
-        session = Session(self._options, self._clock.now_s())
-        transport = open_transport(self._address, _vehicle_filter(session))
+        signing = self._settings.signing()
+        session = Session(self._settings.options, self._clock.now_s(), signing)
+        transport = _open(self._address, session)
         self._session, self._waker = session, Waker()
         self._closing.clear()
+        # A daemon thread dies unheard when the interpreter exits, and the rover would stay armed.
+        atexit.register(self.close)
         self._thread = threading.Thread(
             target=self._run, args=(session, self._waker, transport), name=f"mavlink {self._address}", daemon=True
         )
@@ -152,6 +167,20 @@ class MavlinkDriver:
             if twist == STAND or not math.isfinite(twist.linear_m_s + twist.angular_rad_s):
                 self._wake()  # a stop does not wait for the next set-point's turn
 
+    def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Hand a pose measured from outside, ENU, with its standard deviations, to the vehicle's position filter.
+
+        Without ``pose=external`` in the URL, while closed, or with a pose that is not finite, it does nothing.
+        A heading with a deviation above 1 rad counts as not seen.
+        """
+        with self._lock:
+            session = self._session
+            used = session is not None and session.locate(
+                pose, position_sigma_m, heading_sigma_rad, self._clock.now_s()
+            )
+        if used:
+            self._wake()
+
     def close(self) -> None:
         """Stand down (at most 4 s), end the link thread and let go of the port."""
         thread, waker = self._thread, self._waker
@@ -160,6 +189,7 @@ class MavlinkDriver:
         self._closing.set()
         waker.wake()
         thread.join()
+        atexit.unregister(self.close)
         self._thread = self._waker = self._session = None
         waker.close()
 
@@ -186,6 +216,9 @@ class MavlinkDriver:
             with self._lock:
                 session.link_lost(f"the link thread failed ({type(error).__name__}: {error}); reopen it", self._now())
         finally:
+            if session.signing is not None:
+                with contextlib.suppress(DriverError):
+                    session.signing.close()
             if transport is not None:
                 transport.close()
 
@@ -198,10 +231,11 @@ class MavlinkDriver:
         """Talk until `finished` or until the port is lost; return the port, or None when it is gone."""
         if transport is None:
             return None
-        parser = StreamParser()
+        parser = StreamParser(decoded_ids(), None if session.signing is None else session.signing.accept)
         try:
             while not finished():
-                waker.wait(transport, min(session.next_due_s() - self._now(), LONGEST_WAIT_S))
+                now_s = self._now()
+                waker.wait(transport, min(session.next_due_s(now_s) - now_s, LONGEST_WAIT_S))
                 messages = parser.feed(transport.receive())
                 for message in messages:
                     with self._lock:  # one at a time: the agent's calls must not wait for a whole backlog
@@ -211,6 +245,8 @@ class MavlinkDriver:
                     alone = session.alone
                 if alone:
                     transport.forget_peer()
+                elif self.description.make != session.autopilot.make:
+                    self.description = describe(self._settings, session.autopilot)
                 for frame in frames:
                     transport.send(frame)
         except LinkLost as error:
@@ -228,7 +264,7 @@ class MavlinkDriver:
             if self._closing.is_set():
                 return None
             try:
-                return open_transport(self._address, _vehicle_filter(session))
+                return _open(self._address, session)
             except DriverError:
                 continue
         return None
@@ -241,49 +277,10 @@ class MavlinkDriver:
         self._serve(session, waker, transport, lambda: not session.standing_down or self._now() > deadline_s)
 
 
-def _vehicle_filter(session: Session) -> Callable[[bytes], bool]:
+def _open(address: Address, session: Session) -> Transport:
+    ids, believe = decoded_ids(), None if session.signing is None else session.signing.authentic
+
     def is_vehicle(datagram: bytes) -> bool:
-        return any(map(session.is_our_vehicle, StreamParser().feed(datagram)))
+        return any(map(session.is_our_vehicle, StreamParser(ids, believe).feed(datagram)))
 
-    return is_vehicle
-
-
-def _settings(url: str, where: str, options: dict[str, str]) -> tuple[Description, Options]:
-    known = {"sysid", "ekf", "speed", "turn", "radius"}
-    for name in options:
-        if name not in known:
-            raise ConfigError(f"unknown option '{name}'", where=url, hint=did_you_mean(name, known))
-    sysid = options.get("sysid", "1")
-    if not sysid.isdecimal() or not 1 <= int(sysid) <= 254:
-        raise ConfigError(f"sysid is '{sysid}'", where=url, hint="a vehicle's system id is 1 to 254")
-    ekf = options.get("ekf", "require")
-    if ekf not in ("require", "ignore"):
-        raise ConfigError(f"ekf is '{ekf}'", where=url, hint="ekf=ignore or ekf=require")
-    limits = Limits(
-        speed_m_s=_positive(url, "speed", options, LIMITS.speed_m_s),
-        turn_rad_s=_positive(url, "turn", options, LIMITS.turn_rad_s),
-        accel_m_s2=LIMITS.accel_m_s2,
-        turn_accel_rad_s2=LIMITS.turn_accel_rad_s2,
-    )
-    description = Description(
-        make="ArduPilot",
-        model="Rover",
-        radius_m=_positive(url, "radius", options, RADIUS_M),
-        limits=limits,
-        senses_pose=True,
-        watchdog_s=GUIDED_TIMEOUT_S,
-    )
-    return description, Options(int(sysid), limits, where, ekf_ignored=ekf == "ignore")
-
-
-def _positive(url: str, name: str, options: dict[str, str], default: float) -> float:
-    text = options.get(name)
-    if text is None:
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise ConfigError(f"{name} is '{text}'", where=url, hint=f"a number above 0, e.g. {name}={default:g}")
-    return value
+    return open_transport(address, is_vehicle)

@@ -1,232 +1,113 @@
-"""An emulated ArduPilot rover behind a real port: the driver cannot tell it from the firmware's own simulator.
+"""An emulated ArduPilot rover behind real ports: the driver cannot tell it from the firmware's own simulator.
 
 Addresses::
 
     udp://127.0.0.1:14550      sends to a station that listens there (driver: mavlink+udp)
     udpin://127.0.0.1:14551    listens for a station (driver: mavlink+udpout)
     tcp://127.0.0.1:5760       serves one station at a time (driver: mavlink+tcp)
-    pty:                       a serial device, named by `device` (driver: mavlink+serial)
+    pty: or pty:/tmp/rover     a serial device (driver: mavlink+serial)
 
 Port 0 lets the system choose; `url` then names the driver's end.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import pty
 import select
-import socket
 import threading
-import tty
-from typing import Any, Protocol, Self
-from urllib.parse import urlsplit
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.mavlink.body import Body, UnicycleBody
+from fullswarm.drivers.body import Body, FreeBody
+from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
-from fullswarm.drivers.mavlink.firmware import Firmware, SetpointRecord
-from fullswarm.errors import ConfigError, DriverError
+from fullswarm.drivers.mavlink.firmware import Firmware
+from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
+from fullswarm.drivers.mavlink.rover.ports import Port, open_port, reopen
 
-LOOP_WAIT_MS = 5
-CHUNK = 65536
+__all__ = ["Port", "RoverEmulator", "open_port"]
 
-
-class Port(Protocol):
-    """The vehicle's end of a link; bytes that nobody takes are lost."""
-
-    url: str
-
-    def fileno(self) -> int:
-        """Return the descriptor to wait on."""
-        ...
-
-    def receive(self) -> bytes:
-        """Return what has arrived."""
-        ...
-
-    def send(self, data: bytes) -> None:
-        """Send one frame."""
-        ...
-
-    def drop(self) -> None:
-        """Close the connection as a restart does; the port stays."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the port."""
-        ...
+BURST = 64  # chunks taken from a port before the main loop has its turn
 
 
-class _Udp:
-    def __init__(self, host: str, port: int, *, listen: bool) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._peer: Any = None if listen else (host, port)
-        self.url = f"mavlink+udp://{host}:{port}"
-        if listen:
-            try:
-                self._socket.bind((host, port))
-            except OSError:
-                self._socket.close()
-                raise
-            self.url = f"mavlink+udpout://{host}:{self._socket.getsockname()[1]}"
-        self._listen = listen
+@dataclass(slots=True)
+class _Link:
+    """A port with its two directions, which may be bad."""
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
+    port: Port
+    heard: BadLink
+    said: BadLink
+    parser: StreamParser = field(default_factory=StreamParser)
 
-    def receive(self) -> bytes:
-        try:
-            data, sender = self._socket.recvfrom(CHUNK)
-        except OSError:
-            return b""
-        if self._listen:
-            self._peer = sender
-        return data
-
-    def send(self, data: bytes) -> None:
-        if self._peer is not None:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(data, self._peer)
-
-    def drop(self) -> None:
-        if self._listen:
-            self._peer = None
-
-    def close(self) -> None:
-        self._socket.close()
+    def clear(self) -> None:
+        self.heard.clear()
+        self.said.clear()
+        self.parser = StreamParser()
 
 
-class _Tcp:
-    def __init__(self, host: str, port: int) -> None:
-        self._server = socket.create_server((host, port))
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-        self.url = f"mavlink+tcp://{host}:{self._server.getsockname()[1]}"
+class RoverEmulator:
+    """A rover that runs from :meth:`start` to :meth:`close`, or as a context manager.
 
-    def fileno(self) -> int:
-        # One client at a time: a second one waits in the queue unheard, as with the real firmware.
-        return (self._client or self._server).fileno()
+    Parameters
+    ----------
+    address, more
+        Its ports, see the module's docstring; the first one believes unsigned frames even when signing is set up.
+    body
+        What it drives, and where it starts; default: alone on an endless floor.
+    system
+        Its system id.
+    boot_s
+        Power-on to armable (real: 42.4 s).
+    traps_floats
+        Die of NaN in a set-point, as the firmware's own simulator does.
 
-    def receive(self) -> bytes:
-        with contextlib.suppress(BlockingIOError):
-            if self._client is None:
-                self._client, _ = self._server.accept()
-                self._client.setblocking(False)
-            try:
-                data = self._client.recv(CHUNK)
-            except ConnectionError:
-                data = b""
-            if not data:
-                self.drop()
-            return data
-        return b""
-
-    def send(self, data: bytes) -> None:
-        if self._client is not None:
-            with contextlib.suppress(OSError):
-                self._client.send(data)
-
-    def drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def close(self) -> None:
-        self.drop()
-        self._server.close()
-
-
-class _Pty:
-    def __init__(self) -> None:
-        # Our own descriptor of the device stays open, so that a station may close and open it again.
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
-        self.url = f"mavlink+serial://{self.device}"
-
-    def fileno(self) -> int:
-        return self._master
-
-    def receive(self) -> bytes:
-        try:
-            return os.read(self._master, CHUNK)
-        except OSError:
-            return b""
-
-    def send(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):
-            os.write(self._master, data)
-
-    def drop(self) -> None:
-        """A serial line has no connection."""
-
-    def close(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
-
-
-def open_port(address: str) -> Port:
-    """Open the vehicle's end of a link (see the module's docstring).
+    Attributes
+    ----------
+    url : what a driver is opened with (`urls`: of all ports)
+    faults : how bad the links are, both directions; may be changed at any time
+    firmware, body : for tests; use them under no lock for single reads only
 
     Raises
     ------
     ConfigError
         The address is wrong.
     DriverError
-        The port cannot be had.
-    """
-    parts = urlsplit(address)
-    host = parts.hostname or "127.0.0.1"
-    try:
-        port = parts.port or 0
-        if parts.scheme == "pty":
-            return _Pty()
-        if parts.scheme == "tcp":
-            return _Tcp(host, port)
-        if parts.scheme in ("udp", "udpin"):
-            return _Udp(host, port, listen=parts.scheme == "udpin")
-    except ValueError as error:
-        raise ConfigError(f"not an address: {error}", where=address) from error
-    except OSError as error:
-        raise DriverError(f"cannot open the port: {error.strerror}", where=address, hint="is it in use?") from error
-    raise ConfigError("not an address of an emulated rover", where=address, hint="udp://, udpin://, tcp:// or pty:")
-
-
-class RoverEmulator:
-    """A rover that runs from :meth:`start` to :meth:`stop`, or as a context manager.
-
-    Parameters
-    ----------
-    address
-        See the module's docstring; or an open port.
-    body
-        What it drives; default: a kinematic unicycle.
-    system
-        Its system id.
-    boot_s
-        Power-on to armable (real: 42.4 s).
+        A port cannot be had.
     """
 
     def __init__(
         self,
-        address: str | Port,
+        address: str,
         body: Body | None = None,
         *,
+        more: Sequence[str] = (),
         system: int = 1,
         boot_s: float = 0.2,
+        traps_floats: bool = False,
+        faults: LinkFaults | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self._port = open_port(address) if isinstance(address, str) else address
-        self.url = self._port.url
-        self.body: Body = body or UnicycleBody()
-        self.firmware = Firmware(self.body, system=system, boot_s=boot_s)
+        self.faults = faults or LinkFaults()
         self._clock = clock or MonotonicClock()
+        self.body: Body = body or FreeBody(clock=self._clock)
+        self.firmware = Firmware(
+            self.body, system=system, boot_s=boot_s, ports=1 + len(more), traps_floats=traps_floats
+        )
+        self._links: list[_Link] = []
+        try:
+            for number, each in enumerate((address, *more)):
+                heard, said = (BadLink(self.faults, seed=2 * number + way) for way in (0, 1))
+                self._links.append(_Link(open_port(each), heard, said))
+        except BaseException:
+            self._close_ports()
+            raise
+        self.urls = tuple(link.port.url for link in self._links)
+        self.url = self.urls[0]
         self._lock = threading.Lock()
+        self._waiting = threading.Lock()  # held while the thread waits on the ports: nobody may close one then
         self._stopping = threading.Event()
-        self._muted = False
+        self._muted = self._unplugged = False
         self._thread: threading.Thread | None = None
 
     def start(self) -> Self:
@@ -237,19 +118,20 @@ class RoverEmulator:
         self._thread.start()
         return self
 
-    def stop(self) -> None:
-        """Power off and let go of the port; stopping twice is fine."""
+    def close(self) -> None:
+        """Power off and let go of the ports; closing twice is fine."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        self._port.close()
+            self.body.drive(0.0, 0.0)
+        self._close_ports()
 
     def __enter__(self) -> Self:
         return self.start()
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        self.close()
 
     @property
     def setpoints(self) -> list[SetpointRecord]:
@@ -257,34 +139,110 @@ class RoverEmulator:
         with self._lock:
             return list(self.firmware.setpoints)
 
+    # ------------------------------------------------------------ what may happen to a rover
     def pilot_mode(self, mode: int) -> None:
         """Turn the pilot's mode switch."""
         with self._lock:
             self.firmware.pilot_mode(mode, self._clock.now_s())
 
     def reboot(self) -> None:
-        """Restart the autopilot; the connection drops."""
+        """Restart the autopilot (revives one that died, too); connections drop, the ports stay."""
+        with self._waiting, self._lock:
+            self._drop()
+            self.firmware.power_on(self._clock.now_s(), again=True)
+
+    def unplug(self) -> None:
+        """Pull the cables: the ports are gone. The rover goes on as it thinks fit."""
+        with self._waiting, self._lock:
+            self._unplugged = True
+            self._close_ports()
+
+    def replug(self) -> None:
+        """Put the cables back; each port has its old address.
+
+        Raises
+        ------
+        DriverError
+            Somebody else has taken a port meanwhile.
+        """
+        with self._waiting, self._lock:
+            if self._unplugged:
+                for link in self._links:
+                    reopen(link.port, link.port.url)
+                self._unplugged = False
+
+    def mute(self, on: bool = True) -> None:
+        """Let the rover hear, but say nothing."""
+        self._muted = on
+
+    def set_battery(self, fraction: float) -> None:
+        """Charge the battery to this part, 0 to 1."""
         with self._lock:
-            self._port.drop()
-            self.firmware.power_on(self._clock.now_s())
+            self.firmware.charge = fraction
 
-    def mute(self, muted: bool = True) -> None:
-        """Break the radio: nothing gets through either way."""
-        self._muted = muted
+    def press_estop(self, on: bool = True) -> None:
+        """Press the motor safety switch, or release it: no power for the motors, whatever mode and arming say."""
+        with self._lock:
+            self.firmware.safety = on
 
+    def stick_sensors(self, on: bool = True) -> None:
+        """Repeat the present measurements with new time stamps, or stop that."""
+        with self._lock:
+            self.firmware.stick_sensors(on)
+
+    def set_gps(self, on: bool) -> None:
+        """Switch the GPS: 7 s without it the position is lost, 8.2 s without it the mode is HOLD."""
+        with self._lock:
+            self.firmware.set_gps(on)
+
+    # ------------------------------------------------------------ the rover's thread
     def _run(self) -> None:
-        parser = StreamParser()
         while not self._stopping.is_set():
-            poll = select.poll()
-            poll.register(self._port.fileno(), select.POLLIN)
-            data = self._port.receive() if poll.poll(LOOP_WAIT_MS) else b""
+            with self._waiting:
+                self._wait()
             with self._lock:
-                now_s = self._clock.now_s()
-                for message in [] if self._muted else parser.feed(data):
-                    self.firmware.receive(message, now_s)
-                if now_s >= self.firmware.reboot_due_s:
-                    self._port.drop()
-                    self.firmware.power_on(now_s)
-                frames = self.firmware.tick(now_s)
-            for frame in [] if self._muted else frames:
-                self._port.send(frame)
+                self._turn(self._clock.now_s())
+
+    def _wait(self) -> None:
+        """Wait for something to read, at most until the main loop's next turn."""
+        poll = select.poll()
+        for link in self._links:
+            if link.port.fileno() >= 0:
+                poll.register(link.port.fileno(), select.POLLIN)
+        left_s = self.firmware.next_step_s - self._clock.now_s()
+        poll.poll(1000.0 * min(max(left_s, 0.001), 0.02))
+
+    def _turn(self, now_s: float) -> None:
+        firmware = self.firmware
+        for number, link in enumerate(self._links):
+            self._listen(link)
+            for data in link.heard.due(now_s):
+                for message in link.parser.feed(data):
+                    firmware.receive(message, now_s, number)
+        restart = now_s >= firmware.reboot_due_s
+        if restart or firmware.aborted:
+            self._drop()
+        frames = firmware.tick(now_s)
+        for number, link in enumerate(self._links):
+            for frame in frames if number == 0 else firmware.channels[number].take():
+                if not (self._muted or self._unplugged):
+                    link.said.put(frame, now_s)
+            for frame in link.said.due(now_s):
+                link.port.send(frame)
+
+    def _listen(self, link: _Link) -> None:
+        for _ in range(BURST):
+            data = b"" if self._unplugged else link.port.receive()
+            if not data:
+                return
+            link.heard.put(data, self._clock.now_s())
+
+    def _drop(self) -> None:
+        for link in self._links:
+            link.clear()
+            link.port.drop()
+
+    def _close_ports(self) -> None:
+        for link in self._links:
+            link.clear()
+            link.port.close()

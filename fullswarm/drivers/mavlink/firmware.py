@@ -2,51 +2,57 @@
 
 Faithful where drivers get hurt: early ACKs that prove nothing, an armed bit that comes with the next heartbeat,
 set-points stored while disarmed, frames and masks silently ignored, a rate cap, silence for unknown parameters,
-a 3 s set-point timeout, a ground-station failsafe that is off by default and latches HOLD.
+a 3 s set-point timeout, a ground-station failsafe that is off by default and latches HOLD, a pilot
+whose throttle wins.
 
-Left out: missions, fences, positions as set-points, radio input, signing.
+Other than the real one: its map begins at the world's (0, 0), not where it was switched on; a standing rover stands.
+Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; RTL and LOITER stand still.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.body import STAND, Body, BodyState, interpret
-from fullswarm.drivers.mavlink.codec import Encoder, dialect
-from fullswarm.drivers.mavlink.telemetry import LOOP_HZ, Streams
-from fullswarm.geometry import clamp
+from fullswarm.drivers.mavlink.codec import dialect
+from fullswarm.drivers.mavlink.rover import inbox, parameters, setpoints
+from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
+from fullswarm.drivers.mavlink.rover.dynamics import STAND, Motors
+from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
+from fullswarm.drivers.mavlink.rover.pilot import FULL_M_S, Sticks
+from fullswarm.drivers.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
+from fullswarm.drivers.mavlink.rover.setpoints import Limits, Target
+from fullswarm.drivers.mavlink.rover.streams import LOOP_HZ, Streams
 
 LOOP_S = 1.0 / LOOP_HZ
 REAL_BOOT_S = 42.4
+TALKS_S, TALKS_AGAIN_S, REBOOT_S = 1.03, 0.57, 0.66  # to the first heartbeat; from the command to the links' end
 SETPOINT_TIMEOUT_S = 3.0
+TIMESYNC_S = 10.0
+LONGEST_GAP_S = 0.5  # a process that was held up does not catch up more than this
 RECORDS = 20_000
-FRESH_PARAMETERS = {
-    "FS_ACTION": 2.0, "FS_GCS_ENABLE": 0.0, "FS_GCS_TIMEOUT": 5.0, "FS_TIMEOUT": 1.5, "SYSID_MYGCS": 255.0,
-    "SYSID_THISMAV": 1.0, "WP_SPEED": 3.0, "ATC_ACCEL_MAX": 1.0, "ATC_STR_RAT_MAX": 120.0,
-}  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class SetpointRecord:
-    """A set-point that arrived, as the vehicle understood it; for tests."""
-
-    at_s: float
-    armed: bool
-    mode: int
-    mask: int
-    frame: int
-    speed_m_s: float
-    turn_rad_s: float  # counter-clockwise
+CONSOLE = b"Init Gyro**\n\nAP_Logger_File: buffer size=204800\n"
+BOOT = (
+    (2.4, "ArduPilot Ready"), (19.9, "EKF3 IMU0 origin set"), (41.9, "EKF3 IMU0 is using GPS"),
+    (41.9, "AHRS: EKF3 active"),
+)  # fmt: skip
+LOCATES_S = 41.9
+ARM_PROBLEMS = (
+    (2.4, "System not initialised"), (8.0, "Accels inconsistent"), (19.9, "AHRS: waiting for home"),
+    (25.0, "Gyros inconsistent"), (REAL_BOOT_S, "AHRS: not using configured AHRS type"),
+)  # fmt: skip
+NEED_POSITION = frozenset({p.Mode.GUIDED, p.Mode.LOITER, p.Mode.RTL, p.Mode.SMART_RTL, p.Mode.CIRCLE})
+NOT_ARMABLE = frozenset({p.Mode.RTL, p.Mode.SMART_RTL})
+BY_HAND = frozenset({p.Mode.MANUAL, p.Mode.ACRO, p.Mode.STEERING, p.Mode.SIMPLE})
 
 
 @dataclass(slots=True)
 class Firmware:
-    """One rover's autopilot on one link.
+    """One rover's autopilot.
 
     Parameters
     ----------
@@ -58,6 +64,10 @@ class Firmware:
         Power-on to armable; the real one needs 42.4 s (position filter), everything before scales with it.
     refuse_arm
         Text with which arming is refused; empty: it is not.
+    ports
+        How many ports it has; the first one (SERIAL0) believes unsigned frames even if signing is set up.
+    traps_floats
+        Die of numbers that are none, as the firmware's simulator does by default and boards do not.
     """
 
     body: Body
@@ -65,37 +75,55 @@ class Firmware:
     boot_s: float = REAL_BOOT_S
     refuse_arm: str = ""
     loop_hz: float = LOOP_HZ
-    parameters: dict[str, float] = field(default_factory=lambda: dict(FRESH_PARAMETERS))
+    ports: int = 1
+    traps_floats: bool = False
+    parameters: dict[str, float] = field(default_factory=parameters.fresh)
     setpoints: deque[SetpointRecord] = field(default_factory=lambda: deque(maxlen=RECORDS))
-    located: bool = True  # False: position estimate lost
+    located: bool = True  # False: the position estimate is gone, at once; see also set_gps
+    charge: float = 0.87
+    safety: bool = False  # the motor safety switch is pressed
     mode: int = p.Mode.INITIALISING
     armed: bool = False
     failsafe: bool = False
+    aborted: bool = False
+    target: Target | None = None
     reboot_due_s: float = math.inf
-    _out: list[bytes] = field(default_factory=list)
+    sticks: Sticks = field(default_factory=Sticks)
+    motors: Motors = field(default_factory=Motors)
+    keys: KeyRing = field(default_factory=KeyRing)
+    channels: list[Channel] = field(init=False)
+    position: Position = field(init=False)
     _booted_s: float = 0.0
+    _talks_s: float = TALKS_S
     _stepped_s: float = 0.0
-    _target: tuple[float, float] = STAND
     _target_s: float = -math.inf
-    _timed_out: bool = True
     _station_s: float | None = None
-    _streams: Streams = field(init=False)
-    _encoder: Encoder = field(init=False)
+    _stuck: BodyState | None = None
     _announced: int = 0
+    _refusal_s: float = math.inf
+    _timesync_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._encoder = Encoder(self.system, 1)
-        self._streams = Streams(self, math.inf, self.loop_hz)
+        self.channels = [Channel(number, self.system, self.keys) for number in range(self.ports)]
+        self.parameters["SYSID_THISMAV"] = float(self.system)
+        self.position = Position(self.parameters)
 
     # ------------------------------------------------------------ power and time
-    def power_on(self, now_s: float) -> None:
-        """Start from nothing: intervals, mode, arming and set-points are forgotten, parameters are kept."""
+    def power_on(self, now_s: float, *, again: bool = False) -> None:
+        """Start from nothing: intervals, mode, arming and set-points are forgotten, parameters and key are kept."""
         self._booted_s = self._stepped_s = now_s
-        self.mode, self.armed, self.failsafe = p.Mode.INITIALISING, False, False
-        self._target, self._target_s, self._timed_out = STAND, -math.inf, True
-        self._station_s, self.reboot_due_s, self._announced = None, math.inf, 0
-        self._streams = Streams(self, now_s + self._scaled(1.03), self.loop_hz)
-        self._out = [b"Init Gyro**\n\nAP_Logger_File: buffer size=204800\n"]
+        self._talks_s = TALKS_AGAIN_S if again else TALKS_S
+        self.mode, self.armed, self.failsafe, self.aborted = p.Mode.INITIALISING, False, False, False
+        self.target, self._target_s = None, -math.inf
+        self._station_s, self.reboot_due_s, self._announced, self._refusal_s = None, math.inf, 0, math.inf
+        self.sticks, self.motors = Sticks(), Motors()
+        self.position.restart(now_s)
+        self._timesync_s = now_s + TIMESYNC_S
+        for channel in self.channels:
+            channel.clear()
+            channel.streams = Streams(self, now_s + self._scaled(self._talks_s), self.loop_hz)
+        self.channels[0].print(CONSOLE)
+        self.body.drive(*STAND)
 
     def _scaled(self, real_s: float) -> float:
         return real_s * self.boot_s / REAL_BOOT_S
@@ -104,40 +132,94 @@ class Firmware:
         """Return the time since power-on in seconds of the real, slow boot."""
         return (now_s - self._booted_s) * REAL_BOOT_S / max(self.boot_s, 1e-3)
 
+    @property
+    def next_step_s(self) -> float:
+        """When :meth:`tick` has something to do."""
+        return self._stepped_s + LOOP_S
+
     def tick(self, now_s: float) -> list[bytes]:
-        """Run the main loop up to `now_s`; return what goes out."""
-        self._announce(now_s)
-        while self._stepped_s + LOOP_S <= now_s:
+        """Run the main loop up to `now_s`; return what goes out on the first port (others: `channels[n].take()`)."""
+        if now_s >= self.reboot_due_s:
+            self.power_on(now_s, again=True)
+        self._stepped_s = max(self._stepped_s, now_s - LONGEST_GAP_S)
+        while self._stepped_s + LOOP_S <= now_s + 1e-9 and not self.aborted:
             self._stepped_s += LOOP_S
             self._step(self._stepped_s)
-        if self._up_s(now_s) >= 1.03:
-            for message in self._streams.due(now_s):
-                self._send(message)
-        out, self._out = self._out, []
-        return out
-
-    def _announce(self, now_s: float) -> None:
-        for index, (at_s, text) in enumerate(
-            ((2.4, "ArduPilot Ready"), (19.9, "EKF3 IMU0 origin set"), (41.9, "EKF3 IMU0 is using GPS"))
-        ):
-            if index >= self._announced and self._up_s(now_s) >= at_s:
-                self._announced = index + 1
-                self.text(text, severity=6)
-                if index == 0:
-                    self._set_mode(p.Mode.MANUAL, now_s)
+        return self.channels[0].take()
 
     def _step(self, now_s: float) -> None:
+        self._announce(now_s)
+        self.position.step(now_s)
+        self._watch_position(now_s)
         self._watch_station(now_s)
-        if self.armed and self.mode == p.Mode.GUIDED:
-            if not self._timed_out and now_s - self._target_s > SETPOINT_TIMEOUT_S:
-                self._timed_out, self._target = True, STAND
-                self.text("target not received last 3secs, stopping")
-            top_speed, top_turn = self.parameters["WP_SPEED"], math.radians(self.parameters["ATC_STR_RAT_MAX"])
-            speed, turn = self._target
-            self.body.drive(clamp(speed, -top_speed, top_speed), clamp(turn, -top_turn, top_turn), LOOP_S)
-        else:
-            self.body.coast(LOOP_S)
+        self.sticks.step(now_s, self.parameters.get("RC_OVERRIDE_TIME", 3.0))
+        self._drive(now_s)
+        if self._up_s(now_s) < self._talks_s:
+            return
+        for channel in self.channels:
+            for message in channel.streams.due(now_s) if channel.streams else []:
+                channel.send(message, now_s)
+        if now_s >= self._timesync_s:
+            self._timesync_s += TIMESYNC_S
+            self.tell(dialect().MAVLink_timesync_message(0, self.boot_ms(now_s) * 1_000_000))
 
+    def _announce(self, now_s: float) -> None:
+        while self._announced < len(BOOT) and self._up_s(now_s) >= BOOT[self._announced][0]:
+            self.text(BOOT[self._announced][1], severity=6)
+            if self._announced == 0:
+                self._set_mode(int(self.parameters.get("INITIAL_MODE", 0.0)))
+            self._announced += 1
+        if now_s >= self._refusal_s:
+            self._refusal_s = math.inf
+            self.text("Flight mode change failed")
+
+    # ------------------------------------------------------------ driving
+    @property
+    def limits(self) -> Limits:
+        """What bounds a set-point now."""
+        return Limits(self.parameters["WP_SPEED"], math.radians(self.parameters["ATC_STR_RAT_MAX"]))
+
+    def _drive(self, now_s: float) -> None:
+        motors, limits = self.motors, self.limits
+        wish = self._guided(now_s, limits) if self.mode == p.Mode.GUIDED else STAND
+        if not self.armed or self.safety:
+            motors.cut(LOOP_S)
+        elif self.mode == p.Mode.GUIDED:
+            accel, turn_accel = (self.parameters[each] for each in ("ATC_ACCEL_MAX", "ATC_STR_ACC_MAX"))
+            # 0 and below: no limit.
+            motors.follow(
+                wish, accel if accel > 0 else 1e3, math.radians(turn_accel if turn_accel > 0 else 1e5), LOOP_S
+            )
+        elif self.mode in BY_HAND:
+            sticks = self.sticks
+            motors.push(sticks.throttle * FULL_M_S, -sticks.steering * limits.turn_rad_s, LOOP_S)
+        else:
+            motors.push(0.0, 0.0, LOOP_S)
+        self.body.drive(motors.speed_m_s, motors.turn_rad_s)
+
+    def _guided(self, now_s: float, limits: Limits) -> tuple[float, float]:
+        target = self.target
+        if target is None:
+            return STAND
+        if target.place_m is None and now_s - self._target_s > SETPOINT_TIMEOUT_S:
+            self.target = None
+            self.text("target not received last 3secs, stopping")
+            return STAND
+        wish = setpoints.steer(target, self.state(), limits)
+        if wish is None:
+            self.target = None
+            self.tell(dialect().MAVLink_mission_item_reached_message(0))
+            return STAND
+        cruise, throttle = self.parameters["CRUISE_SPEED"], self.parameters["CRUISE_THROTTLE"] / 100.0
+        return self.sticks.nudge(wish[0], cruise, throttle), wish[1]
+
+    def aim(self, target: Target, now_s: float) -> None:
+        """Take a target."""
+        self.target, self._target_s = target, now_s
+        if target.odd:
+            self.text("Internal Errors 0x400", severity=2)
+
+    # ------------------------------------------------------------ failsafes
     def _watch_station(self, now_s: float) -> None:
         if not self.parameters.get("FS_GCS_ENABLE") or self._station_s is None or self.failsafe:
             return
@@ -145,197 +227,133 @@ class Firmware:
             self.failsafe = True
             self.text("Radio Failsafe")  # sic: the real firmware names the wrong one
             if self.armed and self.parameters["FS_ACTION"] == 2.0:
-                self._set_mode(p.Mode.HOLD, now_s)
+                self._set_mode(p.Mode.HOLD)
+
+    def _watch_position(self, now_s: float) -> None:
+        before_s, after_s = (self.position.silent_s(each) for each in (now_s - LOOP_S, now_s))
+        if before_s < LOST_S <= after_s < math.inf:
+            self.text("AHRS: DCM active")
+        if before_s < FAILSAFE_S <= after_s < math.inf:
+            self.text("EKF variance", severity=2)
+            self.text("EKF failsafe", severity=2)
+            if self.armed and self.mode in NEED_POSITION:
+                self._set_mode(p.Mode.HOLD)
 
     # ------------------------------------------------------------ what people do to it
-    def _set_mode(self, mode: int, now_s: float) -> None:
+    def _set_mode(self, mode: int) -> None:
         if mode != self.mode:
-            self._target, self._target_s, self._timed_out = STAND, now_s, True
+            self.target = None
         self.mode = mode
-        self._streams.heartbeat_now()
+        for channel in self.channels:
+            if channel.streams:
+                channel.streams.heartbeat_now()
 
     def pilot_mode(self, mode: int, now_s: float) -> None:
         """Turn the pilot's mode switch."""
-        self._set_mode(mode, now_s)
+        del now_s
+        self._set_mode(mode)
 
-    def text(self, text: str, severity: int = 4) -> None:
-        """Send a line of text, in chunks if it is long."""
-        data = text.encode("ascii", "replace")
-        chunks = [data[at : at + p.TEXT_CHUNK] for at in range(0, len(data), p.TEXT_CHUNK)]
-        text_id = 0 if len(chunks) == 1 else 1 + len(data)
-        for index, chunk in enumerate(chunks):
-            self._send(dialect().MAVLink_statustext_message(severity, chunk, text_id, index))
+    def request_mode(self, mode: int, now_s: float) -> p.Result:
+        """Change the mode as a station asks, if it can be."""
+        if self.mode == p.Mode.INITIALISING:
+            self._refusal_s = now_s + self._scaled(0.55)
+            return p.Result.ACCEPTED  # an early ACCEPTED proves nothing
+        if p.mode_name(mode).startswith("mode "):
+            self.text(f"No such mode {mode}")
+            return p.Result.FAILED
+        blind = mode in NEED_POSITION and self.armed and not self.positioned(now_s)
+        if blind or mode in (p.Mode.AUTO, p.Mode.INITIALISING):
+            self.text("Flight mode change failed")
+            return p.Result.FAILED
+        self._set_mode(mode)
+        return p.Result.ACCEPTED
+
+    def arm_problem(self, now_s: float) -> str:
+        """Return why arming is refused; empty: it is not."""
+        if self.mode in NOT_ARMABLE:
+            return "Mode not armable"
+        up_s = self._up_s(now_s)
+        early = next((problem for until_s, problem in ARM_PROBLEMS if up_s < until_s), "")
+        return early or ("Hardware safety switch" if self.safety else self.refuse_arm)
+
+    def reboot_soon(self, now_s: float) -> None:
+        """Restart when the links have had time to say so."""
+        self.reboot_due_s = now_s + self._scaled(REBOOT_S)
+
+    def abort(self) -> None:
+        """Die of a floating-point exception, if the trap is on: the process is gone until it is started again."""
+        self.aborted = self.aborted or self.traps_floats
+        if self.aborted:
+            self.body.drive(*STAND)
+            for channel in self.channels:
+                channel.clear()
+
+    def set_gps(self, on: bool) -> None:
+        """Switch the GPS; without it the position is lost 7 s later, and 8.2 s later the mode is HOLD."""
+        self.position.gps = on
+
+    def stick_sensors(self, on: bool) -> None:
+        """Repeat the present measurements for ever, with new time stamps; or stop that."""
+        self._stuck = self.state() if on else None
+
+    def set_interval(self, message: int, interval_us: float, now_s: float, port: int = 0) -> str:
+        """Set a message's rate on a port as SET_MESSAGE_INTERVAL does; return why not, empty if it is done."""
+        streams = self.channels[port].streams
+        return streams.set_interval(message, interval_us, now_s) if streams else "it is off"
 
     # ------------------------------------------------------------ what arrives
-    def receive(self, message: Any, now_s: float) -> None:
+    def receive(self, message: Any, now_s: float, port: int = 0) -> None:
         """Take one of the dialect's messages; those for other systems or from our own id are dropped."""
         source = message.get_srcSystem(), message.get_srcComponent()
-        if source == (self.system, 1) or self._up_s(now_s) < 1.03:
+        if self.aborted or source == (self.system, 1) or self._up_s(now_s) < self._talks_s:
             return
-        if getattr(message, "target_system", 0) not in (0, self.system):
+        if getattr(message, "target_system", getattr(message, "target", 0)) not in (0, self.system):
             return
-        handler = _HANDLERS.get(message.get_type())
-        if handler is not None:
-            handler(self, message, now_s)
+        enforced = self.parameters.get("SYSID_ENFORCE") == 1.0
+        if enforced and source[0] not in (self.system, int(self.parameters["SYSID_MYGCS"])):
+            return
+        channel = self.channels[port]
+        if channel.believes(message, now_s):
+            inbox.take(self, message, channel, now_s)
 
-    def on_heartbeat(self, message: Any, now_s: float) -> None:
-        """Only heartbeats of the controlling station feed the failsafe."""
-        if message.get_srcSystem() != int(self.parameters["SYSID_MYGCS"]):
-            return
+    def station_alive(self, now_s: float) -> None:
+        """Take note of a heartbeat of the controlling station: only those feed the failsafe."""
         self._station_s = now_s
         if self.failsafe:
             self.failsafe = False
             self.text("GCS Failsafe Cleared")  # the mode stays what the failsafe made it
 
-    def on_command(self, message: Any, now_s: float) -> None:
-        """Answer COMMAND_LONG to its sender."""
-        values = [getattr(message, f"param{index}") for index in range(1, 8)]
-        run = _COMMANDS.get(message.command)
-        result = p.Result.UNSUPPORTED if run is None else run(self, values, now_s)
-        self._send(
-            dialect().MAVLink_command_ack_message(
-                message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
-            )
-        )
-
-    def command_mode(self, values: list[float], now_s: float) -> p.Result:
-        """Run DO_SET_MODE."""
-        if not int(values[0]) & p.BASE_MODE_CUSTOM:
-            return p.Result.DENIED
-        return self._request_mode(int(values[1]), now_s)
-
-    def _request_mode(self, mode: int, now_s: float) -> p.Result:
-        if self.mode == p.Mode.INITIALISING:
-            self.text("Flight mode change failed")
-            return p.Result.ACCEPTED  # an early ACCEPTED proves nothing
-        if p.mode_name(mode).startswith("mode "):
-            self.text(f"No such mode {mode}")
-            return p.Result.FAILED
-        blind = mode == p.Mode.GUIDED and self.armed and not self.positioned(now_s)
-        if blind or mode in (p.Mode.AUTO, p.Mode.INITIALISING):
-            self.text("Flight mode change failed")
-            return p.Result.FAILED
-        self._set_mode(mode, now_s)
-        return p.Result.ACCEPTED
-
-    def on_set_mode(self, message: Any, now_s: float) -> None:
-        """Obey the legacy message, which has no answer."""
-        self._request_mode(message.custom_mode, now_s)
-
-    def command_arm(self, values: list[float], now_s: float) -> p.Result:
-        """Run COMPONENT_ARM_DISARM: disarming has no check, arming has many."""
-        if values[0] not in (0.0, 1.0):
-            return p.Result.UNSUPPORTED
-        if values[0] == 0.0:
-            self.armed = False
-            return p.Result.ACCEPTED
-        reason = "" if self.armed or values[1] == 2989.0 else self._arm_check(now_s)
-        if reason:
-            self.text(f"Arm: {reason}", severity=2)
-            return p.Result.FAILED
-        self.armed = True
-        return p.Result.ACCEPTED
-
-    def _arm_check(self, now_s: float) -> str:
-        up_s = self._up_s(now_s)
-        if self.mode in (p.Mode.RTL, p.Mode.SMART_RTL):
-            return "Mode not armable"
-        for until_s, reason in (
-            (2.4, "System not initialised"), (19.9, "AHRS: waiting for home"),
-            (REAL_BOOT_S, "AHRS: not using configured AHRS type"),
-        ):  # fmt: skip
-            if up_s < until_s:
-                return reason
-        return self.refuse_arm
-
-    def command_interval(self, values: list[float], now_s: float) -> p.Result:
-        """Run SET_MESSAGE_INTERVAL with its cap of 80 % of the main loop's rate."""
-        if not all(map(math.isfinite, values[:3])) or values[2] != 0.0:
-            return p.Result.DENIED
-        reason = self._streams.set_interval(int(values[0]), values[1], now_s)
-        if reason:
-            self.text(reason)
-        return p.Result.DENIED if reason else p.Result.ACCEPTED
-
-    def command_request(self, values: list[float], now_s: float) -> p.Result:
-        """Run REQUEST_MESSAGE."""
-        messages = self._streams.make(int(values[0]), now_s)
-        for message in messages:
-            self._send(message)
-        return p.Result.ACCEPTED if messages else p.Result.FAILED
-
-    def command_reboot(self, values: list[float], now_s: float) -> p.Result:
-        """Run PREFLIGHT_REBOOT_SHUTDOWN: never while armed; the links go down 0.66 s later."""
-        if self.armed:
-            return p.Result.FAILED
-        if values[0] == 1.0:
-            self.reboot_due_s = now_s + self._scaled(0.66)
-        return p.Result.ACCEPTED
-
-    def on_parameter_read(self, message: Any, now_s: float) -> None:
-        """Answer for a known name; an unknown one is met with silence."""
-        del now_s
-        if message.param_id in self.parameters:
-            self._send_parameter(message.param_id)
-
-    def on_parameter_set(self, message: Any, now_s: float) -> None:
-        """Take any finite value without a range check and echo it."""
-        del now_s
-        if message.param_id in self.parameters and math.isfinite(message.param_value):
-            self.parameters[message.param_id] = message.param_value
-            self._send_parameter(message.param_id)
-
-    def _send_parameter(self, name: str) -> None:
-        value = self.parameters[name]
-        kind = p.PARAM_INT8 if name in ("FS_ACTION", "FS_GCS_ENABLE") else p.PARAM_REAL32
-        self._send(
-            dialect().MAVLink_param_value_message(name.encode("ascii"), value, kind, len(self.parameters), 65535)
-        )
-
-    def on_timesync(self, message: Any, now_s: float) -> None:
-        """Answer a request (tc1 = 0) with the time since boot."""
-        if message.tc1 == 0:
-            self._send(dialect().MAVLink_timesync_message(int((now_s - self._booted_s) * 1e9), message.ts1))
-
-    def on_setpoint(self, message: Any, now_s: float) -> None:
-        """Take a set-point; in GUIDED it is stored even while disarmed: arming then drives off."""
-        target = interpret(message, self.body.state())
-        mask, frame = message.type_mask, message.coordinate_frame
-        record = SetpointRecord(now_s, self.armed, self.mode, mask, frame, message.vx, -message.yaw_rate)
-        self.setpoints.append(record)
-        if target is not None and self.mode == p.Mode.GUIDED:
-            self._target, self._target_s, self._timed_out = target, now_s, False
-
     # ------------------------------------------------------------ what goes out
-    def _send(self, message: Any) -> None:
-        self._out.append(self._encoder.pack(message))
+    def text(self, text: str, severity: int = 4) -> None:
+        """Send a line of text on all ports, in chunks if it is long."""
+        data = text.encode("ascii", "replace")
+        chunks = [data[at : at + p.TEXT_CHUNK] for at in range(0, len(data), p.TEXT_CHUNK)]
+        text_id = 0 if len(chunks) == 1 else 1 + len(data)
+        for index, chunk in enumerate(chunks):
+            self.tell(dialect().MAVLink_statustext_message(severity, chunk, text_id, index))
 
-    def state(self) -> BodyState:
+    def tell(self, message: Any) -> None:
+        """Send a message on all ports."""
+        for channel in self.channels:
+            channel.send(message, self._stepped_s)
+
+    @property
+    def gps(self) -> bool:
+        """Whether there is a GPS fix."""
+        return self.position.gps
+
+    def truth(self) -> BodyState:
         """Return where the body is."""
         return self.body.state()
 
+    def state(self) -> BodyState:
+        """Return where the rover believes the body to be."""
+        return self._stuck or self.position.believed(self.body.state())
+
     def boot_ms(self, now_s: float) -> int:
         """Return milliseconds since power-on."""
-        return int((now_s - self._booted_s) * 1000)
+        return round((now_s - self._booted_s) * 1000)
 
     def positioned(self, now_s: float) -> bool:
         """Whether the position filter has a position: late in the boot, and not while it is lost."""
-        return self.located and self._up_s(now_s) >= 41.9
-
-
-_HANDLERS: dict[str, Callable[[Firmware, Any, float], None]] = {
-    "HEARTBEAT": Firmware.on_heartbeat,
-    "COMMAND_LONG": Firmware.on_command,
-    "SET_MODE": Firmware.on_set_mode,
-    "PARAM_REQUEST_READ": Firmware.on_parameter_read,
-    "PARAM_SET": Firmware.on_parameter_set,
-    "TIMESYNC": Firmware.on_timesync,
-    "SET_POSITION_TARGET_LOCAL_NED": Firmware.on_setpoint,
-}
-_COMMANDS: dict[int, Callable[[Firmware, list[float], float], p.Result]] = {
-    p.COMMAND_SET_MODE: Firmware.command_mode,
-    p.COMMAND_ARM: Firmware.command_arm,
-    p.COMMAND_MESSAGE_INTERVAL: Firmware.command_interval,
-    p.COMMAND_REQUEST_MESSAGE: Firmware.command_request,
-    p.COMMAND_REBOOT: Firmware.command_reboot,
-}
+        return self.located and self._up_s(now_s) >= LOCATES_S and self.position.known(now_s)

@@ -159,7 +159,7 @@ class TcpPort:
         except OSError as error:
             raise _cannot_open(address, error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(WRITE_S)
+        self._socket.setblocking(False)  # with a timeout even a read that must not wait would wait
 
     def fileno(self) -> int:
         """Return the socket's descriptor."""
@@ -168,7 +168,7 @@ class TcpPort:
     def receive(self) -> bytes:
         """Return the bytes that have arrived."""
         try:
-            data = self._socket.recv(CHUNK, socket.MSG_DONTWAIT)
+            data = self._socket.recv(CHUNK)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -179,10 +179,21 @@ class TcpPort:
 
     def send(self, data: bytes) -> None:
         """Send a whole frame or give the connection up."""
+        left = memoryview(data)
         try:
-            self._socket.sendall(data)
+            while left:
+                try:
+                    left = left[self._socket.send(left) :]
+                except BlockingIOError:
+                    self._wait_to_send()
         except OSError as error:
             raise LinkLost(f"the connection broke: {error.strerror or error}") from error
+
+    def _wait_to_send(self) -> None:
+        poll = select.poll()
+        poll.register(self._socket.fileno(), select.POLLOUT)
+        if not poll.poll(WRITE_S * 1000):
+            raise LinkLost(f"the vehicle has taken nothing for {WRITE_S:g} s")
 
     def forget_peer(self) -> None:
         """A TCP connection has one peer."""

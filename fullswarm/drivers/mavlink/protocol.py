@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from fullswarm.geometry import wrap
@@ -18,9 +18,11 @@ MESSAGE_HEARTBEAT: Final = 0
 MESSAGE_SYS_STATUS: Final = 1
 MESSAGE_ATTITUDE: Final = 30
 MESSAGE_LOCAL_POSITION: Final = 32
+MESSAGE_ORIGIN: Final = 49
 MESSAGE_BATTERY: Final = 147
 MESSAGE_VERSION: Final = 148
-MESSAGE_EKF: Final = 193
+MESSAGE_EKF: Final = 193  # ArduPilot's
+MESSAGE_ESTIMATOR: Final = 230  # PX4's
 
 COMMAND_SET_MODE: Final = 176
 COMMAND_REBOOT: Final = 246
@@ -29,6 +31,7 @@ COMMAND_MESSAGE_INTERVAL: Final = 511
 COMMAND_REQUEST_MESSAGE: Final = 512
 
 AUTOPILOT_ARDUPILOT: Final = 3
+AUTOPILOT_PX4: Final = 12
 AUTOPILOT_NONE: Final = 8  # a ground station or a gimbal, not a vehicle
 ROVER_TYPES: Final = frozenset({10, 11})  # GROUND_ROVER, SURFACE_BOAT: both run ArduRover
 STATUS_ACTIVE: Final = 4
@@ -37,16 +40,26 @@ STATUS_CRITICAL: Final = 5  # a failsafe of the firmware is on
 BASE_MODE_ARMED: Final = 128
 BASE_MODE_CUSTOM: Final = 1
 
+SENSOR_MOTOR_OUTPUTS: Final = 0x8000
+
+FRAME_LOCAL_NED: Final = 1
 FRAME_BODY_NED: Final = 8
+FRAME_BODY_FRD: Final = 12
+FRAME_LOCAL_FRD: Final = 20
 OBEYED_FRAMES: Final = frozenset({1, 7, 8, 9})
 MASK_SPEED_AND_TURN: Final = 1511  # use vx, vy and yaw rate; vy stays 0: speed is hypot(vx, vy)
 MASK_TURN_ONLY: Final = 1535  # use the yaw rate alone
+MASK_VELOCITY: Final = 3527  # use vx, vy and vz: PX4 takes all three or none
 
 PARAM_INT8: Final = 2
+PARAM_INT32: Final = 6
 PARAM_REAL32: Final = 9
 
 EKF_NEEDED: Final = 1 | 2 | 8 | 16  # attitude, horizontal velocity, relative and absolute position
 EKF_BAD: Final = 128 | 1024  # constant-position mode, uninitialised
+ESTIMATOR_NEEDED: Final = 1 | 2 | 8  # PX4: no absolute position without GPS
+ESTIMATOR_BAD: Final = 128  # 1024 is a GPS glitch there
+ESTIMATOR_MOCAP: Final = 6
 
 
 class Mode(enum.IntEnum):
@@ -167,14 +180,16 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True)
 class EkfStatus:
-    """Which of its estimates the EKF trusts."""
+    """Which of its estimates the EKF trusts; the two autopilots number their flags differently from 1024 on."""
 
     flags: int
+    needed: int = EKF_NEEDED
+    bad: int = EKF_BAD
 
     @property
     def good(self) -> bool:
         """Whether the vehicle knows where it is."""
-        return self.flags & EKF_NEEDED == EKF_NEEDED and not self.flags & EKF_BAD
+        return self.flags & self.needed == self.needed and not self.flags & self.bad
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +199,7 @@ class Battery:
     voltage_v: float | None
     current_a: float | None
     remaining: float | None
+    motors_off: bool | None = None  # the safety switch cuts the motors' power; None: not told
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,10 +232,26 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """The value of a parameter, as ArduPilot sends it (a plain float)."""
+    """The value of a parameter: a plain float (ArduPilot) or, for integers, the bits of one (PX4)."""
 
     name: str
     value: float
+    kind: int = field(default=PARAM_REAL32, compare=False)
+    bits: int = field(default=0, compare=False)  # of the float as it came, signed
+
+    @property
+    def bytewise(self) -> float:
+        """The value of an autopilot that puts an integer's bytes into the float."""
+        return self.value if self.kind == PARAM_REAL32 else float(self.bits)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where on earth the vehicle's local frame begins."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +266,7 @@ class Version:
         return f"{self.major}.{self.minor}.{self.patch}"
 
 
-Body = Heartbeat | LocalPosition | Attitude | EkfStatus | Battery | StatusText | Ack | Parameter | Version
+Body = Heartbeat | LocalPosition | Attitude | EkfStatus | Battery | StatusText | Ack | Parameter | Origin | Version
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +276,20 @@ class Received:
     system: int
     component: int
     body: Body
+
+
+# ---------------------------------------------------------------- what we tell
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A pose measured from outside, ENU, for ODOMETRY."""
+
+    stamp_us: int  # of any clock that does not jump
+    x_m: float
+    y_m: float
+    heading_rad: float
+    position_var_m2: float
+    heading_var_rad2: float
+    resets: int = 0  # counts the jumps of what measures it
 
 
 class TextAssembler:

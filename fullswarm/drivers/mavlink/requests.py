@@ -107,6 +107,7 @@ class ReadParameter:
         self.name = name
         self.value: float | None = None
         self.tries = 0
+        self._given_up = False
         self._due_s = 0.0
 
     def receive(self, parameter: p.Parameter) -> None:
@@ -114,9 +115,17 @@ class ReadParameter:
         if parameter.name == self.name:
             self.value = parameter.value
 
+    @property
+    def settled(self) -> bool:
+        """Whether it was told, or given up."""
+        return self.value is not None or self._given_up
+
     def tick(self, now_s: float, encoder: StationEncoder) -> list[bytes]:
         """Return the question when it is due."""
-        if self.value is not None or self.tries >= PARAMETER_TRIES or now_s < self._due_s:
+        if self.settled or now_s < self._due_s:
+            return []
+        if self.tries >= PARAMETER_TRIES:
+            self._given_up = True
             return []
         self.tries, self._due_s = self.tries + 1, now_s + PARAMETER_S
         return [encoder.read_parameter(self.name)]
@@ -125,8 +134,11 @@ class ReadParameter:
 class EnsureParameter:
     """Reads a parameter, sets it if need be, and is content only with a value read back afterwards."""
 
-    def __init__(self, name: str, wanted: float, accepted: frozenset[float], kind: int) -> None:
+    def __init__(
+        self, name: str, wanted: float, accepted: frozenset[float], kind: int, *, bytewise: bool = False
+    ) -> None:
         self.name, self._wanted, self._accepted, self._kind = name, wanted, accepted, kind
+        self._bytewise = bytewise
         self.confirmed = False
         self.silent_tries = 0
         self._writing = False
@@ -150,5 +162,5 @@ class EnsureParameter:
             return []
         self.silent_tries, self._due_s = self.silent_tries + 1, now_s + PARAMETER_S
         if self._writing:
-            return [encoder.set_parameter(self.name, self._wanted, self._kind)]
+            return [encoder.set_parameter(self.name, self._wanted, self._kind, bytewise=self._bytewise)]
         return [encoder.read_parameter(self.name)]

@@ -7,16 +7,20 @@ Time is monotonic seconds.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Limits, Reading, Twist
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, StandDown
+from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown
+from fullswarm.drivers.mavlink.autopilot import STATION, ArduPilot, Autopilot, unsupported
 from fullswarm.drivers.mavlink.codec import StationEncoder, decode
-from fullswarm.drivers.mavlink.startup import STATION, Startup, unsupported
+from fullswarm.drivers.mavlink.external import ExternalPose
+from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
+from fullswarm.drivers.mavlink.settings import Options as Options
+from fullswarm.drivers.mavlink.signing import Signing
+from fullswarm.drivers.mavlink.startup import Startup
 from fullswarm.drivers.mavlink.vehicle import LINK_SILENCE_S, Vehicle
-from fullswarm.geometry import clamp
 
 STATION_COMPONENT = 190
 HEARTBEAT_S = 1.0
@@ -24,27 +28,24 @@ COMMAND_TTL_S = 0.3
 FAULT_DWELL_S = 0.5  # long enough for an agent's loop to see it
 RETRY_S = 1.0  # between two attempts to arm
 STAND_DOWN_S = 5.0
-STORED_SETPOINT_S = 3.2  # the firmware forgets a set-point after 3.0 s
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Which vehicle, and what to ask of it."""
-
-    system: int
-    limits: Limits
-    where: str
-    ekf_ignored: bool = False
 
 
 class Session:
-    """One rover, from silence to driving and back."""
+    """One rover, from silence to driving and back.
 
-    def __init__(self, options: Options, now_s: float) -> None:
-        self._options = options
-        self._encoder = StationEncoder(STATION, STATION_COMPONENT, options.system)
+    Parameters
+    ----------
+    signing
+        Signs what goes out and knows whom not to believe; None: nothing is signed. Whoever feeds the session drops
+        what is not to be believed.
+    """
+
+    def __init__(self, options: Options, now_s: float, signing: Signing | None = None) -> None:
+        self._options, self.signing = options, signing
+        signer = None if signing is None else signing.signer()
+        self._encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, signer)
         self._vehicle = Vehicle()
-        self._startup = Startup(self._encoder, ekf_ignored=options.ekf_ignored)
+        self._fly_by(options.autopilot or ArduPilot())
         self._activation: Activation | None = None
         self._stand_down: StandDown | None = None
         self.lifecycle = Lifecycle.OPEN
@@ -60,12 +61,34 @@ class Session:
         self._armed_by_us = False
         self._command, self._command_s = STAND, -math.inf
         self._moving_sent_s = -math.inf
+        self._confirm = False
+
+    def _fly_by(self, autopilot: Autopilot) -> None:
+        options = self._options
+        self.autopilot = autopilot
+        self._startup = Startup(self._encoder, autopilot, ekf_ignored=options.ekf_ignored, external=options.external)
+        blank = autopilot.blank_velocity
+        self._external = (
+            ExternalPose(self._encoder, options.limits, options.origin, blank) if options.external else None
+        )
 
     # ------------------------------------------------------------ for the agent
     @property
     def firmware(self) -> str:
-        """The firmware's name and version; empty until known."""
-        return f"ArduRover {self._vehicle.version}" if self._vehicle.version else ""
+        """The firmware's name and version, e.g. ``ArduRover 4.6.3``; empty until known."""
+        return f"{self.autopilot.firmware} {self._vehicle.version}" if self._vehicle.version else ""
+
+    def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
+        """Return the warnings of the last `age_s`: the vehicle's own texts, then what is odd about its settings."""
+        odd = self._startup.warnings + ([] if self._external is None else self._external.warnings)
+        return self._vehicle.texts_since(now_s - age_s) + odd
+
+    def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float, now_s: float) -> bool:
+        """Take a pose measured from outside; tell whether it is of use (``pose=external``)."""
+        if self._external is None:
+            return False
+        self._external.locate(pose, position_sigma_m, heading_sigma_rad, now_s)
+        return True
 
     @property
     def standing_down(self) -> bool:
@@ -73,9 +96,10 @@ class Session:
         return self._stand_down is not None or self._activation is not None or self.lifecycle is Lifecycle.ACTIVE
 
     def reading(self) -> Reading | None:
-        """Return the newest reading; a pilot's take-over shows as the emergency-stop hazard."""
+        """Return the newest reading; a pilot's take-over and his safety switch are the emergency-stop hazard."""
         reading = self._vehicle.reading
-        if reading is not None and self._taken_over:
+        pressed = self.autopilot.tells_safety and self._vehicle.motors_off
+        if reading is not None and (self._taken_over or pressed):
             return replace(reading, hazards=reading.hazards | Hazard.ESTOP_BUTTON)
         return reading
 
@@ -110,12 +134,7 @@ class Session:
             raise ValueError(f"a set-point must be finite, not {twist}")
         if self.lifecycle is not Lifecycle.ACTIVE or self._stand_down is not None:
             return STAND
-        limits = self._options.limits
-        speed = min(limits.speed_m_s, self._startup.top_speed_m_s or math.inf)
-        applied = Twist(
-            clamp(twist.linear_m_s, -speed, speed),
-            clamp(twist.angular_rad_s, -limits.turn_rad_s, limits.turn_rad_s),
-        )
+        applied = self.autopilot.applied(twist, self._options.limits, self._startup.known)
         if applied == STAND and self._command != STAND:
             self._setpoint_due_s = now_s  # a stop does not wait for its turn
         self._command, self._command_s = applied, now_s
@@ -140,27 +159,57 @@ class Session:
         if received is None or not self._is_ours(received):
             return
         body = received.body
+        if isinstance(body, p.Heartbeat):
+            self._recognise(body)
+            self._vehicle.signs = bool(message.get_header().incompat_flags & 1)
+        elif isinstance(body, p.Parameter):
+            body = replace(body, value=body.bytewise) if self.autopilot.bytewise else body
+            if not math.isfinite(body.value):
+                return
         if isinstance(body, p.Ack) and body.target_system not in (0, STATION):
             return  # the answer to another station
+        if isinstance(body, p.Ack) and body.command in (p.COMMAND_SET_MODE, p.COMMAND_ARM):
+            self._confirm = self.autopilot.slow_heartbeat
         if isinstance(body, p.Heartbeat):
             self._watch_hand_back(body)
         self._vehicle.receive(body, now_s)
         self._startup.receive(body)
+        if self._external is not None:
+            self._external.receive(body)
         if self._activation is not None:
             self._activation.receive(body, now_s)
         if isinstance(body, p.Heartbeat) and self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None:
             self._watch_mode(body, now_s)
+
+    def _recognise(self, heartbeat: p.Heartbeat) -> None:
+        """Take the vehicle for what it says it is, unless the URL has said what it must be."""
+        told = AUTOPILOTS.get(heartbeat.autopilot)
+        if told is not None and self._options.autopilot is None and told.number != self.autopilot.number:
+            self._fly_by(told)
+
+    def _unsupported(self, heartbeat: p.Heartbeat) -> str:
+        wanted, told = self._options.autopilot, AUTOPILOTS.get(heartbeat.autopilot)
+        if wanted is not None and told is not None and told.number != wanted.number:
+            return (
+                f"the vehicle runs {told.make}, but the URL says autopilot={wanted.key}: make it autopilot={told.key}"
+            )
+        return unsupported(heartbeat, AUTOPILOTS)
 
     @property
     def alone(self) -> bool:
         """Whether nothing is heard of the vehicle: any port may be its new one."""
         return self._vehicle.heartbeat is None
 
-    def next_due_s(self) -> float:
+    def next_due_s(self, now_s: float) -> float:
         """Return when :meth:`tick` has something to send at the latest."""
-        if self.lifecycle is Lifecycle.ACTIVE:
-            return min(self._heartbeat_due_s, self._setpoint_due_s)
-        return self._heartbeat_due_s
+        due_s = self._heartbeat_due_s
+        if self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None:
+            due_s = min(due_s, self._setpoint_due_s)
+        if self._activation is not None:
+            due_s = min(due_s, self._activation.next_due_s)
+        if self._external is not None:
+            due_s = min(due_s, self._external.next_due_s(now_s))
+        return due_s
 
     def link_lost(self, reason: str, now_s: float) -> None:
         """Take note that the port is gone; the driver opens it again."""
@@ -171,9 +220,13 @@ class Session:
         """Return what stops a vehicle that we drive, for the moment when nothing else works any more."""
         if not self.standing_down:
             return []
-        encoder = self._encoder
-        stop = encoder.stand() if self.lifecycle is Lifecycle.ACTIVE else b""
-        return [stop, encoder.set_mode(p.Mode.HOLD), encoder.arm(False)]
+        controls, encoder = self._controls, self._encoder
+        stop = controls.stand() if self.lifecycle is Lifecycle.ACTIVE else b""
+        return [stop, self.autopilot.set_mode(encoder, self.autopilot.hold_mode, 0), encoder.arm(False)]
+
+    @property
+    def _controls(self) -> Controls:
+        return Controls(self.autopilot, self._encoder, self._startup.known)
 
     def tick(self, now_s: float) -> list[bytes]:
         """Return the frames that are due now."""
@@ -181,21 +234,26 @@ class Session:
         if now_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = now_s + HEARTBEAT_S
             frames.append(self._encoder.heartbeat())
+        if self._confirm:
+            self._confirm = False
+            frames.append(self._encoder.request_message(p.MESSAGE_HEARTBEAT))
         vehicle = self._vehicle
         if vehicle.rebooted:
             self._fail("the autopilot restarted", now_s)
             self._forget()
         if vehicle.heartbeat is None or vehicle.silent(now_s):
             if self.lifecycle is Lifecycle.ACTIVE:
-                frames.append(self._encoder.stand())  # it may still hear us
+                frames.append(self._controls.stand())  # it may still hear us
             self._watch_silence(now_s)
             return frames
-        problem = unsupported(vehicle.heartbeat)
+        problem = self._unsupported(vehicle.heartbeat)
         if problem:
             if self.lifecycle is not Lifecycle.FAULT:
                 self._fail(problem, now_s)
             return frames
         frames += self._startup.tick(now_s, vehicle)
+        if self._external is not None:
+            frames += self._external.tick(now_s, vehicle.heading_rad)
         self._watch_problem(now_s)
         if self._stand_down is not None:
             frames += self._continue_stand_down(self._stand_down, now_s)
@@ -213,21 +271,26 @@ class Session:
     def _forget(self) -> None:
         self._vehicle.forget()
         self._startup.restart()
+        if self._external is not None:
+            self._external.restart()
         self._activation = self._stand_down = None
         self._taken_over = False
 
     def _watch_silence(self, now_s: float) -> None:
         system = self._options.system
         if self._vehicle.heartbeat is not None:
-            self._fail(f"link lost: no heartbeat from system {system} for {LINK_SILENCE_S:g} s", now_s)
+            doubt = "" if self.signing is None else self.signing.doubt(system)
+            what = f"it is heard, but {doubt}" if doubt else f"no heartbeat from system {system}"
+            self._fail(f"link lost: {what} for {LINK_SILENCE_S:g} s", now_s)
             self._forget()
         elif self.lifecycle is Lifecycle.OPEN and now_s - self._opened_s > LINK_SILENCE_S:
-            hint = "check power, cable, baud rate and ?sysid="
+            doubt = "" if self.signing is None else self.signing.doubt(system)
+            hint = f"it is heard, but {doubt}" if doubt else "check power, cable, baud rate and ?sysid="
             self._fail(f"no heartbeat from system {system} ({hint})", now_s)
 
     def _watch_problem(self, now_s: float) -> None:
         """Move between OPEN, READY and FAULT as the vehicle's condition changes."""
-        self.why = self._startup.problem(now_s, self._vehicle)
+        self.why = self._problem(now_s)
         settled = self._stand_down is None
         if self.lifecycle is Lifecycle.ACTIVE and settled and self.why:
             self._fail(self.why, now_s)
@@ -244,34 +307,52 @@ class Session:
             elif not self.why:
                 self.lifecycle = Lifecycle.READY
 
+    def _problem(self, now_s: float) -> str:
+        why = self._startup.problem(now_s, self._vehicle)
+        lost = "" if self._external is None else self._external.problem(now_s)
+        if why and lost and "know its position" in why:
+            why = f"{why}: {lost}"
+        if why and self.signing is None and self._vehicle.signs and not self._startup.answered:
+            why += " (it signs its messages: give its key with ?sign_key=)"
+        return why
+
     def _left_armed(self) -> bool:
-        """Whether the vehicle is still armed from before the link was lost, or from another run of ours."""
+        """Whether the vehicle is still armed from before the link was lost, or from another run of ours.
+
+        One that a failsafe holds is disarmed, whoever armed it: PX4 stays in its failsafe until then.
+        """
         mode = self._vehicle.mode
-        return self._vehicle.armed and (mode == p.Mode.GUIDED or (self._armed_by_us and mode == p.Mode.HOLD))
+        heartbeat = self._vehicle.heartbeat
+        lost = heartbeat is not None and heartbeat.status == p.STATUS_CRITICAL
+        ours = (self._armed_by_us or lost) and mode == self.autopilot.hold_mode
+        return self._vehicle.armed and (mode == self.autopilot.drive_mode or ours)
 
     def _watch_mode(self, heartbeat: p.Heartbeat, now_s: float) -> None:
         """While ACTIVE: somebody else took the vehicle; say so and let him have it."""
-        guided = heartbeat.custom_mode == p.Mode.GUIDED
-        if heartbeat.status == p.STATUS_CRITICAL or heartbeat.custom_mode == p.Mode.INITIALISING:
+        autopilot = self.autopilot
+        guided = heartbeat.custom_mode == autopilot.drive_mode
+        if heartbeat.status == p.STATUS_CRITICAL or autopilot.starting(heartbeat):
             return  # a failsafe or a restart, not a person: _watch_problem deals with it
         if guided and heartbeat.armed:
             return
-        what = "it was disarmed" if guided else f"the mode was changed to {p.mode_name(heartbeat.custom_mode)}"
+        what = "it was disarmed" if guided else f"the mode was changed to {autopilot.mode_name(heartbeat.custom_mode)}"
         texts = "; ".join(dict.fromkeys(self._vehicle.texts_since(now_s - 2.0)))
         self.fault = (
             f"{self._options.where}: {what} by the pilot, another station or the autopilot"
-            f"{f' ({texts})' if texts else ''}: hand back GUIDED, or stop the behaviour and ask again"
+            f"{f' ({texts})' if texts else ''}: hand back {autopilot.mode_name(autopilot.drive_mode)}, "
+            "or stop the behaviour and ask again"
         )
         self.lifecycle, self._command, self._wished_s = Lifecycle.READY, STAND, now_s
         self._taken_over, self._armed_by_us, self._wish = True, False, False
 
     def _watch_hand_back(self, heartbeat: p.Heartbeat) -> None:
-        if self._vehicle.mode != p.Mode.GUIDED and heartbeat.custom_mode == p.Mode.GUIDED:
+        drive_mode = self.autopilot.drive_mode
+        if self._vehicle.mode != drive_mode and heartbeat.custom_mode == drive_mode:
             self._taken_over = False
 
     def _begin_stand_down(self, now_s: float) -> None:
         pending = self._activation is not None and self._activation.arm_may_take_effect
-        self._stand_down = StandDown(self._encoder, self._vehicle, now_s, arm_pending=pending)
+        self._stand_down = StandDown(self._controls, self._vehicle, now_s, arm_pending=pending)
         self._activation, self._wish, self._command = None, False, STAND
 
     def _continue_stand_down(self, stand_down: StandDown, now_s: float) -> list[bytes]:
@@ -281,7 +362,7 @@ class Session:
             if self.lifecycle is Lifecycle.ACTIVE:
                 self.lifecycle = Lifecycle.READY
         elif now_s - stand_down.start_s > STAND_DOWN_S and self.lifecycle is not Lifecycle.FAULT:
-            self._fail("the vehicle does not confirm HOLD and disarm; still trying", now_s)
+            self._fail("the vehicle does not confirm hold and disarm; still trying", now_s)
         return frames
 
     def _setpoint(self, now_s: float) -> list[bytes]:
@@ -292,15 +373,16 @@ class Session:
             self._command = STAND
         if self._command != STAND:
             self._moving_sent_s = now_s
-        return [self._encoder.drive(self._command.linear_m_s, self._command.angular_rad_s)]
+        return [self.autopilot.setpoint(self._encoder, self._command, self._startup.known)]
 
     def _pursue_wish(self, now_s: float) -> list[bytes]:
         if self._activation is None:
-            stored = self._vehicle.mode == p.Mode.GUIDED and now_s - self._moving_sent_s < STORED_SETPOINT_S
+            autopilot = self.autopilot
+            stored = self._vehicle.mode == autopilot.drive_mode and now_s - self._moving_sent_s < autopilot.stores_s
             if not self._wish or now_s < self._retry_s or stored:
                 return []
             self._wish = False
-            self._activation = Activation(self._encoder, self._vehicle, now_s)
+            self._activation = Activation(self._controls, self._vehicle, now_s)
         attempt = self._activation
         frames = attempt.tick(now_s)
         self._armed_by_us = self._armed_by_us or attempt.arm_may_take_effect

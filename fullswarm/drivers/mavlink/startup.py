@@ -5,57 +5,72 @@ from __future__ import annotations
 from functools import partial
 
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.autopilot import Autopilot
 from fullswarm.drivers.mavlink.codec import StationEncoder
 from fullswarm.drivers.mavlink.requests import CommandQueue, EnsureParameter, ReadParameter
 from fullswarm.drivers.mavlink.vehicle import Vehicle
 
-STATION = 255
 RATES_HZ: dict[int, float] = {
     p.MESSAGE_HEARTBEAT: 4.0,  # the armed bit comes with heartbeats only: 1 Hz would delay every confirmation
     p.MESSAGE_LOCAL_POSITION: 20.0,
     p.MESSAGE_ATTITUDE: 20.0,
-    p.MESSAGE_EKF: 2.0,
     p.MESSAGE_BATTERY: 1.0,
+    p.MESSAGE_SYS_STATUS: 4.0,  # the safety switch
 }
+ESTIMATOR_HZ = 2.0
 WATCHED = {p.LocalPosition: p.MESSAGE_LOCAL_POSITION, p.Attitude: p.MESSAGE_ATTITUDE}
 WATCH_S = 2.0
 LOWEST_HZ = 5.0
 
 
 class Startup:
-    """Asks for what driving needs, sees whether it came, and asks again when it stops coming."""
+    """Asks for what driving needs, sees whether it came, and asks again when it stops coming.
 
-    def __init__(self, encoder: StationEncoder, *, ekf_ignored: bool) -> None:
-        self._encoder, self._ekf_ignored = encoder, ekf_ignored
+    Parameters
+    ----------
+    external
+        Whether the vehicle is to be located from outside; its parameters are then checked.
+    """
+
+    def __init__(
+        self, encoder: StationEncoder, autopilot: Autopilot, *, ekf_ignored: bool, external: bool = False
+    ) -> None:
+        self._encoder, self._autopilot = encoder, autopilot
+        self._ekf_ignored = ekf_ignored
+        self._checks = autopilot.pose_checks if external else ()
         self.restart()
 
     def restart(self) -> None:
         """Begin anew: another boot knows nothing of what was asked before."""
+        autopilot = self._autopilot
         self._queue = CommandQueue()
-        self._rates = dict(RATES_HZ)
+        self._rates = RATES_HZ | {autopilot.estimator: ESTIMATOR_HZ}
         self._counts = dict.fromkeys(WATCHED.values(), 0)
         self._watch_s: float | None = None
-        # Written for good into the vehicle's memory: without it a rover that loses us stays armed for ever.
-        self._failsafe = EnsureParameter("FS_GCS_ENABLE", 1.0, frozenset((1.0, 2.0)), p.PARAM_INT8)
-        self._station = ReadParameter("SYSID_MYGCS")
-        self._top_speed = ReadParameter("WP_SPEED")
-
-    @property
-    def top_speed_m_s(self) -> float | None:
-        """The vehicle's own speed limit, to which it clamps without a word; None if unknown."""
-        value = self._top_speed.value
-        return value if value is not None and value > 0.0 else None
+        self._guards = [
+            EnsureParameter(each.name, each.wanted, each.accepted, each.kind, bytewise=autopilot.bytewise)
+            for each in autopilot.guards
+        ]
+        self._reads = {
+            name: ReadParameter(name) for name in (*autopilot.reads, *(check.name for check in self._checks))
+        }
+        self.known: dict[str, float] = {}
+        self.answered = False
 
     def receive(self, body: p.Body) -> None:
         """Take a message of the vehicle."""
+        self.answered = self.answered or isinstance(body, (p.Ack, p.Parameter))
         watched = WATCHED.get(type(body))
         if watched is not None:
             self._counts[watched] += 1
         elif isinstance(body, p.Ack):
             self._queue.on_ack(body)
         elif isinstance(body, p.Parameter):
-            for each in (self._failsafe, self._station, self._top_speed):
-                each.receive(body)
+            for guard in self._guards:
+                guard.receive(body)
+            if body.name in self._reads:
+                self._reads[body.name].receive(body)
+                self.known[body.name] = body.value
 
     def tick(self, now_s: float, vehicle: Vehicle) -> list[bytes]:
         """Return the frames that are due."""
@@ -67,8 +82,10 @@ class Startup:
         elif now_s >= self._watch_s:
             self._watch_rates(now_s, vehicle)
         frames = self._queue.tick(now_s)
-        for each in (self._failsafe, self._station, self._top_speed):
-            frames += each.tick(now_s, self._encoder)
+        for guard in self._guards:
+            frames += guard.tick(now_s, self._encoder)
+        for read in self._reads.values():
+            frames += read.tick(now_s, self._encoder)
         return frames
 
     def _watch_rates(self, now_s: float, vehicle: Vehicle) -> None:
@@ -78,6 +95,8 @@ class Startup:
             expected = located or message != p.MESSAGE_LOCAL_POSITION  # no position is sent before there is one
             if expected and self._queue.idle and count < 0.5 * self._rates[message] * WATCH_S:
                 self._ask_rate(message)
+        if vehicle.ekf is None and self._queue.idle:
+            self._ask_rate(self._autopilot.estimator)
         if vehicle.version is None and self._queue.idle:
             self._ask_version()
         self._counts = dict.fromkeys(self._counts, 0)
@@ -103,15 +122,13 @@ class Startup:
         heartbeat = vehicle.heartbeat
         if heartbeat is None:
             return "no heartbeat yet"
-        if heartbeat.custom_mode == p.Mode.INITIALISING:
+        if self._autopilot.starting(heartbeat):
             return "the autopilot is starting"
         if heartbeat.status == p.STATUS_CRITICAL:
             return f"a failsafe of the autopilot is on{_quoted(vehicle.texts_since(now_s - 30.0))}"
-        if not self._failsafe.confirmed:
-            silent = self._failsafe.silent_tries > 3
-            return "FS_GCS_ENABLE=1 is not confirmed" + (": the vehicle does not answer" if silent else "")
-        if self._station.value not in (None, float(STATION)):
-            return f"SYSID_MYGCS is {self._station.value:.0f}: its failsafe ignores us; set it to {STATION}"
+        setting = self._setting_problem()
+        if setting:
+            return setting
         if not self._ekf_ignored and (vehicle.ekf is None or not vehicle.ekf.good):
             flags = "unknown" if vehicle.ekf is None else f"{vehicle.ekf.flags:#x}"
             return f"the autopilot does not know its position yet (EKF flags {flags})"
@@ -119,15 +136,32 @@ class Startup:
             return "no position or attitude is being sent"
         return ""
 
+    def _setting_problem(self) -> str:
+        for guard, ensure in zip(self._autopilot.guards, self._guards, strict=True):
+            if not ensure.confirmed:
+                silent = ensure.silent_tries > 3
+                return f"{guard.name}={guard.wanted:g} is not confirmed" + (
+                    ": the vehicle does not answer" if silent else ""
+                )
+        return self._autopilot.problem(self.known) or next(iter(self._unfit(needed=True)), "")
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is odd about the vehicle's parameters but does not keep it from driving."""
+        return self._unfit(needed=False)
+
+    def _unfit(self, *, needed: bool) -> list[str]:
+        found = []
+        for check in self._checks:
+            read = self._reads[check.name]
+            if check.needed is needed and read.settled:
+                text = check.unfit(read.value)
+                if text:
+                    found.append(text if read.value is not None else f"{text} (the vehicle does not have it)")
+            elif check.needed and needed:
+                found.append(f"{check.name} is not known yet")
+        return found
+
 
 def _quoted(texts: list[str]) -> str:
     return f": {'; '.join(dict.fromkeys(texts))}" if texts else ""
-
-
-def unsupported(heartbeat: p.Heartbeat) -> str:
-    """Return why this vehicle must not be driven as an ArduPilot rover; empty if it may."""
-    if heartbeat.autopilot != p.AUTOPILOT_ARDUPILOT:
-        return f"autopilot {heartbeat.autopilot} is not ArduPilot (3); only ArduPilot Rover is supported"
-    if heartbeat.vehicle_type not in p.ROVER_TYPES:
-        return f"it says it is a vehicle of type {heartbeat.vehicle_type}, not a ground rover (10): not driven"
-    return ""

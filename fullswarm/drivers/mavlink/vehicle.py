@@ -65,11 +65,13 @@ class Vehicle:
         self.heartbeat: p.Heartbeat | None = None
         self.heartbeat_s = -math.inf
         self.ekf: p.EkfStatus | None = None
+        self.signs = False
         self.rebooted = False
         self._position_s = self._attitude_s = -math.inf
         self._attitude: p.Attitude | None = None
         self._boot_ms: int | None = None
         self._battery: p.Battery | None = None
+        self.motors_off = False
         self._texts: deque[tuple[float, int, str]] = deque(maxlen=TEXTS)
         self._assembler = p.TextAssembler()
         self.odometer.rebase()
@@ -83,6 +85,11 @@ class Vehicle:
     def mode(self) -> int | None:
         """The newest heartbeat's mode."""
         return None if self.heartbeat is None else self.heartbeat.custom_mode
+
+    @property
+    def heading_rad(self) -> float | None:
+        """The newest heading, ENU; None before the first."""
+        return None if self._attitude is None else self._attitude.heading_rad
 
     def silent(self, now_s: float) -> bool:
         """Whether heartbeats have stopped."""
@@ -128,6 +135,8 @@ class Vehicle:
 
     def _merge(self, new: p.Battery) -> None:
         # SYS_STATUS and BATTERY_STATUS tell of one pack; either may leave out what the other knows.
+        if new.motors_off is not None:
+            self.motors_off = new.motors_off
         old = self._battery
         if new.remaining is not None or old is None:
             self._battery = new

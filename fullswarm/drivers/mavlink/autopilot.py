@@ -1,0 +1,159 @@
+"""What differs between autopilots: modes, set-points, parameters. ArduPilot's Rover is here, PX4's in ``px4.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from fullswarm.drivers.base import STAND, Limits, Twist
+from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.codec import StationEncoder
+from fullswarm.geometry import clamp
+
+STATION: Final = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """A parameter that must hold one of the `accepted` values; written for good, for the vehicle's own safety."""
+
+    name: str
+    wanted: float
+    accepted: frozenset[float]
+    kind: int
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A parameter that external poses need and that only a person may change.
+
+    `unfit` gets its value (None: the vehicle does not have it) and returns what is wrong; empty when nothing is.
+    """
+
+    name: str
+    unfit: Callable[[float | None], str]
+    needed: bool = True  # False: only warn
+
+
+Known = Mapping[str, float]
+"""The values of the parameters that have been read."""
+
+
+class Autopilot(Protocol):
+    """One kind of firmware on a ground rover. Stateless."""
+
+    key: str  # in URLs
+    make: str
+    firmware: str
+    number: int  # in heartbeats
+    drive_mode: int
+    hold_mode: int
+    estimator: int  # id of the message that tells how well it knows its position
+    bytewise: bool  # how integers travel in parameters
+    stream_s: float  # it wants standing set-points for so long before it lets itself be driven; 0: it must get none
+    stores_s: float  # a set-point sent while disarmed moves it when it is armed within this time
+    watchdog_s: float  # it stops by itself after this silence
+    slow_heartbeat: bool  # it keeps to 1 Hz: what confirms a command has to be asked for
+    tells_safety: bool  # SYS_STATUS shows the safety switch
+    can_reverse: bool
+    blank_velocity: float  # stands for "not measured" in ODOMETRY
+    guards: tuple[Guard, ...]
+    reads: tuple[str, ...]
+    pose_checks: tuple[Check, ...]
+
+    def mode_name(self, custom_mode: int) -> str:
+        """Return a mode's name, or its number."""
+        ...
+
+    def starting(self, heartbeat: p.Heartbeat) -> bool:
+        """Tell whether it is still booting."""
+        ...
+
+    def problem(self, known: Known) -> str:
+        """Return which parameter's value forbids driving; empty when none does."""
+        ...
+
+    def set_mode(self, encoder: StationEncoder, mode: int, confirmation: int) -> bytes:
+        """Return the command for a mode."""
+        ...
+
+    def applied(self, twist: Twist, limits: Limits, known: Known) -> Twist:
+        """Return what it will make of a set-point."""
+        ...
+
+    def setpoint(self, encoder: StationEncoder, twist: Twist, known: Known) -> bytes:
+        """Return the set-point for an applied twist."""
+        ...
+
+
+class ArduPilot:
+    """ArduPilot Rover 4.x: GUIDED, body speed and turn rate, reverse too."""
+
+    key, make, firmware, number = "ardupilot", "ArduPilot", "ArduRover", p.AUTOPILOT_ARDUPILOT
+    drive_mode, hold_mode = int(p.Mode.GUIDED), int(p.Mode.HOLD)
+    estimator, bytewise = p.MESSAGE_EKF, False
+    stream_s, stores_s, watchdog_s = 0.0, 3.2, 3.0
+    slow_heartbeat, tells_safety, can_reverse = False, True, True
+    blank_velocity = 0.0  # NaN would go into its filter; EK3_SRC1_VELXY keeps zeros out
+    # Written for good into the vehicle's memory: without it a rover that loses us stays armed for ever.
+    guards: tuple[Guard, ...] = (Guard("FS_GCS_ENABLE", 1.0, frozenset((1.0, 2.0)), p.PARAM_INT8),)
+    reads: tuple[str, ...] = ("SYSID_MYGCS", "MAV_GCS_SYSID", "WP_SPEED")  # the second is the first's name from 4.7 on
+    pose_checks: tuple[Check, ...] = (
+        Check("VISO_TYPE", lambda v: "" if v else "VISO_TYPE must be 1, then a reboot, to take external poses"),
+        Check("EK3_SRC1_POSXY", lambda v: "" if v == 6.0 else "EK3_SRC1_POSXY must be 6 to use external poses"),
+        Check("EK3_SRC1_VELXY", lambda v: "EK3_SRC1_VELXY must not be 6: no velocity is sent" if v == 6.0 else ""),
+        Check(
+            "EK3_SRC1_YAW",
+            lambda v: "" if v == 6.0 else "EK3_SRC1_YAW is not 6: the compass must agree with the external frame",
+            needed=False,
+        ),
+    )
+
+    def mode_name(self, custom_mode: int) -> str:
+        """Return a mode's name, or its number."""
+        return p.mode_name(custom_mode)
+
+    def starting(self, heartbeat: p.Heartbeat) -> bool:
+        """Tell whether it is still booting."""
+        return heartbeat.custom_mode == p.Mode.INITIALISING
+
+    def problem(self, known: Known) -> str:
+        """Return whether its failsafe would watch somebody else."""
+        for name in ("SYSID_MYGCS", "MAV_GCS_SYSID"):
+            if known.get(name, float(STATION)) != STATION:
+                return f"{name} is {known[name]:.0f}: its failsafe ignores us; set it to {STATION}"
+        return ""
+
+    def set_mode(self, encoder: StationEncoder, mode: int, confirmation: int) -> bytes:
+        """Return the command for a mode."""
+        return encoder.set_mode(mode, confirmation=confirmation)
+
+    def applied(self, twist: Twist, limits: Limits, known: Known) -> Twist:
+        """Clip to the limits and to its own, to which it clips without a word."""
+        return clip(twist, limits, known.get("WP_SPEED", 0.0))
+
+    def setpoint(self, encoder: StationEncoder, twist: Twist, known: Known) -> bytes:
+        """Return the set-point for a speed and a turn rate."""
+        del known
+        return encoder.drive(twist.linear_m_s, twist.angular_rad_s)
+
+
+def clip(twist: Twist, limits: Limits, top_speed_m_s: float) -> Twist:
+    """Clip a twist to the limits; `top_speed_m_s` is the vehicle's own, 0 if unknown."""
+    speed = min(limits.speed_m_s, top_speed_m_s) if top_speed_m_s > 0.0 else limits.speed_m_s
+    clipped = Twist(
+        clamp(twist.linear_m_s, -speed if limits.can_reverse else 0.0, speed),
+        clamp(twist.angular_rad_s, -limits.turn_rad_s, limits.turn_rad_s),
+    )
+    return STAND if clipped == STAND else clipped  # no minus zero
+
+
+def unsupported(heartbeat: p.Heartbeat, known: Mapping[int, Autopilot]) -> str:
+    """Return why this vehicle must not be driven as a rover of one of the `known` autopilots; empty if it may."""
+    if heartbeat.autopilot not in known:
+        names = ", ".join(f"{each.make} ({number})" for number, each in known.items())
+        return f"autopilot {heartbeat.autopilot} is not supported: {names} are"
+    if heartbeat.vehicle_type not in p.ROVER_TYPES:
+        return f"it says it is a vehicle of type {heartbeat.vehicle_type}, not a ground rover (10): not driven"
+    return ""

@@ -1,0 +1,18 @@
+"""ArduRover's insides for the emulator, split by topic; :mod:`fullswarm.drivers.mavlink.firmware` puts them together.
+
+::
+
+    inbox.py       what arrives, message by message
+    dynamics.py    how its motors speed up, brake and coast (measured stops)
+    setpoints.py   what it makes of a set-point, and how it drives to what it was told
+    commands.py    COMMAND_LONG and COMMAND_INT, and how each is answered
+    pilot.py       sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE
+    position.py    whether it knows where it is: GPS, or poses from outside
+    parameters.py  names and values
+    streams.py     which message is due when, and the rate cap
+    messages.py    the messages themselves; NED on the wire
+    channel.py     one of its ports: frames out, signatures, whom it believes
+    ports.py       the ports' real ends: UDP, TCP, pseudo-terminal
+
+Messages of the dialect flow in, frames and the body's speed flow out. Only ports.py does I/O.
+"""

@@ -1,0 +1,305 @@
+"""What the emulated rover can tell, one maker for each message. NED and FRD on the wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from fullswarm.clock import wall_time_s
+from fullswarm.drivers.body import BodyState
+from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.codec import dialect
+from fullswarm.drivers.mavlink.rover.pilot import CENTRE_US, FULL_M_S, SPAN_US, Sticks
+from fullswarm.drivers.mavlink.rover.setpoints import ORIGIN_DEG, to_degrees
+
+ALTITUDE_M, GRAVITY_MG, GRAVITY_M_S2 = 584.0, 1000, 9.80665
+TRACK_M = 0.3  # between the wheels, for the servo outputs alone
+FULL_V, EMPTY_V, CURRENT_CA = 12.6, 10.5, 250
+SENSORS = 0x5161FC2F  # present, as the firmware's simulator says
+MOTOR_OUTPUTS = 0x8000
+MANUAL_MODES = frozenset({p.Mode.MANUAL, p.Mode.ACRO, p.Mode.STEERING, p.Mode.SIMPLE, p.Mode.INITIALISING})
+AUTOPILOT_MODES = frozenset(
+    {p.Mode.AUTO, p.Mode.GUIDED, p.Mode.RTL, p.Mode.SMART_RTL, p.Mode.LOITER, p.Mode.CIRCLE, p.Mode.DOCK}
+)
+BLIND, LOCATED = 1 | 4 | 32 | 128, 831
+
+
+class Subject(Protocol):
+    """What the messages tell of."""
+
+    mode: int
+    armed: bool
+    failsafe: bool
+    charge: float
+    safety: bool
+    sticks: Sticks
+
+    @property
+    def gps(self) -> bool:
+        """Whether there is a GPS fix."""
+        ...
+
+    def state(self) -> BodyState:
+        """Return where the body was when the sensors last said anything new."""
+        ...
+
+    def truth(self) -> BodyState:
+        """Return where the body is."""
+        ...
+
+    def positioned(self, now_s: float) -> bool:
+        """Whether the position filter has a position."""
+        ...
+
+    def boot_ms(self, now_s: float) -> int:
+        """Return milliseconds since power-on."""
+        ...
+
+
+Maker = Callable[[Subject, float], Any]
+
+
+def _heartbeat(subject: Subject, _: float) -> Any:
+    base = p.BASE_MODE_CUSTOM | (64 if subject.mode in MANUAL_MODES else 0)
+    base |= (8 if subject.mode in AUTOPILOT_MODES else 0) | (p.BASE_MODE_ARMED if subject.armed else 0)
+    calm = 2 if subject.mode == p.Mode.INITIALISING else p.STATUS_ACTIVE
+    status = p.STATUS_CRITICAL if subject.failsafe else calm
+    return dialect().MAVLink_heartbeat_message(10, p.AUTOPILOT_ARDUPILOT, base, subject.mode, status, 3)
+
+
+def _sys_status(subject: Subject, _: float) -> Any:
+    enabled = SENSORS & ~(MOTOR_OUTPUTS if subject.safety else 0)
+    volts, share = _pack(subject)
+    return dialect().MAVLink_sys_status_message(
+        SENSORS, enabled, SENSORS, 100, volts, CURRENT_CA, share, 0, 0, 0, 0, 0, 0
+    )
+
+
+def _pack(subject: Subject) -> tuple[int, int]:
+    """Return the pack's voltage in mV and its charge in percent."""
+    return round(1000 * (EMPTY_V + (FULL_V - EMPTY_V) * subject.charge)), round(100 * subject.charge)
+
+
+def _battery(subject: Subject, _: float) -> Any:
+    volts, share = _pack(subject)
+    cells = [volts] + [65535] * 9  # cells unknown: the whole pack stands in the first
+    return dialect().MAVLink_battery_status_message(0, 0, 0, 32767, cells, CURRENT_CA, 0, 0, share)
+
+
+def _velocity(state: BodyState) -> tuple[float, float]:
+    """Return the velocity north and east."""
+    return state.speed_m_s * math.sin(state.heading_rad), state.speed_m_s * math.cos(state.heading_rad)
+
+
+def _yaw(state: BodyState) -> float:
+    return p.heading_from_yaw(state.heading_rad)
+
+
+def _bearing_deg(state: BodyState) -> float:
+    return math.degrees(_yaw(state)) % 360.0
+
+
+def _degrees(state: BodyState) -> tuple[int, int]:
+    latitude, longitude = to_degrees(state.x_m, state.y_m)
+    return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def _attitude(subject: Subject, now_s: float) -> Any:
+    state = subject.state()
+    return dialect().MAVLink_attitude_message(subject.boot_ms(now_s), 0, 0, _yaw(state), 0, 0, -state.turn_rad_s)
+
+
+def _attitude_quaternion(subject: Subject, now_s: float) -> Any:
+    state = subject.state()
+    half = _yaw(state) / 2.0
+    return dialect().MAVLink_attitude_quaternion_message(
+        subject.boot_ms(now_s), math.cos(half), 0, 0, math.sin(half), 0, 0, -state.turn_rad_s
+    )
+
+
+def _local_position(subject: Subject, now_s: float) -> Any:
+    if not subject.positioned(now_s):
+        return None
+    state = subject.state()
+    return dialect().MAVLink_local_position_ned_message(
+        subject.boot_ms(now_s), state.y_m, state.x_m, 0.0, *_velocity(state), 0.0
+    )
+
+
+def _global_position(subject: Subject, now_s: float) -> Any:
+    state = subject.state()
+    north, east = _velocity(state)
+    height_mm, bearing = round(ALTITUDE_M * 1000), round(100 * _bearing_deg(state)) % 36000
+    return dialect().MAVLink_global_position_int_message(
+        subject.boot_ms(now_s), *_degrees(state), height_mm, 0, round(100 * north), round(100 * east), 0, bearing
+    )
+
+
+def _vfr_hud(subject: Subject, _: float) -> Any:
+    state = subject.state()
+    speed, throttle = abs(state.speed_m_s), round(100 * min(abs(state.speed_m_s) / FULL_M_S, 1.0))
+    return dialect().MAVLink_vfr_hud_message(speed, speed, round(_bearing_deg(state)) % 360, throttle, ALTITUDE_M, 0.0)
+
+
+def _servos(subject: Subject, now_s: float) -> Any:
+    state = subject.truth()
+    powered = subject.armed and not subject.safety
+    left, right = (
+        round(CENTRE_US + SPAN_US * max(-1.0, min(1.0, (state.speed_m_s + side * state.turn_rad_s) / FULL_M_S)))
+        if powered else round(CENTRE_US)
+        for side in (-TRACK_M / 2, TRACK_M / 2)
+    )  # fmt: skip
+    return dialect().MAVLink_servo_output_raw_message(
+        1000 * subject.boot_ms(now_s) & 0xFFFFFFFF, 0, left, 0, right, 0, 0, 0, 0, 0
+    )
+
+
+def _rc(subject: Subject, now_s: float) -> Any:
+    sticks = subject.sticks
+    channels = [round(sticks.steering_us), 1500, round(sticks.throttle_us), *[1500] * 5, *[0] * 10]
+    return dialect().MAVLink_rc_channels_message(subject.boot_ms(now_s), 16, *channels, 255)
+
+
+def _rc_scaled(subject: Subject, now_s: float) -> Any:
+    sticks = subject.sticks
+    steering, throttle = round(1e4 * sticks.steering), round(1e4 * sticks.throttle)
+    return dialect().MAVLink_rc_channels_scaled_message(
+        subject.boot_ms(now_s), 0, steering, 0, throttle, 0, 0, 0, 0, 0, 255
+    )
+
+
+def _gyro_mrad_s(subject: Subject) -> int:
+    return round(-1000 * subject.state().turn_rad_s)
+
+
+def _raw_imu(subject: Subject, now_s: float) -> Any:
+    stamp, turn = 1000 * subject.boot_ms(now_s), _gyro_mrad_s(subject)
+    return dialect().MAVLink_raw_imu_message(stamp, 0, 0, -GRAVITY_MG, 0, 0, turn, 230, 60, -530, 0, 4500)
+
+
+def _scaled_imu2(subject: Subject, now_s: float) -> Any:
+    turn = _gyro_mrad_s(subject)
+    return dialect().MAVLink_scaled_imu2_message(
+        subject.boot_ms(now_s), 0, 0, -GRAVITY_MG, 0, 0, turn, 230, 60, -530, 4500
+    )
+
+
+def _scaled_imu3(subject: Subject, now_s: float) -> Any:
+    turn = _gyro_mrad_s(subject)
+    return dialect().MAVLink_scaled_imu3_message(
+        subject.boot_ms(now_s), 0, 0, -GRAVITY_MG, 0, 0, turn, 230, 60, -530, 4500
+    )
+
+
+def _highres_imu(subject: Subject, now_s: float) -> Any:
+    turn = -subject.state().turn_rad_s
+    return dialect().MAVLink_highres_imu_message(
+        1000 * subject.boot_ms(now_s),
+        0,
+        0,
+        -GRAVITY_M_S2,
+        0,
+        0,
+        turn,
+        0.23,
+        0.06,
+        -0.53,
+        945.0,
+        0,
+        ALTITUDE_M,
+        45.0,
+        63,
+    )
+
+
+def _gps(subject: Subject, now_s: float) -> Any:
+    state, fix = subject.state(), 6 if subject.gps else 1
+    course = round(100 * _bearing_deg(state)) % 36000
+    speed = round(100 * abs(state.speed_m_s))
+    place = (*_degrees(state), round(ALTITUDE_M * 1000)) if subject.gps else (0, 0, 0)
+    return dialect().MAVLink_gps_raw_int_message(
+        1000 * subject.boot_ms(now_s), fix, *place, 121, 200, speed, course, 10 if subject.gps else 0
+    )
+
+
+def _ekf(subject: Subject, now_s: float) -> Any:
+    flags, variance = (LOCATED, 0.1) if subject.positioned(now_s) else (BLIND, 1.0)
+    return dialect().MAVLink_ekf_status_report_message(flags, variance, variance, 0.1, 0.1, 0.0, 0.0)
+
+
+def _simstate(subject: Subject, _: float) -> Any:
+    state = subject.truth()
+    return dialect().MAVLink_simstate_message(
+        0, 0, _yaw(state), 0, 0, -GRAVITY_M_S2, 0, 0, -state.turn_rad_s, *_degrees(state)
+    )
+
+
+def _sim_state(subject: Subject, _: float) -> Any:
+    state = subject.truth()
+    (latitude, longitude), (north, east), half = _degrees(state), _velocity(state), _yaw(state) / 2
+    return dialect().MAVLink_sim_state_message(
+        math.cos(half), 0, 0, math.sin(half), 0, 0, _yaw(state), 0, 0, -GRAVITY_M_S2, 0, 0, -state.turn_rad_s,
+        latitude, longitude, ALTITUDE_M, 0, 0, north, east, 0, latitude, longitude,  # sic: degrees times 1e7, twice
+    )  # fmt: skip
+
+
+def _home(_: Subject, now_s: float) -> Any:
+    latitude, longitude = (round(each * 1e7) for each in ORIGIN_DEG)
+    return dialect().MAVLink_home_position_message(
+        latitude, longitude, round(ALTITUDE_M * 1000), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, round(now_s * 1e6)
+    )
+
+
+def _origin(subject: Subject, now_s: float) -> Any:
+    if not subject.positioned(now_s):
+        return None
+    latitude, longitude = (round(each * 1e7) for each in ORIGIN_DEG)
+    return dialect().MAVLink_gps_global_origin_message(latitude, longitude, round(ALTITUDE_M * 1000))
+
+
+def _navigation(subject: Subject, _: float) -> Any:
+    if subject.mode != p.Mode.GUIDED:
+        return None
+    bearing = round(math.degrees(_yaw(subject.state())))
+    return dialect().MAVLink_nav_controller_output_message(0, 0, bearing, bearing, 0, 0, 0, 0)
+
+
+def _version(_: Subject, __: float) -> Any:
+    custom = [*b"3fc7011a"]
+    return dialect().MAVLink_autopilot_version_message(
+        0xF1EF & ~32, 0x040603FF, 0, 0, 0, custom, [0] * 8, [0] * 8, 0, 0, 0
+    )  # without 32: MAVProxy would try FILE_TRANSFER_PROTOCOL, which is not emulated
+
+
+def _time(subject: Subject, now_s: float) -> Any:
+    return dialect().MAVLink_system_time_message(round(wall_time_s() * 1e6), subject.boot_ms(now_s))
+
+
+def _nothing(_: Subject, __: float) -> Any:
+    return None
+
+
+# Sent once a second to whoever is connected.
+BY_DEFAULT: dict[int, Maker] = {
+    0: _heartbeat, 1: _sys_status, 2: _time, 24: _gps, 27: _raw_imu, 30: _attitude, 32: _local_position,
+    33: _global_position, 34: _rc_scaled, 36: _servos, 62: _navigation, 65: _rc, 74: _vfr_hud, 116: _scaled_imu2,
+    129: _scaled_imu3, 147: _battery, 164: _simstate, 193: _ekf,
+    29: lambda subject, now_s: dialect().MAVLink_scaled_pressure_message(subject.boot_ms(now_s), 945.0, 0, 3500, 0),
+    42: lambda _, __: dialect().MAVLink_mission_current_message(0, 0, 1, 0),
+    125: lambda _, __: dialect().MAVLink_power_status_message(5000, 0, 0),
+    137: lambda subject, now_s: dialect().MAVLink_scaled_pressure2_message(subject.boot_ms(now_s), 945.0, 0, 3500, 0),
+    152: lambda _, __: dialect().MAVLink_meminfo_message(0, 65535, 131072),
+    163: lambda _, __: dialect().MAVLink_ahrs_message(0, 0, 0, 0, 0, 0.001, 0.001),
+    178: lambda subject, _: dialect().MAVLink_ahrs2_message(
+        0, 0, _yaw(subject.state()), ALTITUDE_M, *_degrees(subject.state())),
+    241: lambda subject, now_s: dialect().MAVLink_vibration_message(1000 * subject.boot_ms(now_s), 0, 0, 0, 0, 0, 0),
+}  # fmt: skip
+# Sent when asked for; the firmware grants the last five and has nothing to say in them.
+ASKED_FOR: dict[int, Maker] = {
+    31: _attitude_quaternion, 49: _origin, 105: _highres_imu, 108: _sim_state, 242: _home,
+    245: lambda _, __: dialect().MAVLink_extended_sys_state_message(0, 1),
+    85: _nothing, 132: _nothing, 162: _nothing, 168: _nothing, 194: _nothing,
+}  # fmt: skip
+ONCE: dict[int, Maker] = {148: _version}
+MAKERS: dict[int, Maker] = {**BY_DEFAULT, **ASKED_FOR, **ONCE}

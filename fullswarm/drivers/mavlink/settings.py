@@ -1,0 +1,154 @@
+"""What a URL asks of the driver, checked before anything is touched."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot
+from fullswarm.drivers.mavlink.external import parse_origin
+from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
+from fullswarm.drivers.mavlink.signing import Signing, Timestamps, read_key, state_path
+from fullswarm.errors import ConfigError, did_you_mean
+
+# ArduRover's defaults (ATC_ACCEL_MAX, ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED.
+LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=1.0, turn_accel_rad_s2=2.0)
+RADIUS_M = 0.35
+KNOWN = {
+    "autopilot", "ekf", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid", "turn",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Which vehicle, and what to ask of it."""
+
+    system: int
+    limits: Limits
+    where: str
+    ekf_ignored: bool = False
+    autopilot: Autopilot | None = None  # None: whatever the heartbeat says
+    external: bool = False  # poses come from outside
+    origin: p.Origin | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A URL's options, understood."""
+
+    description: Description
+    options: Options
+    key_file: Path | None = None
+    state_file: Path | None = None
+    link_id: int = 0
+
+    def signing(self) -> Signing | None:
+        """Return what signs, or None; reads the files.
+
+        Raises
+        ------
+        ConfigError
+            The key cannot be used.
+        DriverError
+            The file of the timestamps cannot be used.
+        """
+        if self.key_file is None:
+            return None
+        key = read_key(self.key_file)
+        stamps = Timestamps(self.state_file or state_path(key, self.options.system))
+        return Signing(key, stamps, self.link_id)
+
+
+def describe(settings: Settings, autopilot: Autopilot) -> Description:
+    """Return the description as the autopilot at the other end makes it."""
+    told = settings.description
+    if told.make == autopilot.make:
+        return told
+    limits = replace(told.limits, can_reverse=autopilot.can_reverse)
+    return replace(told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s)
+
+
+def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
+    """Understand a URL's options.
+
+    Raises
+    ------
+    ConfigError
+        One of them is unknown or wrong.
+    """
+    for name in options:
+        if name in ("key", "sign"):
+            raise ConfigError("a key does not belong into a URL", where=url, hint="its file: sign_key=/path/of/the.key")
+        if name not in KNOWN:
+            raise ConfigError(f"unknown option '{name}'", where=url, hint=did_you_mean(name, KNOWN))
+    autopilot = _autopilot(url, options.get("autopilot"))
+    limits = replace(
+        LIMITS,
+        speed_m_s=_positive(url, "speed", options, LIMITS.speed_m_s),
+        turn_rad_s=_positive(url, "turn", options, LIMITS.turn_rad_s),
+        can_reverse=autopilot is None or autopilot.can_reverse,
+    )
+    external = _choice(url, "pose", options, "own", "external") == "external"
+    if "origin" in options and not external:
+        raise ConfigError("an origin is set only for external poses", where=url, hint="add pose=external")
+    for name in ("sign_state", "sign_link"):
+        if name in options and "sign_key" not in options:
+            raise ConfigError(f"{name} without a key", where=url, hint="add sign_key=/path/of/the.key")
+    first = autopilot or ArduPilot()
+    return Settings(
+        Description(
+            make=first.make, model="Rover", radius_m=_positive(url, "radius", options, RADIUS_M), limits=limits,
+            senses_pose=True, watchdog_s=first.watchdog_s,
+        ),
+        Options(
+            _whole(url, "sysid", options, 1, range(1, 255)), limits, where,
+            ekf_ignored=_choice(url, "ekf", options, "require", "ignore") == "ignore",
+            autopilot=autopilot, external=external,
+            origin=parse_origin(options["origin"], url) if "origin" in options else None,
+        ),
+        _path(options.get("sign_key")), _path(options.get("sign_state")),
+        _whole(url, "sign_link", options, 0, range(256)),
+    )  # fmt: skip
+
+
+def _autopilot(url: str, key: str | None) -> Autopilot | None:
+    if key is None:
+        return None
+    by_key = {each.key: each for each in AUTOPILOTS.values()}
+    if key not in by_key:
+        raise ConfigError(f"autopilot is '{key}'", where=url, hint=did_you_mean(key, by_key))
+    return by_key[key]
+
+
+def _choice(url: str, name: str, options: dict[str, str], default: str, other: str) -> str:
+    text = options.get(name, default)
+    if text not in (default, other):
+        raise ConfigError(f"{name} is '{text}'", where=url, hint=f"{name}={other} or {name}={default}")
+    return text
+
+
+def _whole(url: str, name: str, options: dict[str, str], default: int, allowed: range) -> int:
+    text = options.get(name, str(default))
+    if not text.isdecimal() or int(text) not in allowed:
+        raise ConfigError(f"{name} is '{text}'", where=url, hint=f"a number from {allowed.start} to {allowed[-1]}")
+    return int(text)
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text).expanduser()
+
+
+def _positive(url: str, name: str, options: dict[str, str], default: float) -> float:
+    text = options.get(name)
+    if text is None:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise ConfigError(f"{name} is '{text}'", where=url, hint=f"a number above 0, e.g. {name}={default:g}")
+    return value
