@@ -222,6 +222,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     battery: float = -1.0  # 0 to 1; -1: unknown
     contacts: int = 0  # touching now
     collisions: int = 0  # since the agent started
+    pose_source: str = ""  # driver, odometry, fixes
+    position_sigma_m: float = -1.0  # standard deviation along the worse axis; -1: unknown
+    heading_sigma_rad: float = -1.0
+    pose_note: str = ""  # fixes lost or refused, a pose that jumped
 
 
 class HealthReport(Message, frozen=True, kw_only=True):

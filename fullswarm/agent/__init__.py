@@ -11,6 +11,7 @@ board and the whole swarm in a lockstep trial, so both run the same laws, filter
 ``safety/``               the barrier filter
 ``robot_controller.py``   the last word: limits, time-to-live, latched e-stop, reasons to stand
 ``neighbours.py``         states heard from others, with age
-``estimator.py``          where am I
+``estimator.py``          where am I; ``track.py``, ``belief.py``, ``ekf.py`` do the sums
+``fixes.py``              where others see me
 ========================  ==================================================================
 """

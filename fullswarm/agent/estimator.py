@@ -1,4 +1,8 @@
-"""Where am I: the pose of each robot from what its driver reads."""
+"""Where am I: the pose of each robot from what its driver reads and from what others see of it.
+
+A driver that senses the world pose is believed. Elsewhere odometry is laid on the start pose, and on each fix that
+comes: the last one as it is (``estimator = "direct"``, base install) or all of them by their certainty (``"ekf"``).
+"""
 
 from __future__ import annotations
 
@@ -7,118 +11,125 @@ from typing import Protocol
 
 import numpy as np
 
+from fullswarm.agent.belief import UNSEEN_RAD, Belief
+from fullswarm.agent.ekf import EkfEstimator
+from fullswarm.agent.track import Fix, Taken, Track
 from fullswarm.agent.view import Array
-from fullswarm.drivers.base import FleetReading
-from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.config import AgentConfig, SwarmConfig
+from fullswarm.drivers.base import Fleet, FleetReading
+
+__all__ = ["DirectEstimator", "EkfEstimator", "Estimator", "estimator_for"]
+
+USUAL_SIGMA = 0.05
+"""Standard deviation (m, rad) of the pose that a real driver senses: nothing says better."""
 
 
 class Estimator(Protocol):
-    """Turns readings into poses."""
+    """Turns readings and fixes into poses."""
+
+    fuses: bool
+    """The poses that a driver senses are filtered too, so their certainty is known."""
 
     def update(self, reading: FleetReading, dt_s: float) -> Array:
         """Return the poses (n, 3): x, y (m), heading (rad), world frame, after `dt_s` more."""
         ...
 
+    def take(self, row: int, fix: Fix) -> Taken:
+        """Judge a fix of a robot whose driver senses no pose, and use it from the next update on."""
+        ...
+
+    def sigma(self, row: int) -> tuple[float, float]:
+        """Return the standard deviations of position (m) and heading (rad); -1 when nothing is known."""
+        ...
+
 
 class DirectEstimator:
-    """Takes the pose that a driver senses; where it senses none, odometry laid on the start pose.
+    """Takes the pose that a driver senses; where it senses none, the last fix or the start pose, and odometry since.
 
     Parameters
     ----------
     start : (n, 3) poses at `open()`, for robots that know their odometry only
+    placed : (n,) whether somebody has put the robot on its start pose; all when None
+    top_speed_m_s : (n,)
     """
 
-    def __init__(self, start: Array) -> None:
-        self._start = start.copy()
-        self._cos, self._sin = np.cos(start[:, 2]), np.sin(start[:, 2])
+    fuses = False
+
+    def __init__(
+        self,
+        start: Array,
+        config: AgentConfig | None = None,
+        placed: list[bool] | None = None,
+        top_speed_m_s: list[float] | None = None,
+    ) -> None:
+        count = len(start)
+        rows = zip(start.tolist(), placed or [True] * count, top_speed_m_s or [math.inf] * count, strict=True)
+        self._tracks = [Track(*row, config or AgentConfig(), _replace) for row in rows]
+        self._sensed: list[float] | None = None
 
     def update(self, reading: FleetReading, dt_s: float) -> Array:
         """Return the poses (n, 3)."""
         del dt_s
         pose = reading.pose
         # On board there is one robot, and reducing an array costs it five times as much as three numbers.
-        if not math.isnan(sum(pose[0].tolist()) if len(pose) == 1 else pose.sum()):
+        if len(pose) == 1:
+            values = pose[0].tolist()
+            if not math.isnan(sum(values)):
+                self._sensed = values
+                return pose
+        elif not math.isnan(pose.sum()):
             return pose
-        dead_reckoned = np.empty_like(pose)
-        x, y = reading.odometry[:, 0], reading.odometry[:, 1]
-        dead_reckoned[:, 0] = self._start[:, 0] + self._cos * x - self._sin * y
-        dead_reckoned[:, 1] = self._start[:, 1] + self._sin * x + self._cos * y
-        turned = self._start[:, 2] + reading.odometry[:, 2]
-        dead_reckoned[:, 2] = np.arctan2(np.sin(turned), np.cos(turned))
-        return np.where(np.isnan(pose), dead_reckoned, pose)
+        return self._dead_reckon(reading)
+
+    def _dead_reckon(self, reading: FleetReading) -> Array:
+        if self._sensed is not None:
+            # The driver has lost the pose that it sensed until now: odometry goes on from there.
+            self._tracks[0].begin_at(Belief.around(self._sensed, USUAL_SIGMA, USUAL_SIGMA))
+            self._sensed = None
+        rows = zip(
+            self._tracks, reading.stamp_s.tolist(), reading.odometry.tolist(), reading.twist.tolist(),
+            reading.pose.tolist(), strict=True,
+        )  # fmt: skip
+        poses = []
+        for track, stamp_s, odometry, twist, pose in rows:
+            track.follow(stamp_s, odometry, twist)
+            poses.append(track.belief.mean if math.isnan(sum(pose)) else pose)
+        return np.array(poses)
+
+    def take(self, row: int, fix: Fix) -> Taken:
+        """Judge a fix of robot `row` and go on from it."""
+        return self._tracks[row].take(fix)
+
+    def sigma(self, row: int) -> tuple[float, float]:
+        """Return the standard deviations of position (m) and heading (rad); -1 when nothing is known."""
+        return self._tracks[row].sigma
 
 
-class EkfEstimator:
-    """Fuses odometry increments with noisy world poses by filterpy's extended Kalman filter, robot by robot.
+def _replace(belief: Belief, seen: Belief) -> None:
+    """Take the measurement as it is; a heading that was not seen stays what odometry makes of it."""
+    heading_rad, hh = belief.heading_rad, belief.hh
+    unseen = seen.hh >= UNSEEN_RAD**2
+    belief.set(np.array(seen.mean), seen.covariance())
+    if unseen:
+        belief.heading_rad, belief.hh, belief.xh, belief.yh = heading_rad, hh, 0.0, 0.0
 
-    State (x, y, heading). Predicted with the increment of the driver's odometry, corrected with each new pose.
 
-    Parameters
-    ----------
-    start : (n, 3) first guess
-    position_sigma_m, heading_sigma_rad : standard deviation of a sensed pose
+def estimator_for(config: SwarmConfig, fleet: Fleet, start: Array) -> Estimator:
+    """Return the estimator that the fleet file asks for, for the robots of `fleet` starting at `start` (n, 3).
+
+    Raises
+    ------
+    MissingExtra
+        ``estimator = "ekf"`` without filterpy.
+    ConfigError
+        ``estimator = "ekf"`` for simulated robots that sense their pose without any noise.
     """
-
-    def __init__(self, start: Array, position_sigma_m: float, heading_sigma_rad: float) -> None:
-        try:
-            from filterpy.kalman import ExtendedKalmanFilter
-        except ImportError as error:
-            raise MissingExtra(
-                "the estimator 'ekf' needs filterpy", hint="pip install 'fullswarm[estimation]'"
-            ) from error
-        if position_sigma_m <= 0 or heading_sigma_rad <= 0:
-            raise ConfigError("the estimator 'ekf' needs the noise of the poses it fuses", where="world.noise")
-        self._filters = []
-        for row in start:
-            ekf = ExtendedKalmanFilter(dim_x=3, dim_z=3)
-            ekf.x = np.array(row, float)
-            ekf.P = np.diag([position_sigma_m**2, position_sigma_m**2, heading_sigma_rad**2])
-            ekf.R = np.diag([position_sigma_m**2, position_sigma_m**2, heading_sigma_rad**2])
-            self._filters.append(ekf)
-        self._odometry: Array | None = None
-        self._stamp_s = np.full(len(start), -math.inf)
-
-    def update(self, reading: FleetReading, dt_s: float) -> Array:
-        """Return the fused poses (n, 3)."""
-        del dt_s
-        before = reading.odometry.copy() if self._odometry is None else self._odometry
-        for row, ekf in enumerate(self._filters):
-            if reading.stamp_s[row] <= self._stamp_s[row]:
-                continue
-            self._stamp_s[row] = reading.stamp_s[row]
-            _predict(ekf, before[row], reading.odometry[row])
-            if not np.isnan(reading.pose[row]).any():
-                ekf.update(reading.pose[row], HJacobian=_identity, Hx=_itself, residual=_difference)
-                ekf.x[2] = math.atan2(math.sin(ekf.x[2]), math.cos(ekf.x[2]))
-        self._odometry = reading.odometry.copy()
-        return np.array([ekf.x for ekf in self._filters])
-
-
-def _predict(ekf: object, before: Array, after: Array) -> None:
-    """Move the state by an odometry increment; its noise grows with the path (1 % of it, plus 1 mm)."""
-    dx, dy = after[0] - before[0], after[1] - before[1]
-    turn = math.atan2(math.sin(after[2] - before[2]), math.cos(after[2] - before[2]))
-    x, y, heading = ekf.x  # type: ignore[attr-defined]  # filterpy ships no types
-    rotation = heading - before[2]
-    step = np.array(
-        [math.cos(rotation) * dx - math.sin(rotation) * dy, math.sin(rotation) * dx + math.cos(rotation) * dy]
-    )
-    ekf.x = np.array([x + step[0], y + step[1], heading + turn])  # type: ignore[attr-defined]
-    jacobian = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
-    path = math.hypot(dx, dy)
-    noise = np.diag([(0.01 * path + 0.001) ** 2, (0.01 * path + 0.001) ** 2, (0.02 * abs(turn) + 0.002) ** 2])
-    ekf.P = jacobian @ ekf.P @ jacobian.T + noise  # type: ignore[attr-defined]
-
-
-def _identity(_state: Array) -> Array:
-    return np.eye(3)
-
-
-def _itself(state: Array) -> Array:
-    return state
-
-
-def _difference(measured: Array, expected: Array) -> Array:
-    error = measured - expected
-    error[2] = math.atan2(math.sin(error[2]), math.cos(error[2]))
-    return error
+    poses = {each.id: each.pose for each in config.robot}
+    placed = [poses.get(robot) is not None for robot in fleet.ids]
+    top_speeds = [each.limits.speed_m_s for each in fleet.descriptions]
+    if config.agent.estimator == "direct":
+        return DirectEstimator(start, config.agent, placed, top_speeds)
+    simulated = any(each.make == "sim" for each in fleet.descriptions)
+    noise = config.world_or_default.noise if simulated else None
+    sigma = (noise.position_m, noise.heading_rad) if noise else (USUAL_SIGMA, USUAL_SIGMA)
+    return EkfEstimator(start, *sigma, config.agent, placed, top_speeds)

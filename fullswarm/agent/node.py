@@ -9,10 +9,12 @@ from functools import partial
 
 import numpy as np
 import structlog
+from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent import reports
-from fullswarm.agent.estimator import DirectEstimator, EkfEstimator, Estimator
+from fullswarm.agent.estimator import estimator_for
+from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
@@ -76,7 +78,7 @@ class AgentNode:
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
         self._cell_m = config.state_cell_m
         self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
-        self._estimator = _estimator(config, start)
+        self._estimator = estimator_for(config, fleet, start)
         self.calculators = Calculators(
             fleet.ids,
             self._bounds,
@@ -85,6 +87,7 @@ class AgentNode:
             np.array([each.speed_m_s for each in limits]),
         )
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
         self._alone = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._driver_ready = np.zeros(count, bool)
@@ -135,7 +138,8 @@ class AgentNode:
         self.twist = reading.twist
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
-        self.calculators.update(now_s, self.pose, reading.contacts, period_s, reading.odometry)
+        contacts = self.contacts if self.fixes.touching else reading.contacts
+        self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry)
         self.inbox.watch_estops(now_s)
         self._last_tick_s = now_s
         if self._dirty:
@@ -282,6 +286,12 @@ class AgentNode:
         return self._applied
 
     @property
+    def contacts(self) -> NDArray[np.int64]:
+        """How many bodies each robot touches now, as it feels itself or as somebody sees it, (n,)."""
+        felt = self.reading.contacts if self.reading is not None else np.zeros_like(self.fixes.contacts)
+        return np.maximum(felt, self.fixes.contacts)
+
+    @property
     def radius(self) -> Array:
         """Footprints, (n,) m."""
         return self._radius
@@ -300,12 +310,6 @@ class AgentNode:
         self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
         self._publish_measurements()
         self._listening.close()
+        self.fixes.close()
         self.inbox.close()
         self._fleet.close()
-
-
-def _estimator(config: SwarmConfig, start: Array) -> Estimator:
-    if config.agent.estimator == "direct":
-        return DirectEstimator(start)
-    noise = config.world.noise if config.world else None
-    return EkfEstimator(start, noise.position_m if noise else 0.05, noise.heading_rad if noise else 0.05)

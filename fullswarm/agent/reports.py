@@ -112,13 +112,15 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
     fleet, count = agent.fleet, len(agent.fleet.ids)
     reading = agent.reading
     battery = reading.battery.tolist() if reading else [-1.0] * count
-    contacts = reading.contacts.tolist() if reading else [0] * count
+    contacts = agent.contacts.tolist()
+    sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
     reasons, estops = agent.controller.reason.tolist(), agent.controller.estop.tolist()
     collisions = agent.calculators.collisions.tolist()
     moving = np.any(np.abs(agent.twist) > np.array([MOVING_M_S, MOVING_RAD_S]), axis=1).tolist()
     for row, robot in enumerate(fleet.ids):
         task, description = agent.tasks.of[row], fleet.descriptions[row]
         request = task.request if task else NO_REQUEST
+        pose = agent.fixes.health(row, sensed[row])
         yield RobotHealth(
             robot=robot,
             driver=fleet.urls[row],
@@ -137,4 +139,8 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
             battery=battery[row],
             contacts=contacts[row],
             collisions=collisions[row],
+            pose_source=pose.source,
+            position_sigma_m=pose.position_sigma_m,
+            heading_sigma_rad=pose.heading_sigma_rad,
+            pose_note=pose.note,
         )

@@ -79,6 +79,16 @@ class AgentConfig(Section):
     barrier_gain_per_s: PositiveFloat = 2.0  # γ: share of the gap that may be closed per second
     bounds_m: tuple[float, float, float, float] | None = None  # arena for real robots; None: the world's, or none
     estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
+    fix_timeout_s: PositiveFloat = 0.5  # no usable pose fix for so long: odometry alone, and another source may follow
+    fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
+    fix_latency_s: float = Field(0.0, ge=0.0, le=1.0)  # what even the fastest fix takes from the camera to the agent
+    fix_gate_sigma: float = Field(4.0, ge=1.0)  # a fix further off, in standard deviations, is an outlier
+    fix_reanchor_count: int = Field(5, ge=2)  # so many outliers that agree, one after the other,
+    fix_reanchor_s: float = Field(0.5, ge=0.0)  # over so long: the robot was carried, the pose jumps to them
+    start_sigma_m: PositiveFloat = 0.1  # how well a robot is put on the start pose of this file
+    start_sigma_rad: PositiveFloat = 0.1
+    odometry_sigma_m: PositiveFloat = 0.02  # standard deviation of odometry after 1 m; it grows with the root
+    odometry_sigma_rad: PositiveFloat = 0.03  # of its heading after 1 m or a turn of 1 rad
 
 
 class NoiseConfig(Section):

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,6 +166,19 @@ class Driver(Protocol):
         ...
 
 
+@runtime_checkable
+class TakesFixes(Protocol):
+    """A driver whose robot can be told where it is: an autopilot with external pose input."""
+
+    def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Pass on where somebody outside has just seen the robot, world frame; standard deviations, per axis.
+
+        Called by the agent for each fix that it accepts, in any state; never blocks. What cannot be sent now is
+        dropped: the next one comes soon. A heading with a standard deviation above 1 rad was not seen.
+        """
+        ...
+
+
 @dataclass(slots=True)
 class FleetReading:
     """Readings of the n robots of one host as columns: n is 1 on board, the whole swarm in lockstep."""
@@ -212,6 +225,10 @@ class Fleet(Protocol):
 
     def firmware(self, row: int) -> str:
         """Return the firmware of robot `row`."""
+        ...
+
+    def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Tell robot `row` where it was seen, world frame; nothing happens if its driver does not take fixes."""
         ...
 
     def close(self) -> None:

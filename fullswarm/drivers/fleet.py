@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
+from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import (
     NO_OBSTACLES,
     Array,
@@ -16,20 +18,33 @@ from fullswarm.drivers.base import (
     Lifecycle,
     Pose,
     Reading,
+    TakesFixes,
     Twist,
 )
+from fullswarm.errors import DriverError
 
+log = structlog.get_logger()
+
+RETRY_S = 0.5
 UNKNOWN = Pose(math.nan, math.nan, math.nan)
 
 
 class OneRobot:
-    """A :class:`~fullswarm.drivers.base.Fleet` of a single :class:`~fullswarm.drivers.base.Driver`."""
+    """A :class:`~fullswarm.drivers.base.Fleet` of a single :class:`~fullswarm.drivers.base.Driver`.
 
-    def __init__(self, robot: str, driver: Driver) -> None:
+    A port that is not there yet (a robot that is switched on after its computer) is a FAULT that people see, and is
+    tried again twice a second; it does not end the agent.
+    """
+
+    def __init__(self, robot: str, driver: Driver, clock: Clock | None = None) -> None:
         self.ids: tuple[str, ...] = (robot,)
         self.urls: tuple[str, ...] = (driver.url,)
         self.descriptions: tuple[Description, ...] = (driver.description,)
         self._driver = driver
+        self._fixable = driver if isinstance(driver, TakesFixes) else None
+        self._clock = clock or MonotonicClock()
+        self._absent: DriverError | None = None
+        self._again_s = math.inf
         self._last: Reading | None = None
         self._reading = FleetReading(
             stamp_s=np.full(1, -math.inf),
@@ -43,11 +58,20 @@ class OneRobot:
         )
 
     def open(self) -> None:
-        """Open the driver."""
-        self._driver.open()
+        """Open the driver, or try again later."""
+        try:
+            self._driver.open()
+        except DriverError as error:
+            if self._absent is None or str(error) != str(self._absent):
+                log.warning("the robot's port cannot be opened; the agent keeps trying", reason=str(error))
+            self._absent, self._again_s = error, self._clock.now_s() + RETRY_S
+        else:
+            self._absent, self._again_s = None, math.inf
 
     def read(self) -> FleetReading:
         """Return the newest reading as arrays of one row."""
+        if self._absent is not None and self._clock.now_s() >= self._again_s:
+            self.open()
         new, rows = self._driver.read(), self._reading
         if new is None or new is self._last:
             return rows
@@ -75,19 +99,25 @@ class OneRobot:
         return np.array([[applied.linear_m_s, applied.angular_rad_s]])
 
     def lifecycle(self, row: int) -> Lifecycle:
-        """Return the driver's state."""
+        """Return the driver's state; FAULT while its port is not there."""
         del row
-        return self._driver.state
+        return self._driver.state if self._absent is None else Lifecycle.FAULT
 
     def fault(self, row: int) -> str:
         """Return the driver's fault."""
         del row
-        return self._driver.fault
+        return self._driver.fault if self._absent is None else str(self._absent)
 
     def firmware(self, row: int) -> str:
         """Return the device's firmware."""
         del row
         return self._driver.firmware
+
+    def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Pass a fix on to a driver that takes them."""
+        del row
+        if self._fixable is not None:
+            self._fixable.locate(pose, position_sigma_m, heading_sigma_rad)
 
     def close(self) -> None:
         """Close the driver."""

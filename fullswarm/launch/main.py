@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
+from fullswarm.launch.hardware import hardware_app
 from fullswarm.operator.cli import operator_app, run_guarded
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ app = typer.Typer(
     help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
 )
 app.add_typer(operator_app)
+app.add_typer(hardware_app)  # after the operator's: its `robots` has more verbs
 
 Fleet = Annotated[Path, typer.Option("--fleet", metavar="FILE", help="The fleet file (TOML).")]
 Overrides = Annotated[
@@ -179,6 +181,41 @@ def sim(
         from fullswarm.launch import processes
 
         return processes.world(_load(fleet, overrides), insecure_network, with_parent)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=RUN)
+def fixes(
+    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="UDP port for the datagrams.")] = "127.0.0.1:9870",
+    names: Annotated[
+        list[str] | None, typer.Option("--map", metavar="NAME=ROBOT", help="Which robot a name of the sender is.")
+    ] = None,
+    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of x, y and z.")] = "m",
+    y_up: Annotated[bool, typer.Option("--y-up", help="The sender's floor is x and -z, as in Motive.")] = False,
+    sigma_m: Annotated[float, typer.Option(min=1e-4, max=100, help="Error of a position that says none.")] = 0.005,
+    sigma_rad: Annotated[float, typer.Option(min=1e-4, max=3, help="Error of a heading that says none.")] = 0.02,
+    hub: Annotated[str | None, typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub.")] = None,
+    swarm: Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")] = "swarm",
+    insecure_network: Annotated[
+        bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can misplace robots.")
+    ] = False,
+    with_parent: WithParent = False,
+    debug: Debug = False,
+) -> None:
+    """Tell the robots where motion capture sees them: JSON over UDP in, pose fixes out."""
+
+    def command() -> int:
+        from fullswarm.launch import fixes as source
+        from fullswarm.launch.mocap import Format
+
+        options = source.Options(
+            listen,
+            source.parse_map(names or ()),
+            Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
+            insecure_network,
+        )
+        return source.run(hub, swarm, options, with_parent)
 
     _run(debug, command)
 

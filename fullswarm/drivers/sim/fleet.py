@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import Array, FleetReading, Lifecycle
+from fullswarm.drivers.base import Array, FleetReading, Lifecycle, Pose
 from fullswarm.drivers.sim.world import World
 from fullswarm.drivers.sim.world_kernels import admit, sense
 
@@ -91,6 +91,9 @@ class SimFleet:
         """Return the engine and its version."""
         del row
         return self._world.firmware
+
+    def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Do nothing: these robots sense their pose."""
 
     def close(self) -> None:
         """Stop all bodies; the world stays open."""
