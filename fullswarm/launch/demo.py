@@ -122,10 +122,11 @@ def _on_free_port(config: SwarmConfig, robot: RobotConfig) -> RobotConfig:
 
     if not robot.emulate or robot.driver:
         return robot
-    url = urlsplit(emulated.driver_url(config, robot))
-    if url.port is not None:
-        url = url._replace(netloc=f"{url.hostname}:{_free_port(socket.SOCK_DGRAM, url.port)}")
-    return robot.model_copy(update={"driver": url.geturl()})
+    url = emulated.driver_url(config, robot)
+    port = urlsplit(url).port
+    if port is not None:
+        url = url.replace(f":{port}", f":{_free_port(socket.SOCK_DGRAM, port)}", 1)
+    return robot.model_copy(update={"driver": url})
 
 
 def _free_port(kind: socket.SocketKind, wished: int) -> int:

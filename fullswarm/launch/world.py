@@ -29,6 +29,10 @@ LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
 class WorldNode:
     """Steps the world and everything in it.
 
+    Attributes
+    ----------
+    bodies, emulators : what emulated robots are made of, by robot
+
     Raises
     ------
     ConfigError
@@ -51,13 +55,13 @@ class WorldNode:
         ids = [each.id for each in config.robot]
         self.world = World(settings, ids, nodes.start_poses(config))
         self._server = WorldServer(self.world, settings.address, insecure_network=insecure_network)
-        self._bodies = SteppedBodies(self.world, [each.id for each in skins])
-        self._emulators: list[emulated.Emulator] = []
+        self.bodies = SteppedBodies(self.world, [each.id for each in skins])
+        self.emulators: dict[str, emulated.Emulator] = {}
         try:
             for robot in skins:
                 if robot.emulate is not None:
                     url = emulated.driver_url(config, robot)
-                    self._emulators.append(emulated.start(robot.emulate, url, self._bodies.of[robot.id]))
+                    self.emulators[robot.id] = emulated.start(robot.emulate, url, self.bodies.of[robot.id])
         except BaseException:
             self._end()
             raise
@@ -83,9 +87,9 @@ class WorldNode:
             self._made += due
 
     def _step(self) -> None:
-        self._bodies.before_step()
+        self.bodies.before_step()
         self._server.tick()
-        self._bodies.after_step()
+        self.bodies.after_step()
         self._steps += 1
 
     def _beat(self) -> None:
@@ -96,7 +100,7 @@ class WorldNode:
 
     def _tell_where(self) -> None:
         now_s = self._scheduler.now_s()
-        for robot in self._bodies.of:
+        for robot in self.bodies.of:
             row = self.world.row(robot)
             x_m, y_m, heading_rad = self.world.sensed_pose[row].tolist()
             fix = PoseFix(
@@ -121,7 +125,7 @@ class WorldNode:
             _tidy(self._folder)
 
     def _end(self) -> None:
-        for emulator in self._emulators:
+        for emulator in self.emulators.values():
             emulator.close()
         self._server.close()
         self.world.close()

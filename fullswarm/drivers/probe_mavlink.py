@@ -1,0 +1,255 @@
+"""Listens for a MAVLink vehicle's heartbeat, then asks for its version and battery. Sends no heartbeat of its own.
+
+A vehicle that has seen a ground station's heartbeat may start its failsafe when they end; a question does not.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from fullswarm.clock import Clock
+from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser
+from fullswarm.drivers.mavlink.link import Address, Transport, open_transport, parse_url
+from fullswarm.drivers.probe import Asked, Found
+from fullswarm.errors import DriverError, LinkLost, MissingExtra
+
+HEARTBEAT_S = 1.5
+ANSWER_S, TRIES = 0.4, 3
+SYSTEM, COMPONENT = 254, 190  # not 255: to most vehicles that is *the* ground station
+PX4 = 12
+MAKES = {3: "ArduPilot", PX4: "PX4"}
+KINDS = {1: "Plane", 2: "Copter", 10: "Rover", 11: "Boat", 12: "Submarine"}
+GROUND_STATION = 6
+SILENCE = "no heartbeat within 1.5 s: is the vehicle on, and does it send to this port?"
+
+
+class Link(Protocol):
+    """Both ways of a link."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return what is there, waiting up to `timeout_s` for it."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send one frame."""
+        ...
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What one vehicle has told."""
+
+    kind: int
+    autopilot: int
+    armed: bool
+    firmware: str = ""
+    battery: float | None = None
+
+
+def _complete(vehicle: _Seen) -> bool:
+    return bool(vehicle.firmware) and vehicle.battery is not None
+
+
+def is_mavlink(heard: bytes) -> bool:
+    """Tell whether bytes hold a whole MAVLink frame; False without pymavlink."""
+    try:
+        return bool(StreamParser().feed(heard))
+    except MissingExtra:
+        return False
+
+
+def ask(link: Link, port: str, url: str, clock: Clock, *, several: bool = False) -> tuple[Found, ...]:
+    """Return the vehicles that are heard on a link within 1.5 s.
+
+    Parameters
+    ----------
+    url
+        What the driver would be opened with, without a system id.
+    several
+        Wait for more vehicles after the first.
+
+    Raises
+    ------
+    MissingExtra
+        pymavlink is not installed.
+    """
+    parser, seen = StreamParser(), dict[int, _Seen]()
+
+    def listen(duration_s: float, enough: Callable[[], bool]) -> None:
+        end_s = clock.now_s() + duration_s
+        while not enough() and (left_s := end_s - clock.now_s()) > 0:
+            for message in parser.feed(link.receive(left_s)):
+                _note(seen, message)
+
+    listen(HEARTBEAT_S, lambda: bool(seen) and not several)
+    for system, vehicle in list(seen.items()):
+        encoder = StationEncoder(SYSTEM, COMPONENT, system)
+        for _ in range(TRIES):
+            for message in (p.MESSAGE_VERSION, p.MESSAGE_BATTERY):
+                link.send(encoder.request_message(message))
+            listen(ANSWER_S, partial(_complete, vehicle))
+            if _complete(vehicle):
+                break
+    return tuple(_found(port, url, system, vehicle, len(seen)) for system, vehicle in sorted(seen.items()))
+
+
+def _note(seen: dict[int, _Seen], message: Any) -> None:
+    system = message.get_srcSystem()
+    match message.get_type():
+        case "HEARTBEAT" if message.autopilot != p.AUTOPILOT_NONE and message.type != GROUND_STATION:
+            vehicle = seen.setdefault(system, _Seen(message.type, message.autopilot, armed=False))
+            vehicle.armed = bool(message.base_mode & 128)
+        case "AUTOPILOT_VERSION" if system in seen:
+            number = message.flight_sw_version
+            seen[system].firmware = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+        case "BATTERY_STATUS" | "SYS_STATUS" if system in seen and 0 <= message.battery_remaining <= 100:
+            seen[system].battery = message.battery_remaining / 100.0
+        case _:
+            return
+
+
+def _found(port: str, url: str, system: int, vehicle: _Seen, count: int) -> Found:
+    make = MAKES.get(vehicle.autopilot, f"MAVLink autopilot {vehicle.autopilot}")
+    drivable = vehicle.kind in p.ROVER_TYPES and vehicle.autopilot in MAKES
+    options = ([f"sysid={system}"] if system != 1 else []) + (["autopilot=px4"] if vehicle.autopilot == PX4 else [])
+    notes = []
+    if not drivable:
+        notes.append("only ground rovers under ArduPilot or PX4 are driven")
+    if vehicle.armed:
+        notes.append("ARMED: somebody drives it")
+    if count > 1:
+        notes.append("several vehicles on one port: give each its own")
+    return Found(
+        port=port,
+        make=make,
+        model=KINDS.get(vehicle.kind, f"vehicle type {vehicle.kind}"),
+        firmware=vehicle.firmware,
+        battery=vehicle.battery,
+        url=_with(url, options) if drivable else "",
+        note=", ".join(notes),
+    )
+
+
+def _with(url: str, options: list[str]) -> str:
+    if not options:
+        return url
+    return f"{url}{'&' if '?' in url else '?'}{'&'.join(options)}"
+
+
+class UdpLink:
+    """A UDP port that answers everybody who was heard; a frame says itself for which vehicle it is.
+
+    Raises
+    ------
+    DriverError
+        The port cannot be had.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        self._peers: set[Any] = set()
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            holder = udp_holder(port) if error.errno == errno.EADDRINUSE else ""
+            what = f"the port is held by {holder}" if holder else f"cannot listen there: {error.strerror or error}"
+            hint = "end that program; one port serves one driver" if holder else "choose another address or port"
+            raise DriverError(what, where=f"udp {host}:{port}", hint=hint) from error
+
+    def __enter__(self) -> UdpLink:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return one datagram."""
+        self._socket.settimeout(max(timeout_s, 1e-3))
+        try:
+            data, peer = self._socket.recvfrom(65536)
+        except OSError:
+            return b""  # nothing came in time, or a peer is gone: then it says nothing either
+        self._peers.add(peer)
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram to all peers."""
+        for peer in self._peers:
+            self._socket.sendto(data, peer)
+
+
+def udp_holder(port: int) -> str:
+    """Name the processes that listen on a UDP port, as far as this user may look; empty if none is seen."""
+    rows = [row.split() for table in ("udp", "udp6") for row in _lines(Path("/proc/net") / table)[1:]]
+    sockets = {f"socket:[{row[9]}]" for row in rows if int(row[1].rpartition(":")[2], 16) == port}
+    holders = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if any(each.is_symlink() and str(each.readlink()) in sockets for each in (process / "fd").iterdir()):
+                holders.append(f"{(process / 'comm').read_text().strip()} (pid {process.name})")
+        except OSError:
+            continue  # ended meanwhile, or somebody else's
+    return ", ".join(holders)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
+    except OSError:
+        return [""]
+
+
+def ask_udp(host: str, port: int, clock: Clock) -> Asked:
+    """Ask the vehicles that send to a UDP port of this machine."""
+    name = f"udp {host}:{port}"
+    try:
+        with UdpLink(host, port) as link:
+            robots = ask(link, name, f"mavlink+udp://{host}:{port}", clock, several=True)
+    except DriverError as error:
+        return Asked(name, problem=f"{error.what} ({error.hint})")
+    return Asked(name, robots=robots, problem="" if robots else SILENCE)
+
+
+def ask_url(url: str, clock: Clock) -> Asked:
+    """Ask the vehicle at a driver's URL over UDP or TCP."""
+    address, _ = parse_url(url)
+    if address.scheme == "mavlink+udp":
+        return replace(ask_udp(address.host, address.port, clock), port=str(address))
+    try:
+        transport = open_transport(address, lambda _: True)
+    except DriverError as error:
+        return Asked(str(address), problem=f"{error.what} ({error.hint})")
+    try:
+        robots = ask(_Connected(transport), str(address), _base_url(address), clock)
+    except LinkLost as error:
+        return Asked(str(address), problem=error.what)
+    finally:
+        transport.close()
+    return Asked(str(address), robots=robots, problem="" if robots else SILENCE)
+
+
+def _base_url(address: Address) -> str:
+    return f"{address.scheme}://{address.host}:{address.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Connected:
+    """A driver's transport, waited on."""
+
+    transport: Transport
+
+    def receive(self, timeout_s: float) -> bytes:
+        ready, _, _ = select.select([self.transport.fileno()], [], [], timeout_s)
+        return self.transport.receive() if ready else b""
+
+    def send(self, data: bytes) -> None:
+        self.transport.send(data)

@@ -1,0 +1,47 @@
+"""The command line of `robots find`, `robots test`, `doctor` and `emulate`: wrong usage, and what help says."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+from typer.testing import CliRunner
+
+from fullswarm.launch.main import app
+
+
+@pytest.fixture
+def keep_signals() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("keep_signals")
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("emulate", "hovercraft"), "hovercraft"),
+        (("emulate", "create", "--listen", "udp://127.0.0.1:1"), "--listen"),
+        (("emulate", "create", "--do", "fly on"), "no command 'fly'"),
+        (("emulate", "create", "--drop", "2"), "--drop"),
+        (("robots", "find", "--can", "kvaser:0"), "no CAN interface"),
+        (("robots", "find", "--udp", "many"), "not a UDP port"),
+        (("robots", "test", "crate:///dev/ttyUSB0", "--yes"), "did you mean 'create'"),
+        (("robots", "test", "create:///dev/ttyUSB0", "--yes", "--speed", "5"), "--speed"),
+        (("doctor", "nowhere.toml"), "no such file"),
+    ],
+)
+def test_usage_errors_are_one_clear_line(arguments: tuple[str, ...], word: str) -> None:
+    done = CliRunner().invoke(app, list(arguments))
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert word in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_verbs_hang_on_the_operators_robots() -> None:
+    done = CliRunner().invoke(app, ["robots", "--help"], env={"COLUMNS": "120"})
+    assert done.exit_code == 0
+    assert all(word in done.stdout for word in ("find", "test", "--json", "--hub", "--swarm"))
