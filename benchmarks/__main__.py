@@ -10,6 +10,9 @@ ALL = (
     ("benchmarks.bus", "--seconds", "5"),
     ("benchmarks.latency",),
     ("benchmarks.swarm",),
+    ("benchmarks.create",),
+    ("benchmarks.mavlink",),
+    ("benchmarks.can_bus",),
 )
 
 

@@ -24,6 +24,7 @@ ROVER_BOOT_S = 1.0
 
 CREATES = ("create1", "roomba500", "create2")
 CAN_OPTIONS = "interface=slcan&left=1&right=2&wheel_radius=0.05&base=0.3&radius=0.17"
+ODRIVE_OPTIONS = "watchdog=0.5&volts_empty=21&volts_full=29.4"
 VESC_OPTIONS = "pole_pairs=7&gear=10"
 
 
@@ -53,7 +54,7 @@ def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
         rovers = [each.id for each in config.robot if each.emulate == "rover"]
         number = FIRST_ROVER_PORT + ROVER_PORT_STEP * rovers.index(robot.id)
         return f"mavlink+udp://127.0.0.1:{number}?speed=0.5&turn=2.0&radius=0.17"
-    options = CAN_OPTIONS if make == "odrive" else f"{CAN_OPTIONS}&{VESC_OPTIONS}"
+    options = f"{CAN_OPTIONS}&{ODRIVE_OPTIONS if make == 'odrive' else VESC_OPTIONS}"
     return f"can+{make}://{port}?{options}"
 
 
@@ -80,12 +81,12 @@ def start(make: Emulated, url: str, body: Body) -> Emulator:
 
 
 def _create(url: str, body: Body) -> Emulator:
-    from fullswarm.drivers.create_oi.driver import parse_url
     from fullswarm.drivers.create_oi.emulator import CreateEmulator
+    from fullswarm.drivers.create_oi.settings import parse_url
 
     settings = parse_url(url)
     _make_room(settings.path)
-    return CreateEmulator(settings.generation, body, port=settings.path)
+    return CreateEmulator(settings.generation, body, port=settings.path).start()
 
 
 def _rover(url: str, body: Body) -> Emulator:

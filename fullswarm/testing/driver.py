@@ -1,54 +1,52 @@
-"""What every driver must hold: the lifecycle of ``drivers/base.py``, zero when in doubt, signs, promptness.
+"""The check that every driver must pass, built-in or from outside: as it lives, as it breaks, as it says of itself.
 
 Run it against the make's emulator, or on a bench with the wheels in the air.
 """
 
 from __future__ import annotations
 
-import math
-import statistics
-import sys
-from collections.abc import Callable
-from functools import partial
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from fullswarm.drivers.base import STAND, Description, Driver, Lifecycle, Limits, Pose, Reading, Twist
-from fullswarm.geometry import wrap
-from fullswarm.testing.trial import DRIFT_M, DRIFT_RAD, Trial
-
-SILENCE_S = 0.3
-"""A set-point holds for so long; after that the driver itself sets zero, whatever watchdog the device has."""
-WINDOW_S = 0.2
-"""How long a robot drives while its odometry is compared with the twist."""
-CALLS, BEST_S, USUAL_S = 50, 0.005, 0.05
-"""Of so many calls the fastest and the median must be below; the contract says 1 ms, machines are noisy."""
-
-_NOT_FINITE = (Twist(math.nan, 0.0), Twist(0.0, math.nan), Twist(math.inf, 0.0), Twist(0.0, -math.inf))
-_HUGE = sys.float_info.max
+from fullswarm.drivers.base import Driver
+from fullswarm.testing.claims import CLAIMS, check_claims
+from fullswarm.testing.contract import UNMOVED, check_contract
+from fullswarm.testing.faults import FAULTS, check_faults
+from fullswarm.testing.jumps import JUMPS, check_jumps
+from fullswarm.testing.process import PROCESS, check_process
+from fullswarm.testing.rig import Report, Rig
+from fullswarm.testing.trial import Trial
 
 
 def check_driver(
-    make: Callable[[], Driver],
+    make: Callable[[], Driver] | Rig,
     *,
     settle_s: float = 2.0,
     deadline_s: float = 10.0,
     pump: Callable[[], object] | None = None,
     exercise: bool = True,
-) -> None:
-    """Lead a driver through its life, opened twice, and look at every reading on the way. Real time, some 4 s.
+) -> Report:
+    """Lead a driver through its life, then break what the rig can break. Real time, 4 s, with a whole rig some 15 s.
 
     Parameters
     ----------
     make
-        Constructs a driver for the same robot each time; called twice, the second one is never opened.
+        A :class:`~fullswarm.testing.Rig`; or only its `make`, which constructs a driver for the same robot each time.
     settle_s
         In which the robot reaches or leaves half its speed, and its readings tell so.
     deadline_s
         For each step of the lifecycle that the robot has to confirm.
     pump
-        Called at 50 Hz while the check waits, for an emulator without a thread of its own.
+        Called at 50 Hz while the check waits, if `make` is no rig.
     exercise
-        Whether the robot may move, up to its full speed for a moment and half of it for a second. Without, limits,
-        signs and the stops of a moving robot are not checked.
+        Whether the robot may move, up to its full speed for a moment and half of it for seconds. Without, only
+        lifecycle and promptness are checked.
+
+    Returns
+    -------
+    Report
+        What was checked, and what was not for want of a callable of the rig. Print it.
 
     Raises
     ------
@@ -57,251 +55,40 @@ def check_driver(
     DriverError
         Its port cannot be had.
     """
-    driver = make()
-    trial = Trial(driver, settle_s, deadline_s, pump)
-    try:
-        trial.demand(driver.read() is None, "read() gives something before open(); None until the robot has told")
-        _check_closed(trial, "before open()")
-        _check_description(trial, driver.description)
-        _check_opening(trial)
-        _check_activation(trial, make)
-        _check_not_finite(trial)
-        if exercise:
-            _check_limits(trial, driver.description.limits)
-            _check_signs(trial)
-            _check_not_finite_stops(trial)
-            _check_silence(trial)
-        _check_promptness(trial, trial.pace if exercise else STAND)
-        _check_deactivation(trial, exercise)
-        _check_closing(trial, exercise)
-    finally:
-        driver.close()
-
-
-def _check_closed(trial: Trial, when: str) -> None:
-    driver = trial.driver
-    trial.demand(
-        trial.state is Lifecycle.CLOSED, f"it is {trial.state} {when}, not CLOSED; only open() touches the robot"
-    )
-    trial.demand(driver.fault == "", f"it has a fault {when}: {driver.fault}; empty unless in FAULT")
-    driver.activate()
-    driver.deactivate()
-    _check_zero(trial, when)
-    for bad in _NOT_FINITE:
-        _check_refused(trial, bad, when)
-    driver.close()
-    trial.demand(
-        trial.state is Lifecycle.CLOSED,
-        f"activate(), deactivate() or close() {when} made it {trial.state}; they do nothing then",
-    )
-
-
-def _check_description(trial: Trial, description: Description) -> None:
-    limits = description.limits
-    for name in ("speed_m_s", "turn_rad_s", "accel_m_s2", "turn_accel_rad_s2"):
-        value = getattr(limits, name)
-        trial.demand(0.0 < value < math.inf, f"description.limits.{name} is {value}; a finite number above 0")
-    radius_m, watchdog_s = description.radius_m, description.watchdog_s
-    trial.demand(0.0 < radius_m < math.inf, f"description.radius_m is {radius_m}; a finite number above 0")
-    trial.demand(
-        watchdog_s is None or 0.0 < watchdog_s < math.inf,
-        f"description.watchdog_s is {watchdog_s}; None if it has none",
-    )
-    trial.demand(bool(description.make and description.model), "description.make or .model is empty; name the robot")
-
-
-def _check_opening(trial: Trial) -> None:
-    trial.open()
-    state = trial.state
-    trial.demand(state is not Lifecycle.CLOSED, "it is CLOSED after open(); OPEN until the robot answers")
-    trial.reach(Lifecycle.READY, "open()")
-    trial.demand(trial.driver.fault == "", f"it is READY with a fault: {trial.driver.fault}; empty unless in FAULT")
-    origin = trial.fresh().odometry
-    trial.demand(
-        math.hypot(origin.x_m, origin.y_m) <= DRIFT_M and abs(origin.heading_rad) <= DRIFT_RAD,
-        f"odometry is {origin} after open(); it starts at (0, 0, 0) each time",
-    )
-    trial.stays(origin, "while READY and commanded", lambda: _check_zero(trial, "while READY"))
-    trial.driver.deactivate()
-    trial.demand(
-        trial.state is Lifecycle.READY,
-        f"it is {trial.state}, not READY, although nobody called activate(): that is the agent's decision",
-    )
-
-
-def _check_activation(trial: Trial, make: Callable[[], Driver]) -> None:
-    trial.driver.activate()
-    trial.reach(Lifecycle.ACTIVE, "activate()")
-    trial.stays(trial.fresh().odometry, "although it was activated only", lambda: trial.command(STAND))
-    other = make()
-    try:
-        trial.demand(other.state is Lifecycle.CLOSED, f"a second driver is {other.state} without open(), not CLOSED")
-    finally:
-        other.close()
-    reading = trial.fresh()
-    trial.demand(
-        trial.state is Lifecycle.ACTIVE, "constructing a second driver disturbs the first; touch nothing there"
-    )
-    trial.demand(
-        reading.pose is not None or not trial.driver.description.senses_pose,
-        "its description says senses_pose, but it is ACTIVE and tells none",
-    )
-
-
-def _check_not_finite(trial: Trial) -> None:
-    for bad in _NOT_FINITE:
-        _check_refused(trial, bad, "while ACTIVE")
-        trial.command(STAND)
-    trial.demand(trial.state is Lifecycle.ACTIVE, f"a value that is not finite makes it {trial.state}; it stays ACTIVE")
-    trial.halt("a value that was not finite")
-
-
-def _check_limits(trial: Trial, limits: Limits) -> None:
-    speed, turn = 10.0 * limits.speed_m_s, 10.0 * limits.turn_rad_s
-    for wished in (Twist(speed, 0.0), Twist(0.0, turn), Twist(-speed, -turn), Twist(_HUGE, _HUGE), Twist(0.0, -_HUGE)):
+    rig = make if isinstance(make, Rig) else Rig(make=make, pump=pump)
+    driver = rig.make()
+    report = Report(driver.url)
+    trial = Trial(driver, rig, settle_s, deadline_s, report)
+    with _threads(trial):
         try:
-            applied = trial.command(wished)
-        except ValueError as error:
-            raise AssertionError(
-                f"{trial.driver.url}: command({wished}) raises ValueError ({error}); it is finite: clip it"
-            ) from error
-        forwards = wished.linear_m_s >= 0.0 or limits.can_reverse
-        trial.demand(applied != STAND or not forwards, f"command({wished}) returns zero; clip, do not refuse")
-        zero = trial.command(STAND)
-        trial.demand(zero == STAND, f"command({STAND}) returns {zero}; zero can always be applied")
-    trial.halt("a zero command", each=lambda: trial.command(STAND))
+            check_contract(trial, rig.make, exercise)
+            if exercise:
+                check_claims(trial)
+                check_faults(trial)
+        finally:
+            driver.close()
+        if exercise:
+            check_jumps(trial)
+            check_process(trial)
+    if not exercise:
+        for name in (*CLAIMS, *FAULTS, *JUMPS, *PROCESS):
+            report.skip(name, UNMOVED)
+    return report
 
 
-def _check_signs(trial: Trial) -> None:
-    """Drive forwards, turn left, then both the other way round, and see what the readings make of it."""
-    speed, turn = trial.pace.linear_m_s, trial.pace.angular_rad_s
-    back = -speed if trial.driver.description.limits.can_reverse else speed
-    for wished in (Twist(speed, 0.0), Twist(0.0, turn), Twist(back, -turn)):
-        applied = trial.drive(wished)
-        begin = trial.fresh()
-        trial.spend(WINDOW_S, wished)
-        _check_way(trial, applied, begin, trial.fresh())
-    trial.halt("a zero command", each=lambda: trial.command(STAND))
+@contextmanager
+def _threads(trial: Trial) -> Iterator[None]:
+    """Tell of exceptions that end a thread meanwhile: nobody else would."""
+    died: list[str] = []
+    before = threading.excepthook
 
+    def note(end: threading.ExceptHookArgs) -> None:
+        name = end.thread.name if end.thread is not None else "?"
+        died.append(f"thread '{name}' ended with {end.exc_type.__name__}: {end.exc_value}")
 
-def _check_way(trial: Trial, applied: Twist, begin: Reading, end: Reading) -> None:
-    """Compare how far the odometry went between two readings with the twist that was applied."""
-    passed_s = end.stamp_s - begin.stamp_s
-    forward_m, aside_m, turned_rad = _moved(begin.odometry, end.odometry)
-    for what, gone, rate, measured in (
-        ("m", forward_m, applied.linear_m_s, end.twist.linear_m_s),
-        ("rad", turned_rad, applied.angular_rad_s, end.twist.angular_rad_s),
-    ):
-        trial.demand(
-            rate == 0.0 or (0.5 <= gone / (rate * passed_s) <= 1.5 and 0.5 <= measured / rate <= 1.5),
-            f"under {applied} the odometry moves by {gone:.3f} {what} in {passed_s:.2f} s and the measured twist is "
-            f"{measured:.3f} {what}/s; x is forward, heading grows counter-clockwise, m and rad: check signs and scale",
-        )
-    trial.demand(
-        applied.linear_m_s == 0.0 or abs(aside_m) <= 0.5 * abs(forward_m),
-        f"under {applied} the odometry moves {aside_m:.3f} m aside and {forward_m:.3f} m along its heading; it is in "
-        "the frame of open(), with x along the heading then",
-    )
-    if begin.pose is not None and end.pose is not None:
-        forward_m, _, turned_rad = _moved(begin.pose, end.pose)
-        trial.demand(
-            forward_m * applied.linear_m_s >= 0.0 and turned_rad * applied.angular_rad_s >= 0.0,
-            f"under {applied} the pose goes from {begin.pose} to {end.pose}; x is east, y north, heading 0 along x and "
-            "counter-clockwise",
-        )
-
-
-def _moved(begin: Pose, end: Pose) -> tuple[float, float, float]:
-    """Return how far along the heading halfway, how far to its left, and the turn."""
-    dx, dy, turned = end.x_m - begin.x_m, end.y_m - begin.y_m, wrap(end.heading_rad - begin.heading_rad)
-    halfway = begin.heading_rad + turned / 2.0
-    c, s = math.cos(halfway), math.sin(halfway)
-    return c * dx + s * dy, c * dy - s * dx, turned
-
-
-def _check_not_finite_stops(trial: Trial) -> None:
-    bad = Twist(math.nan, 0.0)
-    _check_stops(trial, lambda: _check_refused(trial, bad, "while driving"), "a value that is not finite", "then raise")
-
-
-def _check_silence(trial: Trial) -> None:
-    mend = f"from a thread of the driver's own, when no command has come for {SILENCE_S} s"
-    _check_stops(trial, lambda: None, "silence", mend, 2.0 * SILENCE_S)
-
-
-def _check_stops(trial: Trial, act: Callable[[], None], what: str, mend: str, limit_s: float = SILENCE_S) -> None:
-    """Something must stop the robot by itself, by default sooner than silence would."""
-    took_s = math.inf
-    for _ in range(2):  # a busy machine may be late once
-        if trial.state is Lifecycle.READY:
-            trial.driver.activate()
-            trial.reach(Lifecycle.ACTIVE, "activate()")
-        applied = trial.drive(Twist(trial.pace.linear_m_s, 0.0), share=0.9)
-        began_s = trial.clock.now_s()
-        act()
-        trial.wait(partial(trial.slower, applied), trial.settle_s)
-        took_s = (trial.newest.stamp_s if trial.newest is not None else math.inf) - began_s
-        trial.halt(f"{what} (set zero, {mend})")
-        if took_s < limit_s:
-            return
-    trial.demand(False, f"{what} slows it after {took_s:.2f} s only, not {limit_s} s; set zero, {mend}")
-
-
-def _check_promptness(trial: Trial, pace: Twist) -> None:
-    """Time the calls that the agent makes each tick; `pace` and zero in turn, so that something has to be sent."""
-    driver, wishes = trial.driver, (pace, STAND)
-    calls: dict[str, Callable[[int], object]] = {
-        "read()": lambda _: driver.read(),
-        "state": lambda _: driver.state,
-        "command()": lambda number: driver.command(wishes[number % 2]),
-    }
-    for name, call in calls.items():
-        took_s = []
-        for number in range(CALLS):
-            began_s = trial.clock.now_s()
-            call(number)
-            took_s.append(trial.clock.now_s() - began_s)
-        best_s, usual_s = min(took_s), statistics.median(took_s)
-        trial.demand(
-            best_s < BEST_S and usual_s < USUAL_S,
-            f"{name} takes {best_s * 1e3:.1f} ms at best, {usual_s * 1e3:.1f} ms usually; never wait there: "
-            "leave it to the link's thread",
-        )
-    trial.halt("a zero command", each=lambda: trial.command(STAND))
-
-
-def _check_deactivation(trial: Trial, exercise: bool) -> None:
-    if exercise:
-        _check_stops(trial, trial.driver.deactivate, "deactivate()", "then leave ACTIVE")
-    else:
-        trial.driver.deactivate()
-    _check_zero(trial, "after deactivate()")
-    trial.reach(Lifecycle.READY, "deactivate()")
-    trial.halt("deactivate()", each=lambda: _check_zero(trial, "after deactivate()"))
-    trial.demand(trial.state is Lifecycle.READY, f"{trial.state} after deactivate(), not READY")
-
-
-def _check_closing(trial: Trial, exercise: bool) -> None:
-    """Close while ACTIVE, moving if allowed, and begin anew."""
-    trial.driver.activate()
-    trial.reach(Lifecycle.ACTIVE, "the second activate()")
-    if exercise:
-        trial.drive(Twist(trial.pace.linear_m_s, 0.0))
-    trial.driver.close()
-    _check_closed(trial, "after close()")
-    _check_opening(trial)
-
-
-def _check_zero(trial: Trial, when: str) -> None:
-    applied = trial.driver.command(trial.pace)
-    trial.demand(applied == STAND, f"command() {when} returns {applied}; anything but ACTIVE applies zero, and says so")
-
-
-def _check_refused(trial: Trial, bad: Twist, when: str) -> None:
+    threading.excepthook = note
     try:
-        applied = trial.driver.command(bad)
-    except ValueError:
-        return
-    raise AssertionError(
-        f"{trial.driver.url}: command({bad}) {when} returns {applied}; stop the robot and raise ValueError"
-    )
+        yield
+    finally:
+        threading.excepthook = before
+    trial.demand(not died, f"{'; '.join(died)}; catch what a link can throw, and go to FAULT with a reason")

@@ -8,8 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Driver, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Driver, Lifecycle, Pose, Reading, Twist
 from fullswarm.geometry import wrap
+from fullswarm.testing.rig import Report, Rig
+from fullswarm.testing.sight import check_applied, check_reading
 
 STEP_S = 0.02
 IDLE_S = 0.1
@@ -21,11 +23,8 @@ TURN_RAD_S = 4.0
 STILL = 0.04
 """Share of the limits below which a robot counts as standing."""
 DRIFT_M, DRIFT_RAD = 0.02, 0.05
-AGE_S = 2.0
 NEXT_S = 1.0
 """In which a new reading must come; an agent stops its robot after 0.5 s without."""
-QUANTUM = 1e-3
-"""Share of a limit by which the rounding to what the device can express may go beyond it."""
 
 
 @dataclass
@@ -33,12 +32,14 @@ class Trial:
     """A driver under check, and the newest that it has told."""
 
     driver: Driver
+    rig: Rig
     settle_s: float
     deadline_s: float
-    pump: Callable[[], object] | None
+    report: Report
     clock: Clock = field(default_factory=MonotonicClock)
     newest: Reading | None = None
     opened_s: float = 0.0
+    ignored_s: float = -math.inf  # readings up to here are not looked at: the clock has jumped since
 
     @property
     def pace(self) -> Twist:
@@ -61,8 +62,8 @@ class Trial:
                 return False
             if each is not None:
                 each()
-            if self.pump is not None:
-                self.pump()
+            if self.rig.pump is not None:
+                self.rig.pump()
             # On a grid, so that a pumped world keeps up with real time; but never two steps at once.
             due_s = max(due_s + STEP_S, self.clock.now_s())
             pause.wait(due_s - self.clock.now_s())
@@ -70,10 +71,19 @@ class Trial:
         return True
 
     def _look(self) -> None:
-        reading = self.driver.read()
-        if reading is None or (self.newest is not None and reading.stamp_s == self.newest.stamp_s):
+        try:
+            reading = self.driver.read()
+        except Exception as error:  # whatever it raises is what this check is for
+            raise AssertionError(
+                f"{self.driver.url}: read() raises {type(error).__name__}: {error}; it never does: go to FAULT instead"
+            ) from error
+        if reading is None or reading.stamp_s <= self.ignored_s:
             return
-        _check_reading(self, reading, self.newest)
+        if self.newest is not None and reading.stamp_s == self.newest.stamp_s:
+            return
+        description, now_s = self.driver.description, self.clock.now_s()
+        wrong = check_reading(reading, self.newest, description, now_s, self.opened_s)
+        self.demand(not wrong, wrong)
         self.newest = reading
 
     def fresh(self) -> Reading:
@@ -103,13 +113,25 @@ class Trial:
 
     def open(self) -> None:
         """Open the driver and forget the readings of an earlier life."""
-        self.newest, self.opened_s = None, self.clock.now_s()
+        began_s = self.clock.now_s()
         self.driver.open()
+        self.newest, self.opened_s = None, began_s
+
+    def tell(self, wished: Twist) -> Twist:
+        """Command a driver whose link may be broken; return what it says that it applies."""
+        try:
+            return self.driver.command(wished)
+        except Exception as error:  # as above
+            raise AssertionError(
+                f"{self.driver.url}: command({wished}) raises {type(error).__name__}: {error} while {self.state}; "
+                "it never does for finite values: go to FAULT instead"
+            ) from error
 
     def command(self, wished: Twist) -> Twist:
         """Command, and look at what is said to be applied."""
         applied = self.driver.command(wished)
-        _check_applied(self, wished, applied)
+        wrong = check_applied(wished, applied, self.driver.description.limits)
+        self.demand(not wrong, wrong)
         return applied
 
     def drive(self, wished: Twist, share: float = 0.75) -> Twist:
@@ -148,10 +170,38 @@ class Trial:
 
     def still(self) -> bool:
         """Tell whether the newest reading says that the robot stands."""
-        limits, twist = self.driver.description.limits, self.newest.twist if self.newest is not None else STAND
-        return (
-            abs(twist.linear_m_s) <= STILL * limits.speed_m_s and abs(twist.angular_rad_s) <= STILL * limits.turn_rad_s
-        )
+        return self._is_still(self.newest.twist if self.newest is not None else STAND)
+
+    def rests(self) -> bool:
+        """Tell whether the body truly stands, as far as the rig can tell; else what the readings say."""
+        return self._is_still(self.rig.body_speed()) if self.rig.body_speed is not None else self.still()
+
+    def _is_still(self, twist: Twist) -> bool:
+        limits = self.driver.description.limits
+        speed_m_s = max(STILL * limits.speed_m_s, self.rig.rest_m_s)
+        return abs(twist.linear_m_s) <= speed_m_s and abs(twist.angular_rad_s) <= STILL * limits.turn_rad_s
+
+    @property
+    def motion(self) -> Twist | None:
+        """What moves: the truth if the rig knows it, else the newest reading."""
+        if self.rig.body_speed is not None:
+            return self.rig.body_speed()
+        return None if self.newest is None else self.newest.twist
+
+    def go(self) -> Twist:
+        """Drive forwards at half speed, from READY or ACTIVE; return what is applied."""
+        if self.state is not Lifecycle.ACTIVE:
+            self.reach(Lifecycle.READY, "all was well again")
+            self.driver.activate()
+            self.reach(Lifecycle.ACTIVE, "activate()")
+        return self.drive(Twist(self.pace.linear_m_s, 0.0))
+
+    def come_to_rest(self, limit_s: float, why: str, each: Callable[[], object] | None = None) -> float:
+        """Wait until the body rests; return how long that took, s."""
+        began_s = self.clock.now_s()
+        rests = self.wait(self.rests, limit_s, each)
+        self.demand(rests, f"the robot still moves {limit_s:.1f} s after {why}: {self.motion}")
+        return self.clock.now_s() - began_s
 
     def halt(self, why: str, each: Callable[[], object] | None = None) -> None:
         """Wait until the robot stands."""
@@ -171,48 +221,3 @@ class Trial:
             gone_m <= DRIFT_M and abs(turned) <= DRIFT_RAD and self.still(),
             f"it moves {why}: {gone_m:.3f} m, {turned:.3f} rad, {self.newest and self.newest.twist}",
         )
-
-
-def _check_reading(trial: Trial, reading: Reading, before: Reading | None) -> None:
-    description, age_s = trial.driver.description, trial.clock.now_s() - reading.stamp_s
-    trial.demand(
-        -STEP_S <= age_s <= AGE_S and reading.stamp_s >= trial.opened_s,
-        f"a reading is stamped {age_s:.3f} s before it was read and {reading.stamp_s - trial.opened_s:.3f} s after "
-        "open(); stamp it with the monotonic clock's time of arrival, and forget the readings of an earlier life",
-    )
-    trial.demand(
-        before is None or reading.stamp_s > before.stamp_s,
-        "stamps of readings go back; drop what arrives out of order",
-    )
-    poses = [reading.odometry] + ([reading.pose] if reading.pose is not None else [])
-    twist = reading.twist
-    numbers = [twist.linear_m_s, twist.angular_rad_s]
-    for pose in poses:
-        numbers += [pose.x_m, pose.y_m, pose.heading_rad]
-        trial.demand(abs(pose.heading_rad) <= math.pi, f"heading {pose.heading_rad} is not in [-pi, pi]; wrap it")
-    trial.demand(all(map(math.isfinite, numbers)), f"a reading is not finite: {reading}; unknown values are None")
-    battery, obstacles = reading.battery, reading.obstacles
-    trial.demand(battery is None or 0.0 <= battery <= 1.0, f"battery {battery} is not None or 0 to 1")
-    trial.demand(obstacles.ndim == 2 and obstacles.shape[1] == 6, f"obstacles have shape {obstacles.shape}, not (k, 6)")
-    trial.demand(reading.contacts >= 0, f"contacts are {reading.contacts}")
-    told = (reading.pose is not None, len(obstacles) > 0, Hazard.BUMP in reading.hazards)
-    senses = (description.senses_pose, description.senses_obstacles, description.senses_bumps)
-    for what, tells, claims in zip(("pose", "obstacles", "bumps"), told, senses, strict=True):
-        trial.demand(claims or not tells, f"it tells {what}, but its description denies it; set senses_{what}")
-
-
-def _check_applied(trial: Trial, wished: Twist, applied: Twist) -> None:
-    limits = trial.driver.description.limits
-    said = f"command({wished}) returns {applied}"
-    trial.demand(isinstance(applied, Twist), f"{said}, not a Twist: return what was really applied")
-    for name, wish, value, limit in (
-        ("linear", wished.linear_m_s, applied.linear_m_s, limits.speed_m_s),
-        ("angular", wished.angular_rad_s, applied.angular_rad_s, limits.turn_rad_s),
-    ):
-        trial.demand(math.isfinite(value), f"{said}, which is not finite; clip before you calculate")
-        trial.demand(
-            abs(value) <= limit * (1.0 + QUANTUM), f"{said}, {name} beyond {limit}; clip to description.limits"
-        )
-        trial.demand(value * wish >= 0.0, f"{said}, {name} the other way round")
-        trial.demand(wish != 0.0 or abs(value) <= STILL * limit, f"{said}, {name} although zero was wished")
-    trial.demand(limits.can_reverse or applied.linear_m_s >= 0.0, f"{said}, but its description says: no reversing")

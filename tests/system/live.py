@@ -20,6 +20,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.demo import on_free_ports
 from fullswarm.launch.nodes import start_poses
 from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Asked, Operator
 from fullswarm.operator.view import FleetView, RobotRow
@@ -57,9 +58,12 @@ class LiveSwarm:
         keys = Keys(self.config.swarm)
         self.operator = Operator(self.bus, keys, self.runtime, "test")
         self.view = FleetView(self.bus, keys, self.runtime, self.config.robots)
+        self.node: WorldNode | None = None
         self.world: WatchedWorld | None = None
         self.server: WorldServer | None = None
-        if watch:
+        if watch and any(robot.emulate for robot in self.config.robot):
+            self.node = WorldNode(self.bus, self.runtime, self.config, "world-here")
+        elif watch:
             self.world = WatchedWorld(self.config, self.clock)
             self.server = WorldServer(self.world)
             self.runtime.every(1.0 / self.config.world_or_default.rate_hz, self.server.tick)
@@ -164,6 +168,8 @@ class LiveSwarm:
         self.operator.close()
         self.view.close()
         self.supervisor.close()
+        if self.node:
+            self.node.close()
         if self.server and self.world:
             self.server.close()
             self.world.close()

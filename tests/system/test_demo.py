@@ -47,6 +47,29 @@ def test_the_live_demo_prints_one_document() -> None:
     assert 0.8 < document["real_time_factor"] < 1.2
 
 
+MIXED = {"c1": "create", "c2": "create", "c3": "create", "m1": "mavlink", "m2": "mavlink", "m3": "mavlink",
+         "o1": "can+odrive", "o2": "can+vesc"}  # fmt: skip
+
+
+def test_three_makes_drive_in_one_world() -> None:
+    done = fullswarm("demo", "--fleet", "mixed", "--headless", "--seconds", "30", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert {
+        robot["id"]: robot["driver"].partition(":")[0].removesuffix("+udp") for robot in document["robots"]
+    } == MIXED
+    for robot in document["robots"]:
+        assert robot["state"] == "READY"
+        assert robot["make"]
+        assert robot["firmware"]
+    assert [request["behaviour"] for request in document["requests"]] == ["formation_bc", "move_to_goal_bc"]
+    for request in document["requests"]:
+        assert request["acknowledged_after_s"] is not None
+        assert request["arrived"] == list(MIXED)
+    assert document["collisions"] == 0
+    assert 0.8 < document["real_time_factor"] < 1.2
+
+
 def test_lockstep_repeats_to_the_byte() -> None:
     first, second = (fullswarm("demo", "--lockstep", "--seed", "7", "--json") for _ in range(2))
     assert first.returncode == 0, first.stderr

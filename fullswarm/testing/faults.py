@@ -1,0 +1,253 @@
+"""What a driver does when its link breaks: it says so, in time, and moves again only when told anew."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from functools import partial
+
+from fullswarm.drivers.base import STAND, Lifecycle, Twist
+from fullswarm.errors import DriverError
+from fullswarm.testing.trial import IDLE_S, STEP_S, Trial
+
+FAULTS = (
+    "unplug",
+    "close while unplugged",
+    "unplug in mid-frame",
+    "mute and stale data",
+    "garbage",
+    "frames cut short",
+)
+UNHEARD_S = 0.3
+"""What was on its way when the device fell silent may still arrive so much later."""
+NOISE_S = 0.5
+MOUTHFUL = 64
+CUTS = 5
+
+
+def check_faults(trial: Trial) -> None:
+    """Unplug, mute, talk nonsense; begins and ends with an open driver."""
+    rig, report = trial.rig, trial.report
+    if not report.lacks("unplug", unplug=rig.unplug, replug=rig.replug):
+        report.add("unplug", _check_unplug(trial))
+        report.add("close while unplugged", _check_close(trial))
+    else:
+        report.lacks("close while unplugged", unplug=rig.unplug, replug=rig.replug)
+    if not report.lacks("unplug in mid-frame", unplug=rig.unplug, replug=rig.replug, cut=rig.cut):
+        report.add("unplug in mid-frame", _check_unplug_in_frame(trial))
+    if not report.lacks("mute and stale data", mute=rig.mute):
+        report.add("mute and stale data", _check_mute(trial))
+    if not report.lacks("garbage", garbage=rig.garbage):
+        report.add("garbage", _check_garbage(trial))
+    if not report.lacks("frames cut short", cut=rig.cut):
+        report.add("frames cut short", _check_cuts(trial))
+
+
+def lose(trial: Trial, break_it: Callable[[], object], what: str) -> float:
+    """Break the link, go on commanding as an agent does, and see FAULT in the stated time; return after how long."""
+    wished, driver = trial.pace, trial.driver
+    began_s = trial.clock.now_s()
+    break_it()
+    faulty = trial.wait(lambda: trial.state is Lifecycle.FAULT, trial.rig.fault_s, lambda: trial.tell(wished))
+    took_s = trial.clock.now_s() - began_s
+    trial.demand(
+        faulty, f"it is {trial.state}, not FAULT, {trial.rig.fault_s} s after {what}; silence is a fault: watch for it"
+    )
+    trial.demand(driver.fault.strip() != "", f"it is in FAULT after {what} and says nothing; say why and what to do")
+    applied = trial.tell(wished)
+    trial.demand(applied == STAND, f"command() in FAULT after {what} returns {applied}; it applies zero, and says so")
+    _check_stale(trial, began_s, what)
+    return took_s
+
+
+def recover(trial: Trial, mend: Callable[[], object], what: str) -> float:
+    """Mend the link; the driver is READY by itself and stands until told anew. Return how long that took, s."""
+    wished, rig = trial.pace, trial.rig
+    began_s = trial.clock.now_s()
+
+    def stand() -> None:
+        trial.demand(
+            trial.state is not Lifecycle.ACTIVE,
+            f"it is ACTIVE again after {what}, although nobody called activate(); reconnect to READY, never to ACTIVE",
+        )
+        applied = trial.tell(wished)
+        trial.demand(applied == STAND, f"command() after {what} and before activate() returns {applied}, not zero")
+
+    mend()
+    ready = trial.wait(lambda: trial.state is Lifecycle.READY, rig.ready_s, stand)
+    took_s = trial.clock.now_s() - began_s
+    trial.demand(
+        ready,
+        f"it is {trial.state}, not READY, {rig.ready_s} s after the end of {what} "
+        f"({trial.driver.fault or 'no fault'}); try again by itself, several times a second",
+    )
+    trial.demand(trial.driver.fault == "", f"it is READY after {what} with a fault: {trial.driver.fault}")
+    trial.come_to_rest(trial.settle_s, f"it was READY again after {what}", stand)
+    trial.stays(trial.fresh().odometry, f"after {what}, before activate()", stand)
+    trial.demand(trial.rests(), f"the robot moves after {what}, before activate(): {trial.motion}")
+    return took_s
+
+
+def _check_stale(trial: Trial, silent_s: float, what: str) -> None:
+    """Nothing is heard: no reading may be newer."""
+    trial.wait(lambda: False, IDLE_S, lambda: trial.tell(trial.pace))
+    newest = trial.newest
+    late_s = newest.stamp_s - silent_s if newest is not None else 0.0
+    trial.demand(
+        late_s <= UNHEARD_S,
+        f"a reading is stamped {late_s:.2f} s after {what}, when nothing came any more; stamp what arrives, not "
+        "what is told again",
+    )
+
+
+def _rest_unheard(trial: Trial, began_s: float, what: str) -> str:
+    """See that the body rests while nobody is heard, if the device says that it has a watchdog and the rig can tell."""
+    watchdog_s = trial.driver.description.watchdog_s
+    if trial.rig.body_speed is None:
+        return "; rest not seen: the rig has no body_speed"
+    if watchdog_s is None:
+        return "; rest only after READY: the device has no watchdog"
+    left_s = began_s + max(watchdog_s, trial.rig.fault_s) + trial.settle_s - trial.clock.now_s()
+    trial.come_to_rest(max(left_s, STEP_S), what, lambda: trial.tell(trial.pace))
+    return f", at rest after {trial.clock.now_s() - began_s:.2f} s"
+
+
+def _check_unplug(trial: Trial) -> str:
+    rig = trial.rig
+    if rig.unplug is None or rig.replug is None:
+        return ""
+    trial.go()
+    began_s = trial.clock.now_s()
+    fault_s = lose(trial, rig.unplug, "unplugging")
+    rest = _rest_unheard(trial, began_s, "unplugging")
+    ready_s = recover(trial, rig.replug, "unplugging")
+    trial.go()
+    trial.halt("a zero command", each=lambda: trial.command(STAND))
+    return f"FAULT after {fault_s:.2f} s{rest}, READY {ready_s:.2f} s after replug"
+
+
+def _check_close(trial: Trial) -> str:
+    """Close without a device at the other end, and open again when it is there."""
+    rig, driver = trial.rig, trial.driver
+    if rig.unplug is None or rig.replug is None:
+        return ""
+    lose(trial, rig.unplug, "unplugging")
+    began_s = trial.clock.now_s()
+    try:
+        driver.close()
+    except Exception as error:  # whatever it raises is what this check is for
+        raise AssertionError(
+            f"{driver.url}: close() without the device raises {type(error).__name__}: {error}"
+        ) from error
+    took_s = trial.clock.now_s() - began_s
+    trial.demand(took_s <= trial.deadline_s, f"close() without the device takes {took_s:.1f} s; do not wait for it")
+    trial.demand(trial.state is Lifecycle.CLOSED, f"it is {trial.state} after close(), not CLOSED")
+    rig.replug()
+    _open_again(trial)
+    return f"takes {took_s:.2f} s"
+
+
+def _open_again(trial: Trial) -> None:
+    """Open as soon as the port is there again: a system takes its time to find it."""
+    refusals: list[str] = []
+
+    def opens() -> bool:
+        try:
+            trial.open()
+        except DriverError as error:
+            refusals.append(str(error))
+            return False
+        return True
+
+    opened = trial.wait(opens, trial.rig.ready_s)
+    trial.demand(opened, f"open() fails {trial.rig.ready_s} s after replugging: {refusals[-1:]}")
+    trial.reach(Lifecycle.READY, "open()")
+
+
+def _check_unplug_in_frame(trial: Trial) -> str:
+    rig = trial.rig
+    if rig.unplug is None or rig.replug is None or rig.cut is None:
+        return ""
+    what = "unplugging in mid-frame"
+    trial.go()
+    rig.cut()
+    trial.spend(IDLE_S, trial.pace)  # the half of a frame is on its way
+    lose(trial, rig.unplug, what)
+    took_s = recover(trial, rig.replug, what)
+    return f"READY {took_s:.2f} s after replug"
+
+
+def _check_mute(trial: Trial) -> str:
+    """The device hears us, and says nothing: it can and must be told to stand."""
+    rig = trial.rig
+    if rig.mute is None:
+        return ""
+    trial.go()
+    began_s = trial.clock.now_s()
+    try:
+        fault_s = lose(trial, partial(rig.mute, True), "the device fell silent")
+        rest = ""
+        if rig.body_speed is not None:
+            trial.come_to_rest(trial.settle_s, "FAULT", lambda: trial.tell(trial.pace))
+            rest = f", at rest after {trial.clock.now_s() - began_s:.2f} s"
+    finally:
+        speak = partial(rig.mute, False)
+        if trial.state is not Lifecycle.FAULT:
+            speak()
+    ready_s = recover(trial, speak, "the silence")
+    return f"FAULT after {fault_s:.2f} s{rest}, READY {ready_s:.2f} s after its end"
+
+
+def _check_garbage(trial: Trial) -> str:
+    """Noise while standing moves nothing, noise while driving breaks nothing."""
+    noise, garbage = random.Random(0), trial.rig.garbage  # noqa: S311  (must repeat, keeps no secret)
+    if garbage is None:
+        return ""
+    said = 0
+
+    def talk(wished: Twist) -> None:
+        nonlocal said
+        count = noise.randrange(1, MOUTHFUL)
+        garbage(noise.randbytes(count) if noise.random() < 0.8 else bytes([noise.choice((0, 255))]) * count)
+        said += count
+        trial.tell(wished)
+
+    trial.come_to_rest(trial.settle_s, "a zero command", lambda: trial.tell(STAND))
+    standing = trial.fresh().odometry
+    trial.wait(lambda: False, NOISE_S, lambda: talk(STAND))
+    _pull_through(trial, "garbage")
+    trial.stays(standing, "by garbage", lambda: trial.tell(STAND))
+    trial.go()
+    trial.wait(lambda: False, NOISE_S, lambda: talk(Twist(trial.pace.linear_m_s, 0.0)))
+    took_s = _pull_through(trial, "garbage")
+    trial.go()
+    trial.halt("a zero command", each=lambda: trial.command(STAND))
+    return f"{said} bytes, well again after {took_s:.2f} s"
+
+
+def _check_cuts(trial: Trial) -> str:
+    cut = trial.rig.cut
+    if cut is None:
+        return ""
+    wished = Twist(trial.pace.linear_m_s, 0.0)
+    trial.go()
+    for _ in range(CUTS):
+        cut()
+        trial.wait(lambda: False, 2 * STEP_S, lambda: trial.tell(wished))
+    took_s = _pull_through(trial, "frames that were cut short")
+    trial.go()
+    trial.halt("a zero command", each=lambda: trial.command(STAND))
+    return f"{CUTS} frames, well again after {took_s:.2f} s"
+
+
+def _pull_through(trial: Trial, what: str) -> float:
+    """Wait for READY or ACTIVE and a new reading; return how long that took, s."""
+    began_s = trial.clock.now_s()
+    well = trial.wait(lambda: trial.state in (Lifecycle.READY, Lifecycle.ACTIVE), trial.rig.ready_s)
+    trial.demand(
+        well,
+        f"it is {trial.state}, neither READY nor ACTIVE, {trial.rig.ready_s} s after {what} "
+        f"({trial.driver.fault or 'no fault'}); look for the next frame in what follows",
+    )
+    trial.fresh()
+    return trial.clock.now_s() - began_s

@@ -1,0 +1,137 @@
+"""The published check of laws: it lets our own pass, and names each defect of a broken one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fullswarm import registry
+from fullswarm.agent.tasks import Params
+from fullswarm.agent.view import Array, View
+from fullswarm.errors import ConfigError
+from fullswarm.testing import check_behaviour
+
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "move_to_goal": {"goal": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05},
+    "flocking": {
+        "repulsion_radius_m": 0.8, "alignment_radius_m": 2.0, "attraction_radius_m": 3.0, "separation": 1.5,
+        "alignment": 1.0, "cohesion": 0.5, "cruise_m_s": 0.2,
+    },
+    "rendezvous": {"gain": 1.0, "hearing_m": 30.0},
+    "formation": {"target": [1.0, 2.0], "gain": 1.0},
+    "voronoi_coverage": {"gain": 1.0, "hearing_m": 30.0, "reach_m": 30.0},
+    "move": {"magnitude": 0.5, "speed_m_s": 0.5, "direction": [0.0, 1.0]},
+    "drive": {"linear": 0.3, "angular": -0.4, "speed_m_s": 0.5, "turn_rad_s": 2.0},
+    "stop": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", registry.LAWS)
+def test_our_own_laws_pass(law: str) -> None:
+    check_behaviour(law, PARAMETERS[law])
+
+
+def test_a_law_is_taken_by_module_and_for_any_number_of_robots() -> None:
+    module = registry.law_module("flocking")
+    for robots in (1, 2):
+        check_behaviour(module, PARAMETERS["flocking"], robots=robots, seeds=range(3), bounds=(-9.0, -9.0, 9.0, 9.0))
+
+
+def module(law: Callable[[View, Params], Any], name: str = "velocity") -> ModuleType:
+    made = ModuleType("outside.mine")
+    setattr(made, name, law)
+    return made
+
+
+def pull(view: View, _: Params) -> Array:
+    """Head for the mean of the neighbours: a law without fault."""
+    return view.sum(view.offset) / np.maximum(view.neighbours, 1.0)
+
+
+def halves(view: View, _: Params) -> Array:
+    view.offset[:] *= 0.5
+    return view.sum(view.offset)
+
+
+def wears_out(view: View, params: Params) -> Array:
+    gain = params.gain
+    gain *= 0.5
+    return gain * pull(view, params)
+
+
+def nearest(view: View, _: Params) -> Array:
+    wish = np.zeros((len(view.position), 2))
+    first = view.start[:-1][np.diff(view.start) > 0]
+    wish[view.of[first]] = view.offset[first]
+    return wish
+
+
+def by_itself(view: View, params: Params) -> Array:
+    gain: Array = getattr(params, "gain", np.ones(1))
+    return gain * pull(view, params)
+
+
+def with_default(view: View, params: Params) -> Array:
+    gain: Array = vars(params).get("gain", np.full(1, 2.0))
+    return gain * pull(view, params)
+
+
+def by_dictionary(view: View, params: Params) -> Array:
+    gain: Array = vars(params)["gain"]
+    return gain * pull(view, params)
+
+
+class Counting:
+    """A law with a memory."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, view: View, params: Params) -> Array:
+        self.calls += 1
+        return pull(view, params) + self.calls
+
+
+BROKEN_LAWS: list[tuple[Callable[[View, Params], Any], str]] = [
+    (lambda view, _: pull(view, _)[:, 0], r"shape \(6,\) for 6 robots; return an array of shape \(6, 2\)"),
+    (lambda view, _: view.position.tolist(), "a list for 6 robots"),
+    (lambda view, _: np.zeros((len(view.position), 2), int), "int64, not floats"),
+    (lambda view, _: view.sum(view.offset / view.distance[:, None]), "NaN or infinity, .*own place"),
+    (lambda view, _: view.sum(view.offset) / view.neighbours, "NaN or infinity, "),
+    (lambda view, p: (p.goal - view.position) / np.linalg.norm(p.goal - view.position, axis=1)[:, None],
+     "exactly on their parameter 'goal'"),
+    (lambda view, _: view.position - view.position.mean(axis=0), "must not mix"),
+    (lambda view, p: p.gain[0] * pull(view, p), "must not mix"),
+    (lambda view, _: view.sum(view.position[view.other % 9]), "raises IndexError"),
+    (halves, r"modifies view\.offset"),
+    (wears_out, r"modifies params\.gain"),
+    (nearest, "order of the neighbours"),
+    (Counting(), "answers the same question differently"),
+    (lambda view, p: pull(view, p) + np.random.default_rng().random(), "answers the same question differently"),
+    (with_default, "without the parameter 'gain' it answers something else"),
+    (by_dictionary, r"KeyError.*read it as params\.gain"),
+    (lambda view, p: p.speed * view.position, "needs a parameter 'speed'.*add it to the parameters of this check"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("law", "sentence"), BROKEN_LAWS)
+def test_a_broken_law_is_told_what_is_wrong(law: Callable[[View, Params], Any], sentence: str) -> None:
+    with pytest.raises(AssertionError, match=sentence) as caught:
+        check_behaviour(module(law), {"gain": 1.0, "goal": [2.0, 3.0]}, seeds=range(3))
+    assert str(caught.value).startswith("law 'mine': ")
+
+
+def test_laws_without_fault_pass_whatever_they_are_called() -> None:
+    for law, name in ((pull, "velocity"), (pull, "twist"), (by_itself, "velocity")):
+        check_behaviour(module(law, name), {"gain": 1.0, "unused": "word"}, seeds=range(3))
+
+
+def test_what_is_no_law() -> None:
+    with pytest.raises(AssertionError, match=r"neither velocity\(view, params\) nor twist"):
+        check_behaviour(module(pull, "law"), {})
+    with pytest.raises(ConfigError, match="did you mean 'flocking'"):
+        check_behaviour("floking", {})
