@@ -94,6 +94,8 @@ def _drive_to(driver: Driver, x_m: float, y_m: float, way: float) -> float:
     turning = True
     while True:
         assert time.monotonic() < end_s, f"{driver.url} never arrives: {driver.read()}"
+        if driver.state is Lifecycle.READY:
+            driver.activate()  # on a busy machine a link may be silent for once; encoders go on counting
         at = _odometry(driver)
         dx, dy = x_m - at.x_m, y_m - at.y_m
         if math.hypot(dx, dy) < NEAR_M:
