@@ -16,7 +16,7 @@ def print_summary(document: dict[str, Any], snapshot: Snapshot) -> None:
     console = Console()
     console.print(fleet_table(snapshot))
     requests = Table(title="requests", title_justify="left")
-    for column in ("behaviour", "confirmed by", "after", "then"):
+    for column in ("behaviour", "confirmed by", "after", "arrived", "then"):
         requests.add_column(column)
     for each in document["requests"]:
         after_s = each["acknowledged_after_s"]
@@ -24,6 +24,7 @@ def print_summary(document: dict[str, Any], snapshot: Snapshot) -> None:
             each["behaviour"],
             f"{len(each['confirmed_by'])} robots",
             "never" if after_s is None else f"{1000 * after_s:.0f} ms",
+            "-" if each["arrived"] is None else f"{len(each['arrived'])} robots",
             each["phase"] + (f": {each['reason']}" if each["reason"] else ""),
         )
     console.print(requests)
