@@ -142,9 +142,9 @@ def _device(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
 
 
 def _answer(name: str, url: str) -> Iterator[Check]:
-    from fullswarm.drivers import probe
+    from fullswarm.drivers.probe import ask
 
-    asked = probe.ask_url(url)
+    asked = ask.ask_url(url)
     if not asked.robots:
         held = "held by" in asked.problem
         mend = "" if held else "fullswarm robots find"

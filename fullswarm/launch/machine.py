@@ -81,9 +81,9 @@ def _version(module: str) -> str:
 # ---------------------------------------------------------------- serial ports
 def serial_ports() -> Iterator[Check]:
     """Check that this user may open the serial ports that are plugged in."""
-    from fullswarm.drivers import probe
+    from fullswarm.drivers.probe import ask
 
-    ports = probe.serial_ports()
+    ports = ask.serial_ports()
     if not ports:
         yield Check("serial ports", "ok", "none is plugged in")
     for port in ports:

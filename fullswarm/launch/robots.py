@@ -9,8 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers import probe
-from fullswarm.drivers.probe import Asked, Found
+from fullswarm.drivers.probe import ask
+from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import ConfigError
 from fullswarm.operator import output
 
@@ -33,9 +33,9 @@ def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_jso
         A bus was named and python-can is not installed.
     """
     answers = []
-    for name, ask in _questions(ports, can, udp, MonotonicClock()):
+    for name, question in _questions(ports, can, udp, MonotonicClock()):
         output.progress(f"asking {name} ...")
-        answers.append(ask())
+        answers.append(question())
     found = [robot for each in answers for robot in each.robots]
     if as_json:
         output.data_json({"robots": [asdict(each) for each in found], "ports": [asdict(each) for each in answers]})
@@ -66,25 +66,25 @@ def _questions(
     ports: Sequence[str], can: Sequence[str], udp: Sequence[str], clock: Clock
 ) -> list[tuple[str, Callable[[], Asked]]]:
     """Return what to ask, with its name."""
-    from fullswarm.drivers import probe_can, probe_mavlink
+    from fullswarm.drivers.probe import can_bus, mavlink
 
     everything = not (ports or can or udp)
-    serial = probe.serial_ports() if everything else [probe.SerialPort(path, path) for path in ports]
-    buses = probe_can.interfaces_up() if everything else can
+    serial = ask.serial_ports() if everything else [ask.SerialPort(path, path) for path in ports]
+    buses = can_bus.interfaces_up() if everything else can
     addresses = [_address(each) for each in ([DEFAULT_UDP] if everything else udp)]
     for each in buses:
-        probe_can.channel_url(each)  # what is written wrong is refused before anything is asked
+        can_bus.channel_url(each)  # what is written wrong is refused before anything is asked
     return [
-        *((_name(port), lambda port=port: probe.ask_serial(port, clock)) for port in serial),
-        *((bus, lambda bus=bus: probe_can.ask_channel(bus, clock)) for bus in buses),
+        *((_name(port), lambda port=port: ask.ask_serial(port, clock)) for port in serial),
+        *((bus, lambda bus=bus: can_bus.ask_channel(bus, clock)) for bus in buses),
         *(
-            (f"udp {host}:{port}", lambda host=host, port=port: probe_mavlink.ask_udp(host, port, clock))
+            (f"udp {host}:{port}", lambda host=host, port=port: mavlink.ask_udp(host, port, clock))
             for host, port in addresses
         ),
     ]
 
 
-def _name(port: probe.SerialPort) -> str:
+def _name(port: ask.SerialPort) -> str:
     return f"{port.path} ({port.product})" if port.product else port.path
 
 

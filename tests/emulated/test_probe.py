@@ -11,7 +11,6 @@ import pytest
 import serial
 
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers import probe, probe_can, probe_create, probe_mavlink
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.can.emulator import EmulatedBase
 from fullswarm.drivers.create_oi.driver import CreateDriver
@@ -30,6 +29,7 @@ from fullswarm.drivers.create_oi.protocol import (
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
+from fullswarm.drivers.probe import ask, can_bus, create, mavlink
 from fullswarm.errors import ConfigError
 
 CLOCK = MonotonicClock()
@@ -48,7 +48,7 @@ def eventually(condition: Callable[[], bool], limit_s: float = 3.0) -> bool:
 def test_a_create_that_was_off_is_found_and_sleeps_again(generation: Generation, left: Mode) -> None:
     with CreateEmulator(generation) as robot:
         robot.set_battery(0.5)
-        asked = probe.ask_serial(robot.port)
+        asked = ask.ask_serial(robot.port)
         (found,) = asked.robots
         assert found.url == robot.url
         assert found.make == "iRobot"
@@ -62,7 +62,7 @@ def test_a_create_that_was_off_is_found_and_sleeps_again(generation: Generation,
 
 def test_a_roomba_that_reports_its_mode_one_too_high_gets_the_option() -> None:
     with CreateEmulator(quirks=Quirks(mode_offset=1)) as robot:
-        (found,) = probe.ask_serial(robot.port).robots
+        (found,) = ask.ask_serial(robot.port).robots
         assert found.url == f"{robot.url}&mode_offset=1"
         CreateDriver(found.url)
 
@@ -80,7 +80,7 @@ def test_a_create_in_safe_mode_with_a_stream_is_left_so() -> None:
             port.write(simple(Op.START) + simple(Op.SAFE) + stream([PACKETS[35].id]))
             assert eventually(lambda: robot.mode is Mode.SAFE)
             assert eventually(lambda: port.in_waiting > 20)
-        (found,) = probe.ask_serial(robot.port).robots
+        (found,) = ask.ask_serial(robot.port).robots
         assert found.note == "mode SAFE"
         assert robot.mode is Mode.SAFE
         with client(robot) as port:
@@ -91,7 +91,7 @@ def test_a_held_port_is_not_touched_and_its_holder_named() -> None:
     with CreateEmulator() as robot, closing(CreateDriver(robot.url)) as driver:
         driver.open()
         assert eventually(lambda: driver.state == "READY")
-        asked = probe.ask_serial(robot.port)
+        asked = ask.ask_serial(robot.port)
         assert asked.robots == ()
         assert "held by" in asked.problem
         assert f"pid {os.getpid()}" in asked.problem
@@ -123,7 +123,7 @@ def heard_at_half_rate(byte: int) -> int:
 
 def test_at_twice_the_rate_every_byte_is_no_command() -> None:
     tape = Tape()
-    assert probe_create.ask(tape, "/dev/x", 115200, b"") is None
+    assert create.ask(tape, "/dev/x", 115200, b"") is None
     assert tape.written
     asked_when_awake = bytes([142, 35, 142, 6, 142, 100, 150, 0, 150, 1, 173])
     for byte in tape.written + asked_when_awake:
@@ -141,29 +141,29 @@ def silent_port() -> Iterator[tuple[int, str]]:
 
 def test_echo_and_garbage_are_no_robot(silent_port: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
     master, path = silent_port
-    monkeypatch.setattr(probe_create, "ANSWER_S", 0.02)
-    with probe.Line(path, CLOCK) as line:
+    monkeypatch.setattr(create, "ANSWER_S", 0.02)
+    with ask.Line(path, CLOCK) as line:
         os.write(master, bytes(range(256)) * 4)
-        assert probe_create.ask(line, path, 115200, b"") is None
+        assert create.ask(line, path, 115200, b"") is None
 
 
 def test_a_silent_port_says_so(silent_port: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe_mavlink, "HEARTBEAT_S", 0.1)
-    monkeypatch.setattr(probe_create, "ANSWER_S", 0.02)
-    asked = probe.ask_serial(silent_port[1])
+    monkeypatch.setattr(mavlink, "HEARTBEAT_S", 0.1)
+    monkeypatch.setattr(create, "ANSWER_S", 0.02)
+    asked = ask.ask_serial(silent_port[1])
     assert asked.robots == ()
     assert "switched on" in asked.problem
 
 
 def test_a_missing_port_says_so(tmp_path: Path) -> None:
-    assert "no such port" in probe.ask_serial(str(tmp_path / "ttyUSB9")).problem
+    assert "no such port" in ask.ask_serial(str(tmp_path / "ttyUSB9")).problem
 
 
 # ---------------------------------------------------------------- MAVLink
 def test_rovers_over_udp_tell_version_and_battery() -> None:
     address = "udp://127.0.0.1:14873"
     with RoverEmulator(address) as robot, RoverEmulator(address, system=2):
-        asked = probe_mavlink.ask_udp("127.0.0.1", 14873, CLOCK)
+        asked = mavlink.ask_udp("127.0.0.1", 14873, CLOCK)
     assert [each.url for each in asked.robots] == [robot.url, f"{robot.url}?sysid=2"]
     for found in asked.robots:
         assert (found.make, found.model) == ("ArduPilot", "Rover")
@@ -174,34 +174,34 @@ def test_rovers_over_udp_tell_version_and_battery() -> None:
 
 
 def test_a_rover_on_a_serial_port_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe_create, "ANSWER_S", 0.02)
+    monkeypatch.setattr(create, "ANSWER_S", 0.02)
     with RoverEmulator("pty:") as robot:
         path = robot.url.removeprefix("mavlink+serial://").partition("?")[0]
-        (found,) = probe.ask_serial(path).robots
+        (found,) = ask.ask_serial(path).robots
         assert (found.make, found.url) == ("ArduPilot", f"mavlink+serial://{path}?baud=115200")
 
 
 def test_a_rover_over_tcp_is_asked_by_its_url() -> None:
     with RoverEmulator("tcp://127.0.0.1:0", system=7) as robot:
-        (found,) = probe.ask_url(robot.url).robots
+        (found,) = ask.ask_url(robot.url).robots
         assert found.url == f"{robot.url}?sysid=7"
-    assert "cannot open the link" in probe.ask_url(robot.url).problem
+    assert "cannot open the link" in ask.ask_url(robot.url).problem
 
 
 def test_a_px4_rover_is_named_in_its_url() -> None:
     with Px4Emulator("tcp://127.0.0.1:0") as robot:
-        (found,) = probe.ask_url(robot.url).robots
+        (found,) = ask.ask_url(robot.url).robots
         assert (found.make, found.url) == ("PX4", f"{robot.url}?autopilot=px4")
         assert MavlinkDriver(found.url).description.make == "PX4"
 
 
 def test_a_udp_port_without_a_rover_or_in_use_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe_mavlink, "HEARTBEAT_S", 0.1)
-    with probe_mavlink.UdpLink("127.0.0.1", 14874):
-        problem = probe_mavlink.ask_udp("127.0.0.1", 14874, CLOCK).problem
+    monkeypatch.setattr(mavlink, "HEARTBEAT_S", 0.1)
+    with mavlink.UdpLink("127.0.0.1", 14874):
+        problem = mavlink.ask_udp("127.0.0.1", 14874, CLOCK).problem
         assert "held by" in problem
         assert f"(pid {os.getpid()})" in problem
-    assert "no heartbeat" in probe_mavlink.ask_udp("127.0.0.1", 14874, CLOCK).problem
+    assert "no heartbeat" in mavlink.ask_udp("127.0.0.1", 14874, CLOCK).problem
 
 
 # ---------------------------------------------------------------- CAN
@@ -209,21 +209,21 @@ def test_a_udp_port_without_a_rover_or_in_use_says_so(monkeypatch: pytest.Monkey
 def test_two_odrives_are_one_base(firmware: str, tmp_path: Path) -> None:
     port = tmp_path / "can"
     with EmulatedBase(f"can+odrive://{port}?interface=slcan&{BODY}&firmware={firmware}"):
-        (found,) = probe_can.ask_channel(f"slcan:{port}", CLOCK).robots
+        (found,) = can_bus.ask_channel(f"slcan:{port}", CLOCK).robots
     assert (found.make, found.model) == ("ODrive", "nodes 1 and 2")
     assert found.firmware.startswith(firmware)
     assert "left=1&right=2" in found.url
     assert ("firmware=0.5" in found.url) is (firmware == "0.5")
     assert "node 1 IDLE" in found.note
     with pytest.raises(ConfigError, match="wheel_radius"):
-        probe.ask_url(found.url)  # the sizes of the robot are its owner's to fill in
+        ask.ask_url(found.url)  # the sizes of the robot are its owner's to fill in
 
 
 def test_a_base_of_a_fleet_whose_wheel_is_silent_is_named(tmp_path: Path) -> None:
     port = tmp_path / "can"
     with EmulatedBase(f"can+odrive://{port}?interface=slcan&{BODY}"):
-        asked = probe.ask_url(f"can+odrive://{port}?interface=slcan&{BODY.replace('right=2', 'right=5')}")
-        assert probe.ask_url(f"can+odrive://{port}?interface=slcan&{BODY}").robots
+        asked = ask.ask_url(f"can+odrive://{port}?interface=slcan&{BODY.replace('right=2', 'right=5')}")
+        assert ask.ask_url(f"can+odrive://{port}?interface=slcan&{BODY}").robots
     assert asked.robots == ()
     assert "node 5 is silent; heard: 1, 2" in asked.problem
 
@@ -231,14 +231,14 @@ def test_a_base_of_a_fleet_whose_wheel_is_silent_is_named(tmp_path: Path) -> Non
 def test_two_vescs_answer_pings(tmp_path: Path) -> None:
     port = tmp_path / "can"
     with EmulatedBase(f"can+vesc://{port}?interface=slcan&{BODY}&pole_pairs=7&gear=10") as robot:
-        (found,) = probe_can.ask_channel(f"slcan:{port}@500000", CLOCK).robots
+        (found,) = can_bus.ask_channel(f"slcan:{port}@500000", CLOCK).robots
         assert robot.body.state().rolled_m == 0.0
     assert (found.make, found.model) == ("VESC", "nodes 1 and 2")
     assert found.url.startswith(f"can+vesc://{port}?interface=slcan&bitrate=500000&left=1&right=2")
 
 
 def test_an_empty_bus_says_so() -> None:
-    asked = probe_can.ask_channel("virtual:nobody", CLOCK)
+    asked = can_bus.ask_channel("virtual:nobody", CLOCK)
     assert asked.robots == ()
     assert "powered" in asked.problem
 
@@ -252,14 +252,14 @@ def test_an_empty_bus_says_so() -> None:
     ],
 )
 def test_channels_are_written_short(text: str, url: str) -> None:
-    assert probe_can.channel_url(text).startswith(url)
+    assert can_bus.channel_url(text).startswith(url)
 
 
 @pytest.mark.parametrize("text", ["", "slcan:", "kvaser:0"])
 def test_a_channel_that_makes_no_sense_is_refused(text: str) -> None:
     with pytest.raises(ConfigError):
-        probe_can.channel_url(text)
+        can_bus.channel_url(text)
 
 
 def test_what_cannot_be_asked_says_so() -> None:
-    assert "cannot be asked" in probe.ask_url("sim://r1").problem
+    assert "cannot be asked" in ask.ask_url("sim://r1").problem

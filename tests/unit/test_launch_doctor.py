@@ -8,7 +8,8 @@ import pytest
 
 from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers import probe
+from fullswarm.drivers.probe import ask
+from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import Unreachable
 from fullswarm.launch import doctor, machine
 from fullswarm.launch.machine import Check
@@ -146,16 +147,16 @@ def test_a_base_without_a_watchdog_is_warned_of(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_weak_battery_is_a_warning_and_a_held_port_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = probe.Found("p", "iRobot", "Create 2", battery=0.1, url="create:///dev/p?model=create2")
-    monkeypatch.setattr(probe, "ask_url", lambda _: probe.Asked("p", robots=(found,)))
+    found = Found("p", "iRobot", "Create 2", battery=0.1, url="create:///dev/p?model=create2")
+    monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", robots=(found,)))
     (check,) = doctor._answer("robot r1", "create:///dev/p")
     assert (check.status, check.mend) == ("warning", "charge it")
     assert "battery 10%" in check.what
     (check,) = doctor._answer("robot r1", "mavlink+serial:///dev/p")
     assert (check.status, check.mend) == ("failure", found.url)
-    monkeypatch.setattr(probe, "ask_url", lambda _: probe.Asked("p", problem="the port is held by agent (pid 7)"))
+    monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", problem="the port is held by agent (pid 7)"))
     assert [each.status for each in doctor._answer("robot r1", "create:///dev/p")] == ["warning"]
-    monkeypatch.setattr(probe, "ask_url", lambda _: probe.Asked("p", problem="nobody answers"))
+    monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", problem="nobody answers"))
     assert [each.status for each in doctor._answer("robot r1", "create:///dev/p")] == ["failure"]
 
 

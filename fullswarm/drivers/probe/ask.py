@@ -1,7 +1,7 @@
 """Asks ports what robot is there, without moving anything: serial lines, a UDP port, a CAN bus, a driver's URL.
 
 A port is claimed exclusively while it is asked and let go afterwards; one that another process holds is not touched.
-Each make's own part is in ``probe_create``, ``probe_mavlink`` and ``probe_can``.
+Each make's own part is in ``create``, ``mavlink`` and ``can_bus``.
 """
 
 from __future__ import annotations
@@ -16,40 +16,17 @@ from serial.tools import list_ports
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.link import claim
+from fullswarm.drivers.probe.found import Asked
 from fullswarm.errors import FullswarmError
 
 BAUDS = (115200, 57600)
-"""Create 2 and autopilots over USB first, then Create 1 and telemetry radios. See `probe_create` on this order."""
+"""Create 2 and autopilots over USB first, then Create 1 and telemetry radios. See `create` on this order."""
 
 LISTEN_S = 0.2
 GAP_S = 0.002
 BY_ID = Path("/dev/serial/by-id")
 AUTOPILOT_VENDORS = frozenset({0x1209, 0x26AC, 0x2DAE, 0x3162})
 """USB vendors of flight controllers (pid.codes/ArduPilot, 3D Robotics, CubePilot, Holybro): no Create behind these."""
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """One robot; empty or None: not known."""
-
-    port: str
-    make: str
-    model: str
-    firmware: str = ""
-    battery: float | None = None  # 0 to 1
-    url: str = ""  # for the fleet file; empty: there is no driver for it
-    note: str = ""  # what it is like now
-    advice: str = ""  # what to complete in the URL
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A port that was asked, and who answered."""
-
-    port: str
-    product: str = ""  # what USB says
-    robots: tuple[Found, ...] = ()
-    problem: str = ""  # why nothing was learned, with what to do
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +105,7 @@ def serial_ports() -> list[SerialPort]:
 
 def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
     """Ask whoever is on a serial port; some 4 s when nobody is."""
-    from fullswarm.drivers import probe_create, probe_mavlink
+    from fullswarm.drivers.probe import create, mavlink
 
     known = port if isinstance(port, SerialPort) else SerialPort(port, port)
     clock = clock or MonotonicClock()
@@ -138,14 +115,14 @@ def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
             for baud in BAUDS:
                 line.set_baud(baud)
                 heard = line.gather(LISTEN_S)
-                if known.vendor not in AUTOPILOT_VENDORS and not probe_mavlink.is_mavlink(heard):
-                    robot = probe_create.ask(line, known.path, baud, heard)
+                if known.vendor not in AUTOPILOT_VENDORS and not mavlink.is_mavlink(heard):
+                    robot = create.ask(line, known.path, baud, heard)
                     if robot is not None:
                         return replace(asked, robots=(robot,))
             for baud in BAUDS:
                 line.set_baud(baud)
                 url = f"mavlink+serial://{known.path}?baud={baud}"
-                robots = probe_mavlink.ask(line, known.path, url, clock)
+                robots = mavlink.ask(line, known.path, url, clock)
                 if robots:
                     return replace(asked, robots=robots)
     except FullswarmError as error:
@@ -170,11 +147,11 @@ def ask_url(url: str, clock: Clock | None = None) -> Asked:
     if parts.scheme in ("create", "mavlink+serial"):
         return ask_serial(unquote(parts.path), clock)
     if parts.scheme.startswith("mavlink+"):
-        from fullswarm.drivers import probe_mavlink
+        from fullswarm.drivers.probe import mavlink
 
-        return probe_mavlink.ask_url(url, clock)
+        return mavlink.ask_url(url, clock)
     if parts.scheme.startswith("can+"):
-        from fullswarm.drivers import probe_can
+        from fullswarm.drivers.probe import can_bus
 
-        return probe_can.ask_url(url, clock)
+        return can_bus.ask_url(url, clock)
     return Asked(url, problem=f"'{parts.scheme}' cannot be asked without driving it")

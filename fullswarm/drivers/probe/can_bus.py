@@ -15,7 +15,7 @@ from fullswarm.drivers.can.odrive_states import error_names, state_name
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import Settings, parse
-from fullswarm.drivers.probe import Asked, Found
+from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import ConfigError, DriverError, did_you_mean
 
 LISTEN_S = 0.6  # ODrive: heartbeats at 10 Hz; VESC: status messages at 50 Hz, pongs at once

@@ -24,7 +24,7 @@ from fullswarm.drivers.create_oi.protocol import (
     query,
     simple,
 )
-from fullswarm.drivers.probe import Found
+from fullswarm.drivers.probe.found import Found
 
 ANSWER_S = 0.15
 WAKE_S = 0.05

@@ -18,7 +18,7 @@ from fullswarm.clock import Clock
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser
 from fullswarm.drivers.mavlink.link import Address, Transport, open_transport, parse_url
-from fullswarm.drivers.probe import Asked, Found
+from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import DriverError, LinkLost, MissingExtra
 
 HEARTBEAT_S = 1.5

@@ -1,0 +1,29 @@
+"""What was found on a port."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One robot; empty or None: not known."""
+
+    port: str
+    make: str
+    model: str
+    firmware: str = ""
+    battery: float | None = None  # 0 to 1
+    url: str = ""  # for the fleet file; empty: there is no driver for it
+    note: str = ""  # what it is like now
+    advice: str = ""  # what to complete in the URL
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A port that was asked, and who answered."""
+
+    port: str
+    product: str = ""  # what USB says
+    robots: tuple[Found, ...] = ()
+    problem: str = ""  # why nothing was learned, with what to do

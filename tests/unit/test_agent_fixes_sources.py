@@ -1,0 +1,128 @@
+"""Who sees a robot and who wants to know: sources that come and go, contacts, drivers that take fixes."""
+
+from __future__ import annotations
+
+import pytest
+
+from fullswarm.clock import SimClock
+from fullswarm.drivers.base import Pose, Reading, TakesFixes
+from fullswarm.drivers.null.driver import NullDriver
+from tests.unit import fix_lab
+from tests.unit.fix_lab import START, TIMEOUT_S, Lab, seen
+
+lab = fix_lab.lab
+
+
+class Located(NullDriver):
+    """A robot that takes fixes, and may sense its pose."""
+
+    def __init__(self, url: str, clock: SimClock) -> None:
+        super().__init__(url, clock)
+        self.located: list[tuple[Pose, float, float]] = []
+        self.senses: Pose | None = None
+
+    def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        self.located.append((pose, position_sigma_m, heading_sigma_rad))
+
+    def read(self) -> Reading | None:
+        told = super().read()
+        if told is None or self.senses is None:
+            return told
+        return Reading(told.stamp_s, told.odometry, told.twist, pose=self.senses)
+
+
+# ---------------------------------------------------------------- sources that come and go
+def test_one_source_at_a_time_and_the_next_when_it_has_gone_silent(lab: Lab) -> None:
+    seen(lab)
+    for _ in range(20):
+        lab.say(source="camera-2", x_m=START[0] + 0.02, stamp_s=5.0 + lab.runtime.now_s())
+        lab.tick()
+    assert lab.pose == pytest.approx(START, abs=1e-3)
+    assert lab.agent.fixes._watched[0].source == "camera-1"
+    lab.source, lab.ahead_s = "camera-2", 5.0  # a clock of its own
+    lab.run(TIMEOUT_S + 0.1)
+    assert lab.agent.fixes._watched[0].source == "camera-2"
+    assert lab.now().pose_source == "fixes"
+
+
+def test_what_a_replaced_source_has_left_behind_is_refused(lab: Lab) -> None:
+    seen(lab)
+    old_s = lab.runtime.now_s() + lab.ahead_s
+    lab.seeing = False
+    lab.run(1.0)
+    # Its queue comes first: late, so nobody follows it again.
+    lab.say(stamp_s=old_s, x_m=START[0] + 0.02)
+    lab.source, lab.ahead_s = "camera-2", -3.0
+    lab.seeing = True
+    lab.run(0.1)
+    lab.say(source="camera-1", stamp_s=old_s + 0.1, x_m=START[0] + 0.02)
+    lab.tick()
+    assert lab.agent.fixes._watched[0].source == "camera-2"
+    assert lab.pose == pytest.approx(START, abs=1e-3)
+
+
+def test_a_source_that_begins_its_clock_anew_under_its_old_name_is_believed_again(lab: Lab) -> None:
+    seen(lab).ahead_s = -lab.runtime.now_s()
+    lab.run(0.2)
+    assert lab.agent.fixes._watched[0].refused == "out of order"
+    lab.run(TIMEOUT_S + 0.1)
+    assert lab.agent.fixes._watched[0].refused == ""
+    assert lab.now().pose_source == "fixes"
+
+
+# ---------------------------------------------------------------- contacts, and drivers that want to know
+def test_contacts_that_a_source_sees_are_collisions(lab: Lab) -> None:
+    seen(lab).contacts = 2
+    lab.run(0.2)
+    assert lab.now().contacts == 2
+    lab.contacts = 0
+    lab.run(0.5)
+    lab.contacts = 1
+    lab.run(0.2)
+    assert lab.now().contacts == 1
+    assert lab.health.collisions == 2
+    lab.seeing = False
+    lab.run(1.0)  # a source that has gone silent sees nothing any more
+    assert lab.now().contacts == 0
+    assert lab.health.collisions == 2
+
+
+def test_a_driver_that_takes_fixes_gets_those_that_are_accepted() -> None:
+    lab = Lab(Located)
+    try:
+        driver = lab.driver
+        assert isinstance(driver, Located)
+        assert isinstance(driver, TakesFixes)
+        assert not isinstance(NullDriver("null://r1"), TakesFixes)
+        seen(lab)
+        count = len(driver.located)
+        assert count >= 10
+        pose, sigma_m, sigma_rad = driver.located[-1]
+        assert (pose.x_m, pose.y_m, pose.heading_rad) == pytest.approx(START)
+        assert (sigma_m, sigma_rad) == (0.01, 0.02)
+        lab.seeing = False
+        lab.say(x_m=50.0)
+        lab.tick()
+        assert len(driver.located) == count
+    finally:
+        lab.agent.close()
+
+
+def test_a_driver_that_senses_its_pose_makes_its_own_of_the_fixes() -> None:
+    lab = Lab(Located, estimator="direct")
+    try:
+        driver = lab.driver
+        assert isinstance(driver, Located)
+        driver.senses = Pose(7.0, 7.0, 0.0)
+        lab.tick()
+        lab.seeing = True
+        lab.run(0.3)
+        assert driver.located
+        assert lab.pose == [7.0, 7.0, 0.0]
+        health = lab.now()
+        assert (health.pose_source, health.position_sigma_m, health.pose_note) == ("driver", -1.0, "")
+        lab.seeing = False
+        lab.run(1.0)
+        assert (lab.health.pose_source, lab.health.pose_note) == ("driver", "its fixes have stopped")
+    finally:
+        lab.agent.close()

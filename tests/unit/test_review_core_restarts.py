@@ -1,0 +1,113 @@
+"""Restarts of the core that the swarm must survive: half-done switches, failing databases, a successor's numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fullswarm.errors import ConfigError
+from fullswarm.messages import ControlRequest, Message, RequestStatus, StopRequest
+from fullswarm.store import Store
+from tests.unit.core_restart import restart_core
+from tests.unit.core_swarm import KEYS, Swarm
+
+
+def test_a_request_is_kept_before_it_is_sent(tmp_path: Path) -> None:
+    """A core that dies between the two must not leave robots with a request that its successor ends."""
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    order: list[str] = []
+    swarm.store.watch(lambda entry: order.append("kept") if entry.key.startswith("wanted/") else None)
+    publish = swarm.bus.publish
+
+    def note(key: str, message: Message) -> None:
+        order.append(type(message).__name__) if isinstance(message, ControlRequest | RequestStatus) else None
+        publish(key, message)
+
+    swarm.bus.publish = note  # type: ignore[method-assign]  # listens at the very call, not after the mailbox
+    swarm.ask("a", "flocking")
+    swarm.run(0.02)
+    assert order[0] == "kept"
+    assert "ControlRequest" in order
+    swarm.close()
+
+
+def test_a_scheduled_request_survives_the_core(tmp_path: Path) -> None:
+    swarm = Swarm(store=Store(tmp_path / "core.db"), interval_s=3.0)
+    swarm.ask("a", "flocking")
+    swarm.run(0.1)
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.1)
+    assert swarm.status("b").phase == "scheduled"
+    restart_core(swarm, tmp_path / "core.db")
+    swarm.run(4.0)
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    assert swarm.status("b").phase == "running"
+    assert all(robot.log.count(("on", "rendezvous", "b")) == 1 for robot in swarm.robots.values())
+    swarm.close()
+
+
+def test_core_restart_with_a_switch_half_done(tmp_path: Path) -> None:
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    swarm.bus.drop = lambda _key, message: isinstance(message, ControlRequest) and message.enable
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.1)
+    assert swarm.behaviours() == ["", "", ""]
+    swarm.bus.drop = lambda _key, _message: False
+    restart_core(swarm, tmp_path / "core.db")
+    swarm.run(1.0)
+    assert swarm.behaviours() == ["rendezvous"] * 3
+    assert swarm.status("b").phase == "running"
+    swarm.ask("b", "rendezvous")  # the operator, who never heard
+    swarm.run(0.5)
+    assert all(robot.log.count(("on", "rendezvous", "b")) == 1 for robot in swarm.robots.values())
+    swarm.close()
+
+
+def test_a_closed_core_does_nothing_more() -> None:
+    swarm = Swarm(interval_s=1.0)
+    swarm.ask("a", "flocking")
+    swarm.run(0.1)
+    swarm.ask("b", "rendezvous")
+    swarm.run(0.1)
+    swarm.core.close()
+    swarm.store.close()
+    swarm.messages.clear()
+    swarm.run(2.0)
+    assert swarm.sent(ControlRequest) == []
+    swarm.bus.close()
+
+
+def test_a_database_that_fails_does_not_end_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    swarm = Swarm()
+
+    def fail(*_: object) -> None:
+        raise ConfigError("the local database fails: disk full")
+
+    monkeypatch.setattr(swarm.store, "set_many", fail)
+    swarm.ask("a", "flocking")
+    swarm.run(0.2)
+    assert swarm.behaviours() == ["flocking"] * 3
+    swarm.bus.publish(KEYS.stop, StopRequest(id="s"))
+    swarm.run(0.2)
+    assert swarm.status("s").running == ("r0", "r1", "r2")
+    swarm.close()
+
+
+def test_numbers_of_a_later_core_are_higher() -> None:
+    swarm = Swarm(count=1)
+    for k in range(5):
+        swarm.ask(f"q{k}", "flocking" if k % 2 else "rendezvous")
+        swarm.run(0.2)
+    last = max(m.sequence for m in swarm.sent(ControlRequest) if isinstance(m, ControlRequest))
+    swarm.core.close()
+    swarm.store.close()
+    swarm.messages.clear()
+    swarm.start_core(Store())
+    swarm.run(0.6)
+    swarm.ask("n", "voronoi_coverage")
+    swarm.run(0.2)
+    assert min(m.sequence for m in swarm.sent(ControlRequest) if isinstance(m, ControlRequest)) > last
+    swarm.close()
