@@ -43,6 +43,8 @@ class Neighbours:
         self.heard = np.zeros((0, 6))
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
+        self.spread_m = np.zeros(0)
+        self.accel_m_s2 = self.turn_rad_s = 0.0
         self._grow(max(16, len(ids)))
 
     def hear(self, states: RobotStates, now_s: float) -> None:
@@ -98,7 +100,10 @@ class Neighbours:
     def _predict(self) -> None:
         """Move all heard positions on to the time of the last `look`: only when somebody asks."""
         self._stale, now_s = False, self._now_s
-        pairs.predict.run(self.heard, self.arrival_s, self.count, now_s, self._timeout_s, self.predicted)
+        pairs.predict.run(
+            self.heard, self.arrival_s, self.count, now_s, self._timeout_s, self.accel_m_s2, self.turn_rad_s,
+            self.predicted, self.spread_m,
+        )  # fmt: skip
 
     def within(self, position: Array, reach_m: float) -> tuple[Index, Index]:
         """Find who is within `reach_m` of each own robot at the time of the last `look`.
@@ -146,6 +151,7 @@ class Neighbours:
             more = max(count, 2 * len(self.heard)) - len(self.heard)
             self.heard = np.vstack([self.heard, np.zeros((more, 6))])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
 
 

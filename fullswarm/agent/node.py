@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent import reports
+from fullswarm.agent.atlas import Atlas, map_of
 from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
 from fullswarm.agent.safety import barrier
+from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import Array, View
 from fullswarm.bus.base import Bus
@@ -31,6 +33,7 @@ from fullswarm.runtime import LoopStats, Scheduler
 
 log = structlog.get_logger()
 
+LOOK_PERIOD_S = 0.1
 FOLLOW_PERIOD_S = 0.5
 """How often the subscriptions to neighbours' cells follow the robot."""
 
@@ -71,11 +74,16 @@ class AgentNode:
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
         accel = np.array([each.accel_m_s2 for each in limits])
+        fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
         self._radius = np.array([each.radius_m for each in fleet.descriptions])
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
+        # Nobody tells what the others' wheels can do: they are taken for robots like this one.
+        self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
+        self.deadlocks = Deadlocks(fleet.ids)
+        self.atlas = Atlas(count, map_of(config))
         self._cell_m = config.state_cell_m
         self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = estimator_for(config, fleet, start)
@@ -110,6 +118,7 @@ class AgentNode:
             scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
             scheduler.every(1.0 / settings.measurement_rate_hz, self._publish_measurements),
             scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+            scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
         ]
 
     # ------------------------------------------------------------------ what others of this agent need
@@ -206,20 +215,23 @@ class AgentNode:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._radius, partial(neighbours.within, position, reach_m),
-                neighbours.predicted, neighbours.heard, self._bounds,
+                neighbours.predicted, neighbours.heard, self._bounds, self.atlas.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
         tasks = self.tasks
         if not planar and not tasks.any_filtered:
             return
+        if tasks.any_filtered:
+            self.deadlocks.resolve(now_s, self._planar, tasks.filtered, pose, self.controller.speed_limit)
         reach_m = settings.sensing_radius_m
         start, other = neighbours.within(position, reach_m) if tasks.any_filtered else self._alone
         barrier.drive.run(
             self._planar, tasks.filtered, pose, self._radius, self.controller.speed_limit,
             self.controller.turn_limit, self.controller.reverse, settings.speed_gain, settings.turn_gain_per_s,
             tasks.gain_per_s, tasks.margin_m, reach_m, start, other,
-            neighbours.predicted, neighbours.heard, reading.obstacles, self._bounds_array, self.controller.wished,
+            neighbours.predicted, neighbours.heard, neighbours.spread_m, reading.obstacles, self._bounds_array,
+            self.controller.wished,
         )  # fmt: skip
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
@@ -261,6 +273,10 @@ class AgentNode:
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         self._listening.follow(self.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+
+    def _look_around(self) -> None:
+        if self.reading is not None and len(self.reading.obstacles):
+            self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
 
     def _publish_states(self) -> None:
         if self.reading is None:

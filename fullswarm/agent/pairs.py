@@ -17,17 +17,25 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, predicted: Array) -> None:
+def predict(
+    heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, accel_m_s2: float, turn_rad_s: float,
+    predicted: Array, spread_m: Array,
+) -> None:  # fmt: skip
     """Move the heard states on to `now_s` along their heading; those older than `timeout_s` become NaN.
+
+    How far off that may be grows with the square of the age: the others may have braked, sped up or turned.
 
     Parameters
     ----------
     heard : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
     arrival_s : (m,) when each was heard, on this machine's clock
+    accel_m_s2, turn_rad_s : what the others are believed to be able to
     predicted : (m, 2) out
+    spread_m : (m,) out, how far from there they may be
     """
     for row in range(count):
         age_s = now_s - arrival_s[row]
+        spread_m[row] = 0.5 * age_s * age_s * math.hypot(accel_m_s2, heard[row, 3] * turn_rad_s)
         if age_s > timeout_s:
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan

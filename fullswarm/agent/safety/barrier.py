@@ -107,7 +107,8 @@ def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: 
 @kernel
 def half_planes(
     x: float, y: float, reach_m: float, clearance_m: float, gain: float, speed_limit: float, start: int, end: int,
-    other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array, normals: Array, limits: Array,
+    other: Index, predicted: Array, heard: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
+    normals: Array, limits: Array, blur: Array,
 ) -> int:  # fmt: skip
     """Collect one robot's constraints ``normals[k]·u <= limits[k]``; return how many there are.
 
@@ -124,7 +125,8 @@ def half_planes(
             distance = math.sqrt(squared)
             normals[count, 0] = dx / distance
             normals[count, 1] = dy / distance
-            limits[count] = max(0.0, 0.5 * gain * (distance - clearance_m - heard[row, 5]))
+            limits[count] = max(0.0, 0.5 * gain * (distance - clearance_m - heard[row, 5] - spread_m[row]))
+            blur[count] = spread_m[row] / distance
             count += 1
     binding_m = speed_limit / gain
     for row in range(obstacles.shape[0]):
@@ -133,6 +135,7 @@ def half_planes(
             normals[count, 0] = nx
             normals[count, 1] = ny
             limits[count] = max(0.0, gain * (gap - clearance_m))
+            blur[count] = 0.0
             count += 1
     for side in range(4):
         horizontal = side % 2 == 0
@@ -142,6 +145,7 @@ def half_planes(
             normals[count, 0] = sign if horizontal else 0.0
             normals[count, 1] = 0.0 if horizontal else sign
             limits[count] = max(0.0, gain * room)
+            blur[count] = 0.0
             count += 1
     return count
 
@@ -150,8 +154,8 @@ def half_planes(
 def drive(
     wished: Array, filtered: NDArray[np.bool_], pose: Array, radius: Array, speed_limit: Array, turn_limit: Array,
     reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array,
-    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array,
-    twists: Array,
+    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, spread_m: Array, obstacles: Array,
+    bounds_m: Array, twists: Array,
 ) -> None:  # fmt: skip
     """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
@@ -171,6 +175,7 @@ def drive(
     """
     normals = np.empty((MAX_ROWS, 2))
     limits = np.empty(MAX_ROWS)
+    blur = np.empty(MAX_ROWS)
     for i in range(wished.shape[0]):
         ux = wished[i, 0]
         uy = wished[i, 1]
@@ -187,7 +192,7 @@ def drive(
         if filtered[i]:
             count = half_planes(
                 pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], gain[i], speed_limit[i], start[i],
-                start[i + 1], other, predicted, heard, obstacles, bounds_m, normals, limits,
+                start[i + 1], other, predicted, heard, spread_m, obstacles, bounds_m, normals, limits, blur,
             )  # fmt: skip
             if planar:
                 ux, uy = project(ux, uy, normals, limits, count)
@@ -195,10 +200,11 @@ def drive(
             sin_heading = math.sin(pose[i, 2])
             for k in range(count):
                 slope = normals[k, 0] * cos_heading + normals[k, 1] * sin_heading
-                if slope > 1e-9:
-                    high = min(high, limits[k] / slope)
-                elif slope < -1e-9:
-                    low = max(low, limits[k] / slope)
+                # The other may be a little to the side of where it is believed to be: the worse direction counts.
+                if slope + blur[k] > 1e-9:
+                    high = min(high, limits[k] / (slope + blur[k]))
+                if slope - blur[k] < -1e-9:
+                    low = max(low, limits[k] / (slope - blur[k]))
         if planar:
             speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
             twists[i, 0] = clamp(speed, low, high)
