@@ -226,6 +226,9 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     position_sigma_m: float = -1.0  # standard deviation along the worse axis; -1: unknown
     heading_sigma_rad: float = -1.0
     pose_note: str = ""  # fixes lost or refused, a pose that jumped
+    deviation_m_s: float = 0.0  # how far the safety filter holds its velocity from the wished one now
+    deviation_m: float = 0.0  # the same added up over time since the agent started
+    filter_note: str = ""  # why the safety filter brakes: not merely limits
 
 
 class HealthReport(Message, frozen=True, kw_only=True):

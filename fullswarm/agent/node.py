@@ -18,13 +18,14 @@ from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import Array, View
 from fullswarm.bus.base import Bus
-from fullswarm.config import SwarmConfig
+from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
 from fullswarm.keys import Keys
 from fullswarm.messages import RobotStates
@@ -64,6 +65,7 @@ class AgentNode:
         identity: Identity,
         start: Array,
         loop: Callable[[], LoopStats],
+        thresholds: Thresholds | None = None,
     ) -> None:
         self._bus, self._scheduler, self._fleet = bus, scheduler, fleet
         self._config = settings = config.agent
@@ -73,7 +75,9 @@ class AgentNode:
         count = len(fleet.ids)
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
-        accel = np.array([each.accel_m_s2 for each in limits])
+        self._accel = accel = np.array([each.accel_m_s2 for each in limits])
+        self.reflexes = Reflexes(count, self._bounds, thresholds or _thresholds(settings))
+        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
@@ -143,8 +147,10 @@ class AgentNode:
         """Read, estimate, act, measure."""
         now_s = self._scheduler.now_s()
         self.reading = reading = self._fleet.read()
-        self.pose = self._estimator.update(reading, now_s - self._last_tick_s)
+        self.pose = self._estimate(reading, now_s - self._last_tick_s)
         self.twist = reading.twist
+        self.reflexes.look(reading, self.pose)
+        self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
         contacts = self.contacts if self.fixes.touching else reading.contacts
@@ -154,6 +160,15 @@ class AgentNode:
         if self._dirty:
             self.publish_health()
 
+    def _estimate(self, reading: FleetReading, dt_s: float) -> Array:
+        """Return the poses (n, 3); NaN, on which no robot drives, from an estimator that fails."""
+        try:
+            return self._estimator.update(reading, dt_s)
+        except (ArithmeticError, ValueError) as error:  # numpy's LinAlgError is a ValueError
+            if not self.reflexes.no_pose.all():
+                log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
+            return np.full((len(self._fleet.ids), 3), math.nan)
+
     def _act(self, now_s: float, reading: FleetReading) -> None:
         """Wish, decide, command: what stands between knowing and the wheels."""
         period_s = 1.0 / self._config.control_rate_hz
@@ -162,10 +177,12 @@ class AgentNode:
         groups = self.tasks.groups()
         if groups or self.tasks.any_filtered:
             self._wish(groups, now_s, reading)
+        self.reflexes.watch_fence(self.pose, self.twist, self.controller.wished, self._accel)
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
             self.inbox.core_alive(now_s), self._bus.connected(), self._ready(),
             now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
+            self.reflexes,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._driver_ready[0]:
@@ -173,11 +190,12 @@ class AgentNode:
             self._end_unsafe_tasks()
 
     def _end_unsafe_tasks(self) -> None:
-        """After a fault or a hazard nobody drives on by himself: that takes a new request."""
+        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
         reasons = self.controller.reason
-        for row in np.flatnonzero((reasons == Reason.DRIVER) | (reasons == Reason.HAZARD)).tolist():
-            if reasons[row] == Reason.HAZARD:
-                self.inbox.spend(row, EXPLAIN[Reason.HAZARD])
+        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
+        for row in np.flatnonzero(ending).tolist():
+            if reasons[row] != Reason.DRIVER:
+                self.inbox.spend(row, EXPLAIN[reasons[row]])
             elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
                 # Before it was ever ready it has not stopped from anything: a base may be switched on late.
                 self.inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
@@ -329,3 +347,9 @@ class AgentNode:
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
+
+
+def _thresholds(settings: AgentConfig) -> Thresholds:
+    return Thresholds(
+        settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s
+    )

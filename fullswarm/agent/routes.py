@@ -144,44 +144,51 @@ def waypoint(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the farthest point of the way to the goal that is seen from (x, y), at most `look_m` along it.
 
-    A robot too close to an obstacle to have a cell of its own first goes to the nearest free one. Where no way is
-    known it returns the robot's own place.
+    A robot too close to an obstacle to have a cell of its own goes as from that near one from which the way is
+    shortest: going back to the nearest one, against those who follow, is how a passage jams. Where no way is known it
+    returns the robot's own place.
     """
     columns = free.shape[1]
     rows = free.shape[0]
     column = min(max(int(math.floor((x - x_min) / cell_m)), 0), columns - 1)
     row = min(max(int(math.floor((y - y_min) / cell_m)), 0), rows - 1)
+    from_x = x
+    from_y = y
     if not free[row, column] or not math.isfinite(distance_m[row * columns + column]):
         best = math.inf
         near_row = row
         near_column = column
-        for dr in range(-5, 6):
-            for dc in range(-5, 6):
-                r = row + dr
-                c = column + dc
-                if 0 <= r < rows and 0 <= c < columns and free[r, c] and math.isfinite(distance_m[r * columns + c]):
-                    cx = x_min + (c + 0.5) * cell_m - x
-                    cy = y_min + (r + 0.5) * cell_m - y
-                    if cx * cx + cy * cy < best:
-                        best = cx * cx + cy * cy
-                        near_row = r
-                        near_column = c
+        for reach in (2, 5):
+            for r in range(max(0, row - reach), min(rows, row + reach + 1)):
+                for c in range(max(0, column - reach), min(columns, column + reach + 1)):
+                    if free[r, c] and math.isfinite(distance_m[r * columns + c]):
+                        way = distance_m[r * columns + c] if reach == 2 else 0.0
+                        way += math.hypot(x_min + (c + 0.5) * cell_m - x, y_min + (r + 0.5) * cell_m - y)
+                        if way < best:
+                            best = way
+                            near_row = r
+                            near_column = c
+            if best < math.inf:
+                break
         if best == math.inf:
             return x, y
-        return x_min + (near_column + 0.5) * cell_m, y_min + (near_row + 0.5) * cell_m
+        row = near_row
+        column = near_column
+        from_x = x_min + (column + 0.5) * cell_m
+        from_y = y_min + (row + 0.5) * cell_m
     cell = row * columns + column
-    at_x = x
-    at_y = y
+    at_x = from_x
+    at_y = from_y
     for step in range(int(look_m / cell_m) + 1):
         following = next_cell[cell]
         if following < 0:
-            if sees(x, y, goal_x, goal_y, x_min, y_min, cell_m, free):
+            if sees(from_x, from_y, goal_x, goal_y, x_min, y_min, cell_m, free):
                 return goal_x, goal_y
             break
         cell = following
         to_x = x_min + (cell % columns + 0.5) * cell_m
         to_y = y_min + (cell // columns + 0.5) * cell_m
-        if step > 0 and not sees(x, y, to_x, to_y, x_min, y_min, cell_m, free):
+        if step > 0 and not sees(from_x, from_y, to_x, to_y, x_min, y_min, cell_m, free):
             break
         at_x = to_x
         at_y = to_y

@@ -13,8 +13,10 @@ from collections import OrderedDict
 import numpy as np
 
 from fullswarm.agent import routes
+from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.tasks import Params
 from fullswarm.agent.view import Array, View
+from fullswarm.kernels import kernel
 
 LOOK_M = 6.0
 SLACK_M = 0.12
@@ -23,6 +25,8 @@ LANES_M = (SLACK_M, 0.4, 0.8, 1.2)
 CROWD_M = 0.7
 DETOUR = 1.6
 FIELDS = 128
+PUSH = 0.5
+"""How much a way at an obstacle's edge is bent off it: along the filter's border a robot crawls for ever."""
 
 _fields: OrderedDict[tuple[object, ...], routes.Field] = OrderedDict()
 
@@ -46,8 +50,27 @@ def velocity(view: View, params: Params) -> Array:
         ahead_m = math.hypot(to_x - x, to_y - y)
         if ahead_m > 1e-9:
             speed = float(params.gain[row, 0]) * left_m / ahead_m
-            wished[row] = speed * (to_x - x), speed * (to_y - y)
+            vx, vy = speed * (to_x - x), speed * (to_y - y)
+            wished[row] = bend.run(x, y, vx, vy, float(view.radius[row]), view.known(row, str(params.map)))
     return wished
+
+
+@kernel
+def bend(x: float, y: float, vx: float, vy: float, radius_m: float, obstacles: Array) -> tuple[float, float]:
+    """Turn a wish off the obstacles that are nearer than the slack, the more the nearer; its size is kept."""
+    size = math.hypot(vx, vy)
+    bent_x = vx
+    bent_y = vy
+    for row in range(obstacles.shape[0]):
+        gap, nx, ny = box_gap(x, y, obstacles, row)
+        nearness = min(1.0, 1.0 - (gap - radius_m) / SLACK_M)
+        if nearness > 0.0:
+            bent_x -= PUSH * nearness * size * nx
+            bent_y -= PUSH * nearness * size * ny
+    bent = math.hypot(bent_x, bent_y)
+    if bent < 1e-9:
+        return vx, vy
+    return bent_x * size / bent, bent_y * size / bent
 
 
 def _lane(view: View, row: int, goal: tuple[float, float], source: str, crowd: int) -> routes.Field:

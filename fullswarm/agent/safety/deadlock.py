@@ -26,6 +26,8 @@ BLOCKED_S = 1.0
 WAY_SHARE = 0.15
 """A robot that makes less than this share of the way that it wishes is blocked, if it does not turn either."""
 TURN_RAD = 0.15
+TURNING_S = 7.0
+"""A robot that turns but makes no way for so long is blocked too: half a turn at 0.5 rad/s takes 6 s."""
 ANGLE_RAD = (1.0, 2.6)
 ASIDE_S = (1.0, 3.0)
 IDLE_SHARE = 0.05
@@ -45,14 +47,15 @@ def chance(seed: int, draw: int) -> float:
 @kernel
 def step_aside(
     now_s: float, wished: Array, filtered: NDArray[np.bool_], pose: Array, speed_limit: Array, seed: Counts,
-    anchor: Array, since_s: Array, until_s: Array, angle: Array, draws: Counts,
+    anchor: Array, since_s: Array, place: Array, placed_s: Array, until_s: Array, angle: Array, draws: Counts,
 ) -> None:  # fmt: skip
     """Turn the wishes (n, 2) of robots that are blocked; see the module.
 
     Parameters
     ----------
-    anchor : (n, 3) pose at which the robot last made way
-    since_s, until_s : (n,) since when it has not; until when it steps aside
+    anchor, since_s : (n, 3), (n,) pose at which the robot last made way or turned, and when
+    place, placed_s : (n, 2), (n,) where it last made way, and when
+    until_s : (n,) until when it steps aside
     angle, draws : (n,) by how much; how often it has done so
     """
     for i in range(wished.shape[0]):
@@ -65,17 +68,24 @@ def step_aside(
             anchor[i, 0] = pose[i, 0]
             anchor[i, 1] = pose[i, 1]
             anchor[i, 2] = pose[i, 2]
+            placed_s[i] = -math.inf
             continue
         way = math.hypot(pose[i, 0] - anchor[i, 0], pose[i, 1] - anchor[i, 1])
         turned = math.fabs(wrap(pose[i, 2] - anchor[i, 2]))
         aside = now_s < until_s[i]
         new = since_s[i] == -math.inf
-        if aside or new or way > WAY_SHARE * size * BLOCKED_S or turned > TURN_RAD:
+        gone = math.hypot(pose[i, 0] - place[i, 0], pose[i, 1] - place[i, 1])
+        if aside or placed_s[i] == -math.inf or gone > WAY_SHARE * size * BLOCKED_S:
+            placed_s[i] = now_s
+            place[i, 0] = pose[i, 0]
+            place[i, 1] = pose[i, 1]
+        turns_only = now_s - placed_s[i] >= TURNING_S
+        if aside or new or (not turns_only and (way > WAY_SHARE * size * BLOCKED_S or turned > TURN_RAD)):
             since_s[i] = now_s
             anchor[i, 0] = pose[i, 0]
             anchor[i, 1] = pose[i, 1]
             anchor[i, 2] = pose[i, 2]
-        elif now_s - since_s[i] >= BLOCKED_S:
+        elif turns_only or now_s - since_s[i] >= BLOCKED_S:
             draws[i] += 1
             angle[i] = ANGLE_RAD[0] + (ANGLE_RAD[1] - ANGLE_RAD[0]) * chance(seed[i], 2 * draws[i])
             until_s[i] = now_s + ASIDE_S[0] + (ASIDE_S[1] - ASIDE_S[0]) * chance(seed[i], 2 * draws[i] + 1)
@@ -101,6 +111,8 @@ class Deadlocks:
         self.seed = np.array([zlib.crc32(robot.encode()) for robot in ids], np.int64)
         self.anchor = np.zeros((count, 3))
         self.since_s = np.full(count, -math.inf)
+        self.place = np.zeros((count, 2))
+        self.placed_s = np.full(count, -math.inf)
         self.until_s = np.full(count, -math.inf)
         self.angle = np.zeros(count)
         self.draws = np.zeros(count, np.int64)
@@ -110,6 +122,6 @@ class Deadlocks:
     ) -> None:
         """Turn the wishes of robots that are blocked."""
         step_aside.run(
-            now_s, wished, filtered, pose, speed_limit, self.seed, self.anchor, self.since_s, self.until_s,
-            self.angle, self.draws,
+            now_s, wished, filtered, pose, speed_limit, self.seed, self.anchor, self.since_s, self.place,
+            self.placed_s, self.until_s, self.angle, self.draws,
         )  # fmt: skip
