@@ -202,6 +202,17 @@ class RobotStates(Message, frozen=True, kw_only=True):
     radius_m: tuple[float, ...]
 
 
+class SeenObstacles(Message, frozen=True, kw_only=True):
+    """Static obstacles that the robots of one host have seen, all of them each time, on change and every 2 s.
+
+    Rows as in ``Reading.obstacles``: centre x, y (m), half sizes x, y (m), yaw (rad), corner radius (m).
+    """
+
+    host: str
+    rows: tuple[tuple[float, float, float, float, float, float], ...]
+    stamp_s: float
+
+
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How one robot is; part of a HealthReport."""
 

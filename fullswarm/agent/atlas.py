@@ -47,7 +47,6 @@ class Atlas:
         self._seen = np.zeros((count, 16), bool)
         self._last: Array | None = None
         self._known: dict[tuple[str, int], Array] = {}
-        self.told: list[int] = []
 
     def look(self, position: Array, obstacles: Array, reach_m: float) -> int:
         """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
@@ -60,10 +59,15 @@ class Atlas:
             self._known.clear()
         return int(new)
 
+    def seen(self) -> Array:
+        """Return what these robots have seen themselves, (k, 6)."""
+        return self._rows[: len(self._index)][self._seen[:, : len(self._index)].any(axis=0)]
+
     def tell(self, obstacles: Array) -> None:
-        """Take in what others have seen."""
+        """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
         before = len(self._index)
-        for row in obstacles:
+        sound = np.isfinite(obstacles).all(axis=1) & (obstacles[:, 2:4] >= 0.0).all(axis=1) & (obstacles[:, 5] >= 0.0)
+        for row in obstacles[sound]:
             self._add(row)
         if len(self._index) != before:
             self._known.clear()

@@ -20,21 +20,21 @@ from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
-from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import Array, View
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
 from fullswarm.keys import Keys
-from fullswarm.messages import RobotStates
+from fullswarm.messages import RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators
 from fullswarm.runtime import LoopStats, Scheduler
 
 log = structlog.get_logger()
 
-LOOK_PERIOD_S = 0.1
+LOOK_PERIOD_S, TELL_PERIOD_S = 0.1, 2.0
 FOLLOW_PERIOD_S = 0.5
 """How often the subscriptions to neighbours' cells follow the robot."""
 
@@ -86,8 +86,19 @@ class AgentNode:
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
         # Nobody tells what the others' wheels can do: they are taken for robots like this one.
         self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
+        self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
+        # Whoever falls silent has lost its agent, the hub or the core, and stands by then.
+        self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
+        self.filter = SafetyFilter(
+            fleet.ids, fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit,
+            self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, self._bounds_array,
+            (settings.speed_gain, settings.turn_gain_per_s),
+        )  # fmt: skip
+        # Robots that sense no obstacles have their map instead.
+        self._sees_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
         self.deadlocks = Deadlocks(fleet.ids)
-        self.atlas = Atlas(count, map_of(config))
+        self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
+        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
         self._cell_m = config.state_cell_m
         self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = estimator_for(config, fleet, start)
@@ -241,15 +252,15 @@ class AgentNode:
         if not planar and not tasks.any_filtered:
             return
         if tasks.any_filtered:
-            self.deadlocks.resolve(now_s, self._planar, tasks.filtered, pose, self.controller.speed_limit)
+            # A stick is not turned aside: whoever holds it sees the robot.
+            lasting = tasks.filtered & np.isinf(tasks.lapses_s)
+            self.deadlocks.resolve(now_s, self._planar, lasting, pose, self.controller.speed_limit)
         reach_m = settings.sensing_radius_m
-        start, other = neighbours.within(position, reach_m) if tasks.any_filtered else self._alone
-        barrier.drive.run(
-            self._planar, tasks.filtered, pose, self._radius, self.controller.speed_limit,
-            self.controller.turn_limit, self.controller.reverse, settings.speed_gain, settings.turn_gain_per_s,
-            tasks.gain_per_s, tasks.margin_m, reach_m, start, other,
-            neighbours.predicted, neighbours.heard, neighbours.spread_m, reading.obstacles, self._bounds_array,
-            self.controller.wished,
+        near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
+        obstacles = reading.obstacles if self._sees_obstacles else self.atlas.given
+        self.filter.apply(
+            now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
+            tasks.margin_m, near, neighbours.believed, obstacles, self.controller.wished,
         )  # fmt: skip
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
@@ -291,10 +302,23 @@ class AgentNode:
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         self._listening.follow(self.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        self.neighbours.forget(self._scheduler.now_s(), self._listening.covers)
 
     def _look_around(self) -> None:
-        if self.reading is not None and len(self.reading.obstacles):
-            self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
+        """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
+        if self.reading is None or not len(self.reading.obstacles):
+            return
+        now_s = self._scheduler.now_s()
+        new = self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
+        if new or now_s >= self._tell_s:
+            self._tell_s = now_s + TELL_PERIOD_S
+            rows = tuple(tuple(row) for row in self.atlas.seen().tolist())
+            host = self._identity.host
+            self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
+
+    def _told(self, seen: SeenObstacles) -> None:
+        if seen.host != self._identity.host:
+            self.atlas.tell(np.array(seen.rows, float).reshape(-1, 6))
 
     def _publish_states(self) -> None:
         if self.reading is None:
@@ -344,12 +368,11 @@ class AgentNode:
         self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
         self._publish_measurements()
         self._listening.close()
+        self._subscription.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
 
 
 def _thresholds(settings: AgentConfig) -> Thresholds:
-    return Thresholds(
-        settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s
-    )
+    return Thresholds(settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s)

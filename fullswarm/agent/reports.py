@@ -137,6 +137,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
     sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
     reasons, estops = agent.controller.reason.tolist(), agent.controller.estop.tolist()
     collisions = agent.calculators.collisions.tolist()
+    deviation_m_s, deviation_m, filter_note = agent.filter.report(agent.tasks.filtered)
     moving = np.any(np.abs(agent.twist) > np.array([MOVING_M_S, MOVING_RAD_S]), axis=1).tolist()
     for row, robot in enumerate(fleet.ids):
         task, description = agent.tasks.of[row], fleet.descriptions[row]
@@ -164,4 +165,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
             position_sigma_m=pose.position_sigma_m,
             heading_sigma_rad=pose.heading_sigma_rad,
             pose_note=pose.note,
+            deviation_m_s=deviation_m_s[row],
+            deviation_m=deviation_m[row],
+            filter_note=filter_note[row],
         )

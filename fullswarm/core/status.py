@@ -11,7 +11,6 @@ from fullswarm.keys import Keys
 from fullswarm.messages import RequestStatus
 from fullswarm.runtime import Scheduler
 
-
 AGAIN_S, FRESH_S, MANY = 0.5, 3.0, 8
 """A status is said again at this interval while it is so young, for the newest few: the first word may be lost."""
 
