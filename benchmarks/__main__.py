@@ -10,6 +10,7 @@ ALL = (
     ("benchmarks.bus", "--seconds", "5"),
     ("benchmarks.latency",),
     ("benchmarks.swarm",),
+    ("benchmarks.estop",),
     ("benchmarks.create",),
     ("benchmarks.mavlink",),
     ("benchmarks.can_bus",),

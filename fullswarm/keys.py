@@ -12,6 +12,7 @@ key                                                     message                w
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
+``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → everybody
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/stop``                                        StopRequest            anybody → agents, core
@@ -85,6 +86,10 @@ class Keys:
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
         return f"{self.swarm}/state/{cell}/{host}"
+
+    def obstacles(self, host: str = ANY) -> str:
+        """Static obstacles that the robots of a host have seen."""
+        return f"{self.swarm}/obstacles/{host}"
 
     def health(self, host: str = ANY) -> str:
         """How the robots of a host are."""

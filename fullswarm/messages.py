@@ -202,6 +202,17 @@ class RobotStates(Message, frozen=True, kw_only=True):
     radius_m: tuple[float, ...]
 
 
+class SeenObstacles(Message, frozen=True, kw_only=True):
+    """Static obstacles that the robots of one host have seen, all of them each time, on change and every 2 s.
+
+    Rows as in ``Reading.obstacles``: centre x, y (m), half sizes x, y (m), yaw (rad), corner radius (m).
+    """
+
+    host: str
+    rows: tuple[tuple[float, float, float, float, float, float], ...]
+    stamp_s: float
+
+
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How one robot is; part of a HealthReport."""
 
@@ -226,6 +237,9 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     position_sigma_m: float = -1.0  # standard deviation along the worse axis; -1: unknown
     heading_sigma_rad: float = -1.0
     pose_note: str = ""  # fixes lost or refused, a pose that jumped
+    deviation_m_s: float = 0.0  # how far the safety filter holds its velocity from the wished one now
+    deviation_m: float = 0.0  # the same added up over time since the agent started
+    filter_note: str = ""  # why the safety filter brakes: not merely limits
 
 
 class HealthReport(Message, frozen=True, kw_only=True):

@@ -38,6 +38,7 @@ LAWS = MappingProxyType(
         name: f"{_LAWS}.{name}"
         for name in (
             "move_to_goal",
+            "navigate",
             "flocking",
             "rendezvous",
             "formation",

@@ -43,7 +43,7 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._freshness = [Freshness() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self._estops = EStops(bus, keys, agent)
+        self.estops = EStops(bus, keys, agent)
         whose = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
             bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
@@ -119,6 +119,8 @@ class Inbox:
         if agent.reading is not None and int(agent.reading.hazards[row]) & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
             return False, f"{EXPLAIN[Reason.HAZARD]}; put it on safe ground, then ask for it again"
+        if agent.reflexes.flat[row] and request.expires_s <= 0.0:
+            return False, EXPLAIN[Reason.BATTERY]
         try:
             agent.tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:
@@ -189,14 +191,16 @@ class Inbox:
                 self._stops.popitem(last=False)
 
     def _on_estop(self, order: EStop) -> None:
-        if self._estops.repeats(order):
+        if self.estops.repeats(order):
             return
         rows = self._addressed(order.robots)
-        for row in rows if order.engaged else ():
-            # Latching ends the behaviour: after the release a robot stands READY until it is asked again.
-            self._halt(row, order.id or "estop", f"its e-stop was engaged by {order.source or 'an operator'}")
-        self._estops.carry_out(order, rows, self._scheduler.now_s())
-        self._agent.wake()
+        for row in rows:
+            # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
+            # not be started by it. Releasing a robot that is not latched stops nobody.
+            if order.engaged or self._agent.controller.estop[row]:
+                what = "engaged" if order.engaged else "released"
+                self._halt(row, order.id or "estop", f"its e-stop was {what} by {order.source or 'an operator'}")
+        self.estops.carry_out(order, rows, self._scheduler.now_s())
 
     def _halt(self, row: int, order_id: str, why: str) -> None:
         """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
@@ -207,7 +211,7 @@ class Inbox:
 
     def watch_estops(self, now_s: float) -> None:
         """Confirm the e-stops of robots that have come to a stand."""
-        self._estops.watch(now_s)
+        self.estops.watch(now_s)
 
     def _addressed(self, robots: Iterable[str]) -> list[int]:
         rows = [self._row[robot] for robot in dict.fromkeys(robots) if robot in self._row]

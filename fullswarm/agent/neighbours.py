@@ -18,6 +18,11 @@ Index = NDArray[np.int64]
 
 MANY_CELLS = 64
 
+SILENT_S = 0.3
+"""Who has said nothing for so long may have left the cells that are listened to."""
+STRIDE_S = 0.2
+"""So long a robot may go unheard while it leaves them: some state messages."""
+
 
 class Neighbours:
     """The newest state of every robot heard, as arrays that grow with the swarm.
@@ -27,6 +32,11 @@ class Neighbours:
     heard : (m, 6) x, y, heading, speed, turn rate, radius as told
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
+    places, spread_m, blur_m : the same for the safety filter, filled by `around`: see `pairs.predict`. A robot that
+        fell silent stays in them until it is heard again or is out of earshot
+    silent : how many of those there are
+    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
+    halt_s : after how long a silent robot stands, at the latest
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
@@ -39,17 +49,22 @@ class Neighbours:
         self._now_s, self._stale = 0.0, True
         self.count = 0
         self.own_row = np.full(len(ids), -1, np.int64)
-        self._lists: dict[float, tuple[Index, Index]] = {}
+        self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.heard = np.zeros((0, 6))
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
+        self.places = np.zeros((0, 2))
+        self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
+        self.silent = 0
+        self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
+        self.halt_s = timeout_s
         self._grow(max(16, len(ids)))
 
     def hear(self, states: RobotStates, now_s: float) -> None:
         """Take in the states of one host.
 
         Ignored: a message older than the last from that host, one whose columns do not fit together, and on board
-        the own state; a robot with a number that is not finite counts as not heard.
+        the own state, and a robot with a number that is not finite: it stays where it was heard last.
         """
         if states.robots == self._alone:
             return
@@ -65,22 +80,23 @@ class Neighbours:
             self._hear_one(states, now_s)
             return
         rows = self._rows(states.robots)
-        heard = self.heard
-        heard[rows, 0] = states.x_m
-        heard[rows, 1] = states.y_m
-        heard[rows, 2] = states.heading_rad
-        heard[rows, 3] = states.speed_m_s
-        heard[rows, 4] = states.turn_rad_s
-        heard[rows, 5] = states.radius_m
-        self.arrival_s[rows] = np.where(np.isfinite(heard[rows].sum(axis=1)), now_s, -math.inf)
+        columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        table = np.array(columns)
+        finite = np.isfinite(table.sum(axis=0))
+        if not finite.all():
+            rows, table = rows[finite], table[:, finite]
+        self.heard[rows] = table.T
+        self.arrival_s[rows] = now_s
 
     def _hear_one(self, states: RobotStates, now_s: float) -> None:
         """Do the same for a host with one robot, number by number: what an agent does a hundred times a second."""
+        x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
+        speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
+        if not math.isfinite(x_m + y_m + heading_rad + speed_m_s + turn_rad_s + radius_m):
+            return
         row = self._row_of.get(states.robots[0])
         if row is None:
             row = int(self._rows(states.robots)[0])
-        x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
-        speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
         heard = self.heard
         heard[row, 0] = x_m
         heard[row, 1] = y_m
@@ -88,8 +104,7 @@ class Neighbours:
         heard[row, 3] = speed_m_s
         heard[row, 4] = turn_rad_s
         heard[row, 5] = radius_m
-        finite = math.isfinite(x_m + y_m + heading_rad + speed_m_s + turn_rad_s + radius_m)
-        self.arrival_s[row] = now_s if finite else -math.inf
+        self.arrival_s[row] = now_s
 
     def look(self, now_s: float) -> None:
         """Say that `within` is about `now_s` from here on."""
@@ -98,7 +113,34 @@ class Neighbours:
     def _predict(self) -> None:
         """Move all heard positions on to the time of the last `look`: only when somebody asks."""
         self._stale, now_s = False, self._now_s
-        pairs.predict.run(self.heard, self.arrival_s, self.count, now_s, self._timeout_s, self.predicted)
+        self.silent = pairs.predict.run(
+            self.heard, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
+            self.accel_m_s2, self.speed_m_s, self.turn_rad_s, self.predicted, self.places, self.spread_m, self.blur_m,
+        )  # fmt: skip
+
+    @property
+    def believed(self) -> tuple[Array, Array, Array, Array]:
+        """What the safety filter must know of those that `around` names: places, states heard, spread, blur."""
+        return self.places, self.heard, self.spread_m, self.blur_m
+
+    def around(self, position: Array, reach_m: float) -> tuple[Index, Index]:
+        """Find whom the safety filter must heed: as `within`, but silent robots too, and places that are unsure."""
+        if self._stale:
+            self._predict()
+        return self._search(position, self.places, reach_m)
+
+    def forget(self, now_s: float, listened: Callable[[float, float, float], bool]) -> None:
+        """Forget who is silent where nobody listens: there silence says nothing.
+
+        Parameters
+        ----------
+        listened : whether all of a disc (x, y, radius in m) is listened to: ``Listening.covers``
+        """
+        ages_s = now_s - self.arrival_s[: self.count]
+        for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
+            x_m, y_m, _, speed_m_s, _, _ = self.heard[row].tolist()
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self.speed_m_s)):
+                self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float) -> tuple[Index, Index]:
         """Find who is within `reach_m` of each own robot at the time of the last `look`.
@@ -110,14 +152,17 @@ class Neighbours:
         """
         if self._stale:
             self._predict()
-        count = self.count
-        start, other = self._lists.get(reach_m) or (np.zeros(len(position) + 1, np.int64), np.zeros(64, np.int64))
+        return self._search(position, self.predicted, reach_m)
+
+    def _search(self, position: Array, places: Array, reach_m: float) -> tuple[Index, Index]:
+        count, key = self.count, (reach_m, places is self.places)
+        start, other = self._lists.get(key) or (np.zeros(len(position) + 1, np.int64), np.zeros(64, np.int64))
         search = pairs.all_pairs if len(position) * count <= pairs.BRUTE_FORCE_BELOW else pairs.cell_pairs
-        found = search.run(position, self.own_row, self.predicted, count, reach_m, start, other)
+        found = search.run(position, self.own_row, places, count, reach_m, start, other)
         if found > len(other):
             other = np.zeros(2 * found, np.int64)
-            search(position, self.own_row, self.predicted, count, reach_m, start, other)
-        self._lists[reach_m] = (start, other)
+            search(position, self.own_row, places, count, reach_m, start, other)
+        self._lists[key] = (start, other)
         return start, other
 
     def oldest_age_s(self, now_s: float) -> float:
@@ -146,6 +191,9 @@ class Neighbours:
             more = max(count, 2 * len(self.heard)) - len(self.heard)
             self.heard = np.vstack([self.heard, np.zeros((more, 6))])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
+            self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
+            self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
 
 
@@ -186,6 +234,12 @@ class Listening:
             if len(wanted) > MANY_CELLS:
                 return {ANY}
         return wanted
+
+    def covers(self, x_m: float, y_m: float, radius_m: float) -> bool:
+        """Tell whether all cells that a disc touches are listened to."""
+        cells = self._cells.keys()
+        everywhere = ANY in cells or WHOLE_SWARM_CELL in cells
+        return everywhere or cells_within(x_m, y_m, radius_m, self._cell_m) <= cells
 
     def close(self) -> None:
         """Drop all subscriptions."""

@@ -13,24 +13,28 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent import reports
+from fullswarm.agent.atlas import Atlas, map_of
 from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
-from fullswarm.agent.safety import barrier
+from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import Array, View
 from fullswarm.bus.base import Bus
-from fullswarm.config import SwarmConfig
+from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
 from fullswarm.keys import Keys
-from fullswarm.messages import RobotStates
+from fullswarm.messages import RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators
 from fullswarm.runtime import LoopStats, Scheduler
 
 log = structlog.get_logger()
 
+LOOK_PERIOD_S, TELL_PERIOD_S = 0.1, 2.0
 FOLLOW_PERIOD_S = 0.5
 """How often the subscriptions to neighbours' cells follow the robot."""
 
@@ -61,6 +65,7 @@ class AgentNode:
         identity: Identity,
         start: Array,
         loop: Callable[[], LoopStats],
+        thresholds: Thresholds | None = None,
     ) -> None:
         self._bus, self._scheduler, self._fleet = bus, scheduler, fleet
         self._config = settings = config.agent
@@ -70,12 +75,30 @@ class AgentNode:
         count = len(fleet.ids)
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
-        accel = np.array([each.accel_m_s2 for each in limits])
+        self._accel = accel = np.array([each.accel_m_s2 for each in limits])
+        self.reflexes = Reflexes(count, self._bounds, thresholds or _thresholds(settings))
+        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
+        fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
         self._radius = np.array([each.radius_m for each in fleet.descriptions])
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
+        # Nobody tells what the others' wheels can do: they are taken for robots like this one.
+        self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
+        self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
+        # Whoever falls silent has lost its agent, the hub or the core, and stands by then.
+        self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
+        self.filter = SafetyFilter(
+            fleet.ids, fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit,
+            self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, self._bounds_array,
+            (settings.speed_gain, settings.turn_gain_per_s),
+        )  # fmt: skip
+        # Robots that sense no obstacles have their map instead.
+        self._sees_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
+        self.deadlocks = Deadlocks(fleet.ids)
+        self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
+        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
         self._cell_m = config.state_cell_m
         self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = estimator_for(config, fleet, start)
@@ -110,6 +133,7 @@ class AgentNode:
             scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
             scheduler.every(1.0 / settings.measurement_rate_hz, self._publish_measurements),
             scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+            scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
         ]
 
     # ------------------------------------------------------------------ what others of this agent need
@@ -134,8 +158,10 @@ class AgentNode:
         """Read, estimate, act, measure."""
         now_s = self._scheduler.now_s()
         self.reading = reading = self._fleet.read()
-        self.pose = self._estimator.update(reading, now_s - self._last_tick_s)
+        self.pose = self._estimate(reading, now_s - self._last_tick_s)
         self.twist = reading.twist
+        self.reflexes.look(reading, self.pose)
+        self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
         contacts = self.contacts if self.fixes.touching else reading.contacts
@@ -145,6 +171,15 @@ class AgentNode:
         if self._dirty:
             self.publish_health()
 
+    def _estimate(self, reading: FleetReading, dt_s: float) -> Array:
+        """Return the poses (n, 3); NaN, on which no robot drives, from an estimator that fails."""
+        try:
+            return self._estimator.update(reading, dt_s)
+        except (ArithmeticError, ValueError) as error:  # numpy's LinAlgError is a ValueError
+            if not self.reflexes.no_pose.all():
+                log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
+            return np.full((len(self._fleet.ids), 3), math.nan)
+
     def _act(self, now_s: float, reading: FleetReading) -> None:
         """Wish, decide, command: what stands between knowing and the wheels."""
         period_s = 1.0 / self._config.control_rate_hz
@@ -153,10 +188,12 @@ class AgentNode:
         groups = self.tasks.groups()
         if groups or self.tasks.any_filtered:
             self._wish(groups, now_s, reading)
+        self.reflexes.watch_fence(self.pose, self.twist, self.controller.wished, self._accel)
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
             self.inbox.core_alive(now_s), self._bus.connected(), self._ready(),
             now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
+            self.reflexes,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._driver_ready[0]:
@@ -164,11 +201,12 @@ class AgentNode:
             self._end_unsafe_tasks()
 
     def _end_unsafe_tasks(self) -> None:
-        """After a fault or a hazard nobody drives on by himself: that takes a new request."""
+        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
         reasons = self.controller.reason
-        for row in np.flatnonzero((reasons == Reason.DRIVER) | (reasons == Reason.HAZARD)).tolist():
-            if reasons[row] == Reason.HAZARD:
-                self.inbox.spend(row, EXPLAIN[Reason.HAZARD])
+        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
+        for row in np.flatnonzero(ending).tolist():
+            if reasons[row] != Reason.DRIVER:
+                self.inbox.spend(row, EXPLAIN[reasons[row]])
             elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
                 # Before it was ever ready it has not stopped from anything: a base may be switched on late.
                 self.inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
@@ -206,20 +244,23 @@ class AgentNode:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._radius, partial(neighbours.within, position, reach_m),
-                neighbours.predicted, neighbours.heard, self._bounds,
+                neighbours.predicted, neighbours.heard, self._bounds, self.atlas.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
         tasks = self.tasks
         if not planar and not tasks.any_filtered:
             return
+        if tasks.any_filtered:
+            # A stick is not turned aside: whoever holds it sees the robot.
+            lasting = tasks.filtered & np.isinf(tasks.lapses_s)
+            self.deadlocks.resolve(now_s, self._planar, lasting, pose, self.controller.speed_limit)
         reach_m = settings.sensing_radius_m
-        start, other = neighbours.within(position, reach_m) if tasks.any_filtered else self._alone
-        barrier.drive.run(
-            self._planar, tasks.filtered, pose, self._radius, self.controller.speed_limit,
-            self.controller.turn_limit, self.controller.reverse, settings.speed_gain, settings.turn_gain_per_s,
-            tasks.gain_per_s, tasks.margin_m, reach_m, start, other,
-            neighbours.predicted, neighbours.heard, reading.obstacles, self._bounds_array, self.controller.wished,
+        near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
+        obstacles = reading.obstacles if self._sees_obstacles else self.atlas.given
+        self.filter.apply(
+            now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
+            tasks.margin_m, near, neighbours.believed, obstacles, self.controller.wished,
         )  # fmt: skip
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
@@ -261,6 +302,23 @@ class AgentNode:
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         self._listening.follow(self.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        self.neighbours.forget(self._scheduler.now_s(), self._listening.covers)
+
+    def _look_around(self) -> None:
+        """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
+        if self.reading is None or not len(self.reading.obstacles):
+            return
+        now_s = self._scheduler.now_s()
+        new = self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
+        if new or now_s >= self._tell_s:
+            self._tell_s = now_s + TELL_PERIOD_S
+            rows = tuple(tuple(row) for row in self.atlas.seen().tolist())
+            host = self._identity.host
+            self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
+
+    def _told(self, seen: SeenObstacles) -> None:
+        if seen.host != self._identity.host:
+            self.atlas.tell(np.array(seen.rows, float).reshape(-1, 6))
 
     def _publish_states(self) -> None:
         if self.reading is None:
@@ -310,6 +368,11 @@ class AgentNode:
         self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
         self._publish_measurements()
         self._listening.close()
+        self._subscription.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
+
+
+def _thresholds(settings: AgentConfig) -> Thresholds:
+    return Thresholds(settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s)

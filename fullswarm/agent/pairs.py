@@ -17,25 +17,69 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, predicted: Array) -> None:
-    """Move the heard states on to `now_s` along their heading; those older than `timeout_s` become NaN.
+def predict(
+    heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, halt_s: float, accel_m_s2: float,
+    speed_m_s: float, turn_rad_s: float, predicted: Array, places: Array, spread_m: Array, blur_m: Array,
+) -> int:  # fmt: skip
+    """Move the heard states on to `now_s`; return how many robots are silent: older than `timeout_s`.
+
+    How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
+    robot is never farther from where it was heard than its speed and the time allow: the smaller disc counts. A
+    silent robot is one that stands or is about to: its disc grows until `halt_s` and then stays, for ever.
 
     Parameters
     ----------
     heard : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
-    arrival_s : (m,) when each was heard, on this machine's clock
-    predicted : (m, 2) out
+    arrival_s : (m,) when each was heard, on this machine's clock; -inf: never, or forgotten
+    halt_s : after so long a robot that fell silent stands
+    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
+    predicted : (m, 2) out, NaN for silent robots
+    places, spread_m : (m, 2), (m,) out, centre and radius of the disc that holds the robot's centre
+    blur_m : (m,) out, by how much its direction is unknown: the spread, but 0 for a silent robot, which is kept off
+        like a wall, so that who is inside its disc may leave it
     """
+    silent = 0
     for row in range(count):
-        age_s = now_s - arrival_s[row]
-        if age_s > timeout_s:
+        age_s = max(now_s - arrival_s[row], 0.0)
+        if math.isinf(age_s):
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
+            places[row, 0] = math.nan
+            places[row, 1] = math.nan
+            spread_m[row] = 0.0
+            blur_m[row] = 0.0
+            continue
+        speed = heard[row, 3]
+        rate = heard[row, 4]
+        moved_s = min(age_s, halt_s)
+        fastest = max(speed_m_s, math.fabs(speed))
+        gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
+        sideways = gained * turn_rad_s
+        strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest
+        near_heard_m = fastest * moved_s
+        middle = heard[row, 2] + 0.5 * age_s * rate
+        x = heard[row, 0] + speed * age_s * math.cos(middle)
+        y = heard[row, 1] + speed * age_s * math.sin(middle)
+        if age_s <= timeout_s:
+            predicted[row, 0] = x
+            predicted[row, 1] = y
         else:
-            middle = heard[row, 2] + 0.5 * age_s * heard[row, 4]
-            step_m = heard[row, 3] * age_s
-            predicted[row, 0] = heard[row, 0] + step_m * math.cos(middle)
-            predicted[row, 1] = heard[row, 1] + step_m * math.sin(middle)
+            predicted[row, 0] = math.nan
+            predicted[row, 1] = math.nan
+            silent += 1
+        if age_s <= timeout_s and near_prediction_m < near_heard_m:
+            places[row, 0] = x
+            places[row, 1] = y
+            spread_m[row] = near_prediction_m
+        else:
+            if age_s > halt_s and accel_m_s2 > 0.0:
+                near_heard_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = heard[row, 0]
+            places[row, 1] = heard[row, 1]
+            spread_m[row] = near_heard_m
+        blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
+    return silent
 
 
 @kernel

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.view import Array
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.runtime import LoopStats
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
+LONGEST_S = 0.2
+"""A state is moved on from its reading by so much at most."""
 MOVING_M_S = 0.005
 MOVING_RAD_S = 0.02
 """Below both a robot counts as standing: slower than any wheel can be commanded to turn."""
@@ -28,6 +31,8 @@ def states(
 ) -> Iterator[tuple[str, RobotStates]]:
     """Yield (key, message): one per grid cell that holds robots of this agent."""
     pose, twist = agent.pose, agent.twist
+    if len(pose) > 1 and agent.reading is not None:
+        pose = _moved_on(pose, twist, now_s - agent.reading.stamp_s)
     if len(pose) == 1:
         yield from _state_of_one(agent, keys, cell_m, sequence, now_s)
         return
@@ -60,6 +65,16 @@ def states(
         )
 
 
+def _moved_on(pose: Array, twist: Array, age_s: Array) -> Array:
+    """Return where robots (n, 3) are by now: a fast one goes its own radius between two readings."""
+    age_s = np.clip(age_s, 0.0, LONGEST_S)
+    middle = pose[:, 2] + 0.5 * age_s * twist[:, 1]
+    step_m = twist[:, 0] * age_s
+    return np.column_stack(
+        (pose[:, 0] + step_m * np.cos(middle), pose[:, 1] + step_m * np.sin(middle), pose[:, 2] + age_s * twist[:, 1])
+    )
+
+
 def _state_of_one(
     agent: AgentNode, keys: Keys, cell_m: float, sequence: int, now_s: float
 ) -> Iterator[tuple[str, RobotStates]]:
@@ -68,6 +83,12 @@ def _state_of_one(
     if math.isnan(x_m) or not agent.driver_ready[0]:
         return
     speed_m_s, turn_rad_s = agent.twist[0].tolist()
+    if agent.reading is not None:
+        age_s = min(max(now_s - float(agent.reading.stamp_s[0]), 0.0), LONGEST_S)
+        middle = heading_rad + 0.5 * age_s * turn_rad_s
+        x_m += speed_m_s * age_s * math.cos(middle)
+        y_m += speed_m_s * age_s * math.sin(middle)
+        heading_rad += turn_rad_s * age_s
     host = agent.identity.host
     yield (
         keys.state(cell_of(x_m, y_m, cell_m), host),
@@ -116,6 +137,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
     sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
     reasons, estops = agent.controller.reason.tolist(), agent.controller.estop.tolist()
     collisions = agent.calculators.collisions.tolist()
+    deviation_m_s, deviation_m, filter_note = agent.filter.report(agent.tasks.filtered)
     moving = np.any(np.abs(agent.twist) > np.array([MOVING_M_S, MOVING_RAD_S]), axis=1).tolist()
     for row, robot in enumerate(fleet.ids):
         task, description = agent.tasks.of[row], fleet.descriptions[row]
@@ -143,4 +165,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
             position_sigma_m=pose.position_sigma_m,
             heading_sigma_rad=pose.heading_sigma_rad,
             pose_note=pose.note,
+            deviation_m_s=deviation_m_s[row],
+            deviation_m=deviation_m[row],
+            filter_note=filter_note[row],
         )

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.reflexes import Reflexes
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
@@ -22,7 +23,7 @@ Flags = NDArray[np.bool_]
 
 
 class Reason(enum.IntEnum):
-    """Why a robot stands, the most serious first."""
+    """Why a robot stands; `decide` says in which order they count."""
 
     MOVING = 0
     ESTOP = 1
@@ -35,6 +36,10 @@ class Reason(enum.IntEnum):
     CORE = 8
     LAPSED = 9
     STALE = 10
+    BATTERY = 11
+    CLOCK = 12
+    POSE = 13
+    FENCE = 14
 
 
 EXPLAIN: dict[int, str] = {
@@ -49,10 +54,16 @@ EXPLAIN: dict[int, str] = {
     Reason.CORE: "the core's heartbeat is silent",
     Reason.LAPSED: "the operator's intent has run out",
     Reason.STALE: "no fresh command",
+    Reason.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
+    Reason.CLOCK: "this computer stood still; what it knows is too old",
+    Reason.POSE: "the estimator has no pose",
+    Reason.FENCE: "it would leave the arena",
 }
 
 STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON)
 BUMP = int(Hazard.BUMP)
+STILL = 1e-3
+"""m/s and rad/s: less is no motion."""
 
 
 class RobotController:
@@ -110,51 +121,81 @@ class RobotController:
         read_since_s: float,
         stamp_s: Array,
         hazards: NDArray[np.uint8],
+        reflexes: Reflexes,
     ) -> Array:
         """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING.
 
         Readings with a stamp before `read_since_s` are too old to move on.
         """
         self.changed = decide.run(
-            now_s, dt_s, active, survives_core, lapses_s, core_alive, hub_alive, driver_ready, read_since_s,
-            stamp_s, hazards, self.estop, self.law_failed, self.wished, self.valid_until_s, self.speed_limit,
-            self.turn_limit, self.reverse, self._accel, self._turn_accel, self.reason, self.drive_on, self._twist,
+            now_s, dt_s, active, survives_core, lapses_s, core_alive, hub_alive, driver_ready, read_since_s, stamp_s,
+            hazards, reflexes.flat, reflexes.slept, reflexes.no_pose, reflexes.floor, reflexes.ceiling, self.estop,
+            self.law_failed, self.wished, self.valid_until_s, self.speed_limit, self.turn_limit, self.reverse,
+            self._accel, self._turn_accel, self.reason, self.drive_on, self._twist,
         )  # fmt: skip
         return self._twist
+
+
+@kernel
+def why_not(
+    now_s: float, survives_core: bool, lapses_s: float, core_alive: bool, hub_alive: bool, driver_ready: bool,
+    fresh: bool, hazard: int, active: bool, estop: bool, law_failed: bool, wish: float, valid_until_s: float,
+    flat: bool, slept: bool, no_pose: bool,
+) -> int:  # fmt: skip
+    """Return why one robot may not move, a number of :class:`Reason`; 0: it may."""
+    why = 0
+    if estop:
+        why = 1
+    elif not driver_ready:
+        why = 2
+    elif not fresh:
+        why = 3
+    elif hazard & STOPPING_HAZARDS:
+        why = 4
+    elif not active:
+        why = 5
+    elif law_failed:
+        why = 6
+    elif not hub_alive and not survives_core:
+        why = 7
+    elif not core_alive and not survives_core:
+        why = 8
+    elif now_s >= lapses_s:
+        why = 9
+    elif now_s >= valid_until_s or not math.isfinite(wish):
+        why = 10
+    elif slept:
+        why = 12
+    elif not math.isfinite(lapses_s):
+        # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
+        why = 11 if flat else 13 if no_pose else 0
+    return why
 
 
 @kernel
 def decide(
     now_s: float, dt_s: float, active: Flags, survives_core: Flags, lapses_s: Array, core_alive: bool,
     hub_alive: bool, driver_ready: Flags, read_since_s: float, stamp_s: Array, hazards: NDArray[np.uint8],
-    estop: Flags, law_failed: Flags, wished: Array, valid_until_s: Array, speed_limit: Array, turn_limit: Array,
-    reverse: Flags, accel: Array, turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags, twist: Array,
+    flat: Flags, slept: bool, no_pose: Flags, floor: Array, ceiling: Array, estop: Flags, law_failed: Flags,
+    wished: Array, valid_until_s: Array, speed_limit: Array, turn_limit: Array, reverse: Flags, accel: Array,
+    turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags, twist: Array,
 ) -> bool:  # fmt: skip
     """Fill `reason` (n,), numbers of :class:`Reason`, `drive_on` (n,) and `twist` (n, 2); tell if a reason changed."""
     changed = False
     for i in range(active.shape[0]):
         hazard = int(hazards[i])
-        why = 0
-        if estop[i]:
-            why = 1
-        elif not driver_ready[i]:
-            why = 2
-        elif not stamp_s[i] >= read_since_s:
-            why = 3
-        elif hazard & STOPPING_HAZARDS:
-            why = 4
-        elif not active[i]:
-            why = 5
-        elif law_failed[i]:
-            why = 6
-        elif not hub_alive and not survives_core[i]:
-            why = 7
-        elif not core_alive and not survives_core[i]:
-            why = 8
-        elif now_s >= lapses_s[i]:
-            why = 9
-        elif now_s >= valid_until_s[i] or not math.isfinite(wished[i, 0] + wished[i, 1]):
-            why = 10
+        why = why_not(
+            now_s, survives_core[i], lapses_s[i], core_alive, hub_alive, driver_ready[i],
+            stamp_s[i] >= read_since_s, hazard, active[i], estop[i], law_failed[i], wished[i, 0] + wished[i, 1],
+            valid_until_s[i], flat[i], slept, no_pose[i],
+        )  # fmt: skip
+        low = -speed_limit[i] if reverse[i] else 0.0
+        high = 0.0 if hazard & BUMP else speed_limit[i]
+        if why == 0:
+            speed, low, high = clamp(wished[i, 0], low, high), max(low, floor[i]), min(high, ceiling[i])
+            held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
+            if held and math.fabs(wished[i, 1]) < STILL:
+                why = 14
         changed = changed or reason[i] != why
         reason[i] = why
         drive_on[i] = active[i] and not estop[i]
@@ -163,8 +204,6 @@ def decide(
             twist[i, 0] = 0.0
             twist[i, 1] = 0.0
             continue
-        low = -speed_limit[i] if reverse[i] else 0.0
-        high = 0.0 if hazard & BUMP else speed_limit[i]
         speed = clamp(wished[i, 0], low, high)
         turn = clamp(wished[i, 1], -turn_limit[i], turn_limit[i])
         step = accel[i] * dt_s

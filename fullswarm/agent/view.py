@@ -13,9 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent import pairs
+from fullswarm.drivers.base import NO_OBSTACLES
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+def nothing_known(_row: int, _source: str) -> Array:
+    """Return no obstacles."""
+    return NO_OBSTACLES
 
 
 class View:
@@ -31,6 +37,7 @@ class View:
     predicted : (m, 2) m, positions of all robots heard, moved on to now
     heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
     bounds_m : x_min, y_min, x_max, y_max of the arena
+    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `agent/atlas.py`
     """
 
     def __init__(
@@ -42,9 +49,11 @@ class View:
         predicted: Array,
         heard: Array,
         bounds_m: tuple[float, float, float, float],
+        known: Callable[[int, str], Array] = nothing_known,
     ) -> None:
         self.position, self.heading, self.radius = position, heading, radius
         self.bounds_m = bounds_m
+        self.known = known
         self._near = near
         self._predicted, self._heard = predicted, heard
         # Filled when first asked for. Plain slots: functools.cached_property takes a lock on Python 3.11.
@@ -123,4 +132,5 @@ class View:
             self._predicted,
             self._heard,
             self.bounds_m,
+            lambda row, source: self.known(int(rows[row]), source),
         )

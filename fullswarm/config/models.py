@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
 from fullswarm.bus.endpoint import DEFAULT_HUB
+from fullswarm.bus.network import parse_network
+from fullswarm.errors import ConfigError
 from fullswarm.messages import ROBOT_ID
 
 DEFAULT_WORLD = "127.0.0.1:7450"
@@ -31,8 +33,17 @@ def _name(text: str, owner: str) -> str:
     return text
 
 
+def _conditions(text: str) -> str:
+    try:
+        parse_network(text, where="")
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
+    return text
+
+
 RobotId = Annotated[str, AfterValidator(_robot_id)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
+Conditions = Annotated[str, AfterValidator(_conditions)]
 Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]
 
@@ -70,7 +81,11 @@ class AgentConfig(Section):
     neighbour_timeout_s: PositiveFloat = 1.0
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
     core_silence_s: float = Field(1.0, gt=0.0, le=10.0)
-    reading_timeout_s: PositiveFloat = 0.5  # the driver's last reading is older: stop
+    reading_timeout_s: PositiveFloat = 0.3  # the driver's last reading is older: stop
+    battery_low: float = Field(0.1, ge=0.0, le=1.0)  # share at which a robot stands; only driving by hand moves it
+    battery_rise: float = Field(0.05, ge=0.0, le=1.0)  # and how much more it takes to go on
+    fence_margin_m: float = 0.0  # how far outside the arena a robot's centre may be
+    fence_delay_s: float = Field(0.15, ge=0.0, le=5.0)  # from a decision to brakes that act, for the fence
     speed_limit_m_s: PositiveFloat | None = None  # below the driver's own
     turn_limit_rad_s: PositiveFloat | None = None
     speed_gain: PositiveFloat = 1.0  # K_v of the paper
@@ -128,6 +143,14 @@ class PerformanceConfig(Section):
     stop_on_collision: bool = False
 
 
+class NetworkConfig(Section):
+    """How bad the network between the processes is, on purpose: what ``--network`` sets."""
+
+    conditions: Conditions | None = None  # loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s; None: leave it alone
+    seed: int = 0
+    since_s: float | None = None  # monotonic clock from which a partition's times count; None: each process's start
+
+
 class RobotConfig(Section):
     """One robot of the fleet."""
 
@@ -156,6 +179,7 @@ class SwarmConfig(Section):
     agent: AgentConfig = AgentConfig()
     world: WorldConfig | None = None
     performance: PerformanceConfig = PerformanceConfig()
+    network: NetworkConfig = NetworkConfig()
     robot: tuple[RobotConfig, ...] = ()
 
     @property

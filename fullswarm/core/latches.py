@@ -1,12 +1,15 @@
-"""Who is in e-stop. An agent that was started again has lost its latch, one that was away never got it.
+"""Who is in e-stop. An agent keeps its own latch; this is the second memory, for one that lost it or never got it.
 
-They get it when they are heard, before anybody asks them to move. The agents carry e-stops out by themselves, with or
-without a core; this is only the memory that outlives them.
+Who says that he is not latched although he should be gets the order again, before anybody asks him to move. The agents
+carry e-stops out by themselves, with or without a core. Any message may be lost, so a latch is forgotten only when its
+release was heard, from the operator or in a robot's receipt, or when an agent that had it reports that it has it no
+more.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections import OrderedDict
 
 import msgspec
@@ -15,11 +18,15 @@ from fullswarm.bus import Bus
 from fullswarm.core.keep import keep
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
-from fullswarm.messages import EStop
+from fullswarm.messages import EStop, EStopReceipt
+from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
 LATCHED = "estop/"
 REMEMBERED = 1024
+OLD_REPORT_S = 1.0
+"""A report that comes so soon after an order or a receipt may be older than that; also how often an order is given
+again."""
 
 
 class Latch(msgspec.Struct, frozen=True):
@@ -27,10 +34,11 @@ class Latch(msgspec.Struct, frozen=True):
 
     reason: str
     agent: str  # the process that latched it; empty: it was not there
+    held: bool = False  # that process has said so
 
 
 class Latches:
-    """Remembers engaged e-stops and engages them again on agents that were started since.
+    """Remembers engaged e-stops and engages them again on robots that are not latched.
 
     Parameters
     ----------
@@ -38,19 +46,25 @@ class Latches:
         Name of this start of the core; its own orders bear it.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, store: Store, roster: Roster, process: str) -> None:
-        self._bus, self._keys, self._store, self._roster, self._process = bus, keys, store, roster, process
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, store: Store, roster: Roster, process: str) -> None:
+        self._bus, self._keys, self._scheduler = bus, keys, scheduler
+        self._store, self._roster, self._process = store, roster, process
         self._orders: OrderedDict[tuple[str, bool], None] = OrderedDict()
         self._latches = {
             entry.key.removeprefix(LATCHED): msgspec.convert(entry.value, Latch) for entry in store.list(LATCHED)
         }
+        self._since_s: dict[str, float] = {}  # of the newest order or receipt
         self._counter = itertools.count(1)
-        self._subscription = bus.subscribe(keys.estop, EStop, self._ordered)
+        self._subscriptions = [
+            bus.subscribe(keys.estop, EStop, self._ordered),
+            bus.subscribe(keys.estop_receipt(), EStopReceipt, self._confirmed),
+        ]
         roster.watch(self._reported, lambda _: None)
 
     def close(self) -> None:
         """Remember nothing more."""
-        self._subscription.close()
+        for subscription in self._subscriptions:
+            subscription.close()
 
     def _ordered(self, order: EStop) -> None:
         key = (order.id, order.engaged)
@@ -61,6 +75,7 @@ class Latches:
             self._orders.popitem(last=False)
         robots = order.robots or (*self._roster.known(), *(() if order.engaged else self._latches))
         for robot in robots:
+            self._since_s[robot] = self._scheduler.now_s()
             if order.engaged:
                 there = self._roster.is_present(robot)
                 self._latches[robot] = Latch(order.reason, self._roster.process(robot) if there else "")
@@ -68,29 +83,61 @@ class Latches:
                 self._latches.pop(robot, None)
         self._keep(*robots)
 
-    def _reported(self, member: Member, restarted: bool) -> None:
-        latch = self._latches.get(member.robot)
-        if latch is None or member.health is None:
-            return
-        if member.health.estop:
-            if latch.agent == member.process:
+    def _confirmed(self, receipt: EStopReceipt) -> None:
+        """Learn from a robot what it has done, perhaps by an order that got lost on the way to this core."""
+        robot, latch = receipt.robot, self._latches.get(receipt.robot)
+        if latch is None:
+            return  # a latch that is new here will be in the robot's next report
+        if receipt.engaged:
+            process = self._roster.process(robot)
+            if latch.held and latch.agent == process:
                 return
-            self._latches[member.robot] = Latch(latch.reason, member.process)
-        elif latch.agent and not restarted:
-            return  # it was there when the order was given; the report may be older
-        elif latch.agent == member.process:
-            del self._latches[member.robot]  # released while no core was there to hear it
+            self._latches[robot] = Latch(latch.reason, process, held=True)
+        elif (receipt.id, False) in self._orders:
+            return
         else:
-            self._latches[member.robot] = Latch(latch.reason, member.process)
-            order = EStop(
-                id=f"{self._process}-estop-{next(self._counter)}",
-                engaged=True,
-                robots=(member.robot,),
-                source=self._process,
-                reason=latch.reason or "engaged before its agent was started again",
-            )
-            self._bus.publish(self._keys.estop, order)
-        self._keep(member.robot)
+            del self._latches[robot]
+        self._since_s[robot] = self._scheduler.now_s()
+        self._keep(robot)
+
+    def _reported(self, member: Member, restarted: bool) -> None:
+        del restarted
+        robot, latch = member.robot, self._latches.get(member.robot)
+        if member.health is None:
+            return
+        old = self._scheduler.now_s() - self._since_s.get(robot, -math.inf) < OLD_REPORT_S
+        if member.health.estop:
+            if latch is None and old:
+                return  # it has just been released
+            reason = latch.reason if latch is not None else ""
+            held = Latch(reason, member.process, held=True)
+            if latch == held:
+                return
+            self._latches[robot] = held
+        elif latch is None:
+            return
+        elif latch.agent != member.process:
+            self._again(robot, latch, member.process)  # another process, or one that was away
+        elif old:
+            return
+        elif latch.held:
+            del self._latches[robot]  # released while this core did not hear it
+        else:
+            self._again(robot, latch, member.process)
+        self._keep(robot)
+
+    def _again(self, robot: str, latch: Latch, process: str) -> None:
+        """Order it once more; the next reports will tell whether that got through."""
+        self._latches[robot] = Latch(latch.reason, process)
+        self._since_s[robot] = self._scheduler.now_s()
+        order = EStop(
+            id=f"{self._process}-estop-{next(self._counter)}",
+            engaged=True,
+            robots=(robot,),
+            source=self._process,
+            reason=latch.reason or "it was engaged before",
+        )
+        self._bus.publish(self._keys.estop, order)
 
     def _keep(self, *robots: str) -> None:
         values = {

@@ -60,7 +60,7 @@ class CoreNode:
         self.library = Library(store)
         self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
         self.remapper = Remapper(bus, keys, scheduler, store, process)
-        latches = Latches(bus, keys, store, self.roster, process)
+        latches = Latches(bus, keys, scheduler, store, self.roster, process)
         board = StatusBoard(bus, keys, scheduler)
         self.handler = RequestHandler(
             bus,
@@ -79,7 +79,7 @@ class CoreNode:
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
         self._parts: tuple[Closing, ...] = (
-            controller, self.handler, self.remapper, latches, self.roster, params, *reversed(tuple(extra)),
+            controller, self.handler, board, self.remapper, latches, self.roster, params, *reversed(tuple(extra)),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

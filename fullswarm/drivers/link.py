@@ -54,6 +54,74 @@ class LinkUser(Protocol):
         ...
 
 
+class Port(Protocol):
+    """An open port as the link uses it; nothing here blocks, ``OSError`` means that the port is gone."""
+
+    @property
+    def out_waiting(self) -> int:
+        """Bytes taken, but not yet on the wire."""
+        ...
+
+    def fileno(self) -> int:
+        """Return what to wait on."""
+        ...
+
+    def read(self, size: int, /) -> bytes:
+        """Return what has come, empty if nothing for the user."""
+        ...
+
+    def write(self, data: bytes | bytearray, /) -> int:
+        """Return how many bytes were taken; raises ``BlockingIOError`` for none."""
+        ...
+
+    def beat(self) -> None:
+        """Note that the link is alive; called each `tick_s` at least."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it; closing twice is fine."""
+        ...
+
+
+Opener = Callable[[str, int], Port]
+"""Opens a path at a rate; raises ``DriverError`` with what to do."""
+
+
+class PlainPort:
+    """A :class:`Port` that this process holds itself. Raises as :func:`claim`."""
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._port = claim(path, baud)
+
+    @property
+    def out_waiting(self) -> int:
+        """Bytes in the system's buffer."""
+        return int(self._port.out_waiting)
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        descriptor: int = self._port.fileno()
+        return descriptor
+
+    def read(self, size: int) -> bytes:
+        """Read what is there."""
+        data = os.read(self.fileno(), size)
+        if not data:
+            raise OSError(errno.EIO, "hung up")
+        return data
+
+    def write(self, data: bytes | bytearray) -> int:
+        """Write what goes."""
+        return os.write(self.fileno(), data)
+
+    def beat(self) -> None:
+        """Nobody watches this port."""
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._port.close()
+
+
 class SerialLink:
     """A serial port, claimed exclusively.
 
@@ -63,6 +131,8 @@ class SerialLink:
         The port; 8N1, no flow control.
     user
         Whom to call.
+    opener
+        What opens the port, :class:`PlainPort` unless somebody else shall hold it.
     last_words
         Sent before the port is closed, whatever the reason: close(), the interpreter's exit, a defect in `user`.
     """
@@ -73,6 +143,7 @@ class SerialLink:
         baud: int,
         user: LinkUser,
         *,
+        opener: Opener = PlainPort,
         last_words: bytes = b"",
         tick_s: float = 0.015,
         retry_s: float = 0.25,
@@ -80,9 +151,9 @@ class SerialLink:
         clock: Clock | None = None,
     ) -> None:
         self._path, self._baud, self._user, self._last_words = path, baud, user, last_words
-        self._tick_s, self._retry_s, self._log = tick_s, retry_s, log
+        self._tick_s, self._retry_s, self._log, self._opener = tick_s, retry_s, log, opener
         self._clock = clock or MonotonicClock()
-        self._port: serial.Serial | None = None
+        self._port: Port | None = None
         self._outbox = bytearray()
         self._lock = threading.Lock()  # guards the outbox
         self._stopping = False
@@ -98,7 +169,7 @@ class SerialLink:
         DriverError
             The port is missing, held by somebody else, forbidden, or no serial port.
         """
-        self._port = claim(self._path, self._baud)
+        self._port = self._opener(self._path, self._baud)
         self._wake_r, self._wake_w = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._thread = threading.Thread(target=self._run, name=f"link {self._path}", daemon=True)
         # A daemon thread dies unheard when the interpreter exits, and some robots would drive on for ever.
@@ -142,17 +213,18 @@ class SerialLink:
         if reason:
             self._user.lost(reason)
 
-    def _serve(self, port: serial.Serial) -> None:
+    def _serve(self, port: Port) -> None:
         self._moved_s = self._clock.now_s()
         poll = select.poll()
         poll.register(self._wake_r, select.POLLIN)
-        descriptor: int = port.fileno()
+        descriptor = port.fileno()
         while not self._stopping:
             poll.register(descriptor, select.POLLIN | (select.POLLOUT if self._outbox else 0))
             events = dict(poll.poll(self._tick_s * 1000.0))
             self._drain_wakes(self._wake_r in events)
             try:
-                data = self._exchange(descriptor, events.get(descriptor, 0))
+                data = self._exchange(port, events.get(descriptor, 0))
+                port.beat()
             except OSError as error:
                 self._lose(_reason(error))
                 return
@@ -160,24 +232,23 @@ class SerialLink:
                 self._user.received(data)
             self._user.tick()
 
-    def _exchange(self, descriptor: int, events: int) -> bytes:
+    def _exchange(self, port: Port, events: int) -> bytes:
         """Read and write what goes without waiting. Raises ``OSError`` when the port is gone."""
         data = b""
         if events & (select.POLLIN | select.POLLHUP | select.POLLERR | select.POLLNVAL):
-            data = os.read(descriptor, MOUTHFUL)
-            if not data:
-                raise OSError(errno.EIO, "hung up")
-            self._note("<", data)
-        self._write(descriptor)
+            data = port.read(MOUTHFUL)
+            if data:
+                self._note("<", data)
+        self._write(port)
         if self._outbox and self._clock.now_s() - self._moved_s > STUCK_S:
             raise OSError(errno.ETIMEDOUT, "it takes no bytes")
         return data
 
-    def _write(self, descriptor: int) -> None:
+    def _write(self, port: Port) -> None:
         with self._lock:
             if self._outbox:
                 try:
-                    count = os.write(descriptor, self._outbox)
+                    count = port.write(self._outbox)
                 except BlockingIOError:
                     return
                 sent = bytes(self._outbox[:count])
@@ -195,7 +266,7 @@ class SerialLink:
         if self._stopping:
             return
         try:
-            port = claim(self._path, self._baud)
+            port = self._opener(self._path, self._baud)
         except DriverError as error:
             self._user.lost(f"{error.what}; {error.hint}; the driver keeps trying")
             return
@@ -226,13 +297,13 @@ class SerialLink:
                 self._outbox.clear()  # the port went first; nothing can be told to the robot any more
         self._let_go()
 
-    def _see_off(self, port: serial.Serial) -> None:
+    def _see_off(self, port: Port) -> None:
         end_s = self._clock.now_s() + FAREWELL_S
         poll = select.poll()
         poll.register(port.fileno(), select.POLLOUT)
         while self._outbox and self._clock.now_s() < end_s:
             poll.poll(20)
-            self._write(port.fileno())
+            self._write(port)
         while port.out_waiting and self._clock.now_s() < end_s:
             select.select([], [], [], 0.002)
 

@@ -14,10 +14,12 @@ from rich.console import Console
 from rich.live import Live
 
 from fullswarm.bus.endpoint import host_of
+from fullswarm.bus.senders import OPERATOR
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
+from fullswarm.launch.network import on_network, with_network
 from fullswarm.launch.show import Show, acts_for
 from fullswarm.launch.summary import print_summary
 from fullswarm.operator.client import Operator
@@ -32,10 +34,10 @@ REFRESH_S = 0.2
 POLL_S = 0.1
 
 
-def demo_config(fleet: Path | None, overrides: tuple[str, ...]) -> SwarmConfig:
-    """Return the demo's settings, or those of the user's own fleet file."""
+def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | None = None) -> SwarmConfig:
+    """Return the demo's settings, or those of the user's own fleet file, on a bad network if one is wanted."""
     named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
-    return load_swarm(named or fleet or DEMO_FILE, overrides)
+    return with_network(load_swarm(named or fleet or DEMO_FILE, overrides), network)
 
 
 def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:
@@ -45,11 +47,13 @@ def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) 
     if any(robot.emulate for robot in config.robot):
         _say("in lockstep emulated robots run as simulated ones: ports and firmware live on the wall clock")
     world = config.world_or_default.model_copy(update={"seed": seed})
-    lockstep = Lockstep(config.model_copy(update={"world": world}))
+    section = config.network.model_copy(update={"seed": seed})
+    lockstep = Lockstep(config.model_copy(update={"world": world, "network": section}))
+    bus = lockstep.bus_of(OPERATOR)
     numbers = itertools.count(1)
     keys = Keys(config.swarm)
-    operator = Operator(lockstep.bus, keys, lockstep.runtime, "demo", new_id=lambda: f"demo-{seed}-{next(numbers)}")
-    show = Show(lockstep.bus, lockstep.runtime, config, operator, seconds, acts_for(config))
+    operator = Operator(bus, keys, lockstep.runtime, "demo", new_id=lambda: f"demo-{seed}-{next(numbers)}")
+    show = Show(bus, lockstep.runtime, config, operator, seconds, acts_for(config))
     try:
         lockstep.run(1.0)
         show.start()
@@ -71,7 +75,7 @@ def run_live(config: SwarmConfig, seconds: float, as_json: bool, headless: bool)
     runtime = Runtime(MonotonicClock(), mailbox)
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime)
-    bus = ZenohBus(mailbox, hub=config.hub.endpoint)
+    bus = on_network(ZenohBus(mailbox, hub=config.hub.endpoint), runtime, supervisor.config, OPERATOR)
     keys = Keys(config.swarm)
     operator = Operator(bus, keys, runtime, "demo")
     show = Show(bus, runtime, config, operator, seconds, acts_for(config))
@@ -80,6 +84,8 @@ def run_live(config: SwarmConfig, seconds: float, as_json: bool, headless: bool)
             f"starting {len(config.robots)} robots, the core and the world; logs in {supervisor.folder}\n"
             f"from another terminal: FULLSWARM_HUB={config.hub.endpoint} fullswarm watch"
         )
+        if config.network.conditions is not None:
+            _say(f"on a bad network: {config.network.conditions}; times of a partition count from now")
         supervisor.start()
         _run_until(runtime, show.ready, START_TIMEOUT_S)
         if runtime.exit_signal is None and not show.ready():

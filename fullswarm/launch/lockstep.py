@@ -1,7 +1,8 @@
 """A whole swarm in one process on a simulated clock: deterministic to the byte, as fast as the machine goes.
 
 The nodes are those of the live processes. One agent carries all robots, so that laws, filter, controller and
-calculators are evaluated once per tick for everybody.
+calculators are evaluated once per tick for everybody. On a bad network each robot has an agent of its own, as on
+board: what one robot misses another one hears.
 """
 
 from __future__ import annotations
@@ -11,31 +12,47 @@ from dataclasses import dataclass, field
 
 from fullswarm import kernels
 from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.bus.base import Bus
 from fullswarm.bus.local import LocalBus
+from fullswarm.bus.senders import CENTRALISED, CORE
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.sim.fleet import SimFleet
+from fullswarm.drivers.sim.row_fleet import RowFleet
 from fullswarm.drivers.sim.world import World
 from fullswarm.launch import nodes
+from fullswarm.launch.network import network_of, on_network
 from fullswarm.runtime import Mailbox, Runtime
 
 
 @dataclass(slots=True)
 class Lockstep:
-    """A swarm that moves only when :meth:`run` is called."""
+    """A swarm that moves only when :meth:`run` is called.
+
+    Attributes
+    ----------
+    bus : carries every message unharmed, for those who look on; nodes are on :meth:`bus_of` their name
+    agents : one that carries all robots; on a bad network one per robot, in the order of the file
+    """
 
     config: SwarmConfig
     runtime: Runtime = field(init=False)
     bus: LocalBus = field(init=False)
     world: World = field(init=False)
-    agent: AgentNode = field(init=False)
+    agents: tuple[AgentNode, ...] = field(init=False)
     wall_s: float = field(init=False, default=0.0)
     _nodes: list[nodes.Node] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        # One host carries everybody, so there is nothing to split by place.
-        agent = self.config.agent.model_copy(update={"state_cell_m": 0.0})
-        self.config = config = self.config.model_copy(update={"agent": agent})
+        bad = network_of(self.config) is not None
+        if bad:
+            network = self.config.network.model_copy(update={"since_s": 0.0})
+            self.config = self.config.model_copy(update={"network": network})
+        else:
+            # One host carries everybody, so there is nothing to split by place.
+            agent = self.config.agent.model_copy(update={"state_cell_m": 0.0})
+            self.config = self.config.model_copy(update={"agent": agent})
+        config = self.config
         mailbox = Mailbox()
         kernels.compile_all()
         self.runtime = Runtime(SimClock(), mailbox)
@@ -44,12 +61,34 @@ class Lockstep:
         self.world = World(settings, config.robots, nodes.start_poses(config))
         # Before the agent's timer: a period ends with the world's step, then the robots read what came of it.
         self.runtime.every(1.0 / settings.rate_hz, self.world.step)
-        self._nodes += nodes.core(self.bus, self.runtime, config, "core-0", self.runtime.now_s)
-        self._nodes += nodes.centralised(self.bus, self.runtime, config, "centralised-0")
-        fleet = SimFleet(self.world, self.runtime.now_s, config.agent.sensing_radius_m)
+        self._nodes += nodes.core(self.bus_of(CORE), self.runtime, config, "core-0", self.runtime.now_s)
+        self._nodes += nodes.centralised(self.bus_of(CENTRALISED), self.runtime, config, "centralised-0")
+        self.agents = self._agent_each() if bad else (self._agent_of_all(),)
+        self._nodes += self.agents
+
+    @property
+    def agent(self) -> AgentNode:
+        """The one agent that carries all robots; on a bad network that of the first robot."""
+        return self.agents[0]
+
+    def bus_of(self, name: str) -> Bus:
+        """Return the bus as process `name` has it: on a bad network it suffers."""
+        return on_network(self.bus, self.runtime, self.config, name)
+
+    def _agent_of_all(self) -> AgentNode:
+        fleet = SimFleet(self.world, self.runtime.now_s, self.config.agent.sensing_radius_m)
         identity = Identity("lockstep", "lockstep-0")
-        self.agent = nodes.agent(self.bus, self.runtime, config, fleet, identity, self.runtime.stats)
-        self._nodes.append(self.agent)
+        return nodes.agent(self.bus, self.runtime, self.config, fleet, identity, self.runtime.stats)
+
+    def _agent_each(self) -> tuple[AgentNode, ...]:
+        """One table of what is heard cannot serve robots that hear different things."""
+        found = []
+        for row, robot in enumerate(self.config.robots):
+            fleet = RowFleet(self.world, row, self.runtime.now_s, self.config.agent.sensing_radius_m)
+            identity = Identity(robot, f"{robot}-0")
+            bus = self.bus_of(robot)
+            found.append(nodes.agent(bus, self.runtime, self.config, fleet, identity, self.runtime.stats))
+        return tuple(found)
 
     def run(self, duration_s: float) -> None:
         """Let `duration_s` simulated seconds pass."""

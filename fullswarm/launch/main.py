@@ -22,6 +22,10 @@ app = typer.Typer(
     help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
 )
 app.add_typer(operator_app)
+experiment_app = typer.Typer(no_args_is_help=True)
+app.add_typer(
+    experiment_app, name="experiment", rich_help_panel="Evaluate", help="Measure behaviours over many seeded trials."
+)
 app.add_typer(hardware_app)  # after the operator's: its `robots` has more verbs
 
 Fleet = Annotated[Path, typer.Option("--fleet", metavar="FILE", help="The fleet file (TOML).")]
@@ -32,6 +36,10 @@ Insecure = Annotated[
     bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can drive the robots.")
 ]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+Network = Annotated[
+    str | None,
+    typer.Option("--network", metavar="SPEC", help="A bad network: loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s."),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")]
 START, RUN = "Start", "Single processes"
 
@@ -73,6 +81,7 @@ def demo(
             help="A fleet file, or `mixed`: 3 Creates, 3 rovers, 2 CAN bases, emulated with real ports.",
         ),
     ] = None,
+    network: Network = None,
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
@@ -81,7 +90,7 @@ def demo(
     def command() -> int:
         from fullswarm.launch import demo as show
 
-        config = show.demo_config(fleet, tuple(overrides or ()))
+        config = show.demo_config(fleet, tuple(overrides or ()), network)
         if lockstep:
             return show.run_lockstep(config, seconds, seed, as_json)
         return show.run_live(config, seconds, as_json, headless or as_json)
@@ -93,6 +102,7 @@ def demo(
 def up(
     fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
     overrides: Overrides = None,
+    network: Network = None,
     insecure_network: Insecure = False,
     debug: Debug = False,
 ) -> None:
@@ -101,7 +111,7 @@ def up(
     def command() -> int:
         from fullswarm.launch.up import run
 
-        return run(_load(fleet, overrides), insecure_network)
+        return run(_load(fleet, overrides), insecure_network, network)
 
     _run(debug, command)
 
@@ -216,6 +226,41 @@ def fixes(
             insecure_network,
         )
         return source.run(hub, swarm, options, with_parent)
+
+    _run(debug, command)
+
+
+@experiment_app.callback()
+def _experiment() -> None:
+    """Keep `run` a command of its own, although it is the only one."""
+
+
+@experiment_app.command("run")
+def run_experiment(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE.toml", help="One of the package: safety; or your own.")],
+    seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
+    cells: Annotated[
+        list[str] | None,
+        typer.Option("--cells", metavar="FILTER", help="Only these: 'behaviour=navigate_bc,robots=32'; may repeat."),
+    ] = None,
+    small: Annotated[bool, typer.Option("--small", help="The file's small version: about a minute.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
+    timeout_s: Annotated[
+        float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
+    ] = 600.0,
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to go on.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run an experiment. Exit code 0: no trial collided and none failed; 1 otherwise."""
+
+    def command() -> int:
+        from fullswarm.launch import experiment
+
+        options = experiment.Options(name, seeds, tuple(cells or ()), small, jobs, timeout_s, folder, as_json)
+        return experiment.run(options)
 
     _run(debug, command)
 

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from fullswarm import registry
 from fullswarm.bus.base import Bus
+from fullswarm.bus.senders import CENTRALISED, CORE, OPERATOR, WORLD
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
@@ -35,33 +36,42 @@ def core(config: SwarmConfig, with_parent: bool) -> int:
     """Serve as the core."""
     from fullswarm.launch import nodes
 
-    return serve_on_bus(config, with_parent, lambda bus, runtime: nodes.core(bus, runtime, config, process_id("core")))
+    def build(bus: Bus, runtime: Runtime) -> list[Node]:
+        return nodes.core(bus, runtime, config, process_id("core"))
+
+    return serve_on_bus(config, with_parent, build, CORE)
 
 
 def centralised(config: SwarmConfig, with_parent: bool) -> int:
     """Serve the centralised behaviours."""
     from fullswarm.launch import nodes
 
-    return serve_on_bus(
-        config, with_parent, lambda bus, runtime: nodes.centralised(bus, runtime, config, process_id("centralised"))
-    )
+    def build(bus: Bus, runtime: Runtime) -> list[Node]:
+        return nodes.centralised(bus, runtime, config, process_id("centralised"))
+
+    return serve_on_bus(config, with_parent, build, CENTRALISED)
 
 
 def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     """Serve as the agent of one robot."""
+    from fullswarm.agent.latch_folder import LatchFolder
     from fullswarm.agent.node import Identity
     from fullswarm.drivers.fleet import OneRobot
+    from fullswarm.drivers.guardian import guarded_url
     from fullswarm.launch import nodes
+    from fullswarm.launch.latching import latch_folder
 
     entry = _entry(config, robot)
-    url = driver_url(config, entry)
+    url = guarded_url(driver_url(config, entry))
     fleet = OneRobot(robot, registry.driver_class(url)(url))
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))
-        return [nodes.agent(bus, runtime, config, fleet, identity, runtime.stats)]
+        node = nodes.agent(bus, runtime, config, fleet, identity, runtime.stats)
+        node.inbox.estops.remember(LatchFolder(latch_folder(config, entry)))
+        return [node]
 
-    return serve_on_bus(config, with_parent, build)
+    return serve_on_bus(config, with_parent, build, robot)
 
 
 def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int:
@@ -74,6 +84,7 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
         config,
         with_parent,
         lambda bus, runtime: [WorldNode(bus, runtime, config, process_id("world"), insecure_network)],
+        WORLD,
     )
 
 
@@ -98,15 +109,21 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
     raise ConfigError(f"the fleet file has no robot '{robot}'", hint=did_you_mean(robot, config.robots))
 
 
-def serve_on_bus(config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]]) -> int:
-    """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code."""
+def serve_on_bus(
+    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str = OPERATOR
+) -> int:
+    """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
+
+    `name` is what a partition of the fleet's network calls this process.
+    """
     from fullswarm.bus.zenoh_bus import ZenohBus
+    from fullswarm.launch.network import on_network
 
     mailbox = Mailbox()
     runtime = Runtime(MonotonicClock(), mailbox)
     bus = ZenohBus(mailbox, hub=config.hub.endpoint)
     try:
-        return _serve(runtime, build(bus, runtime), with_parent)
+        return _serve(runtime, build(on_network(bus, runtime, config, name), runtime), with_parent)
     finally:
         bus.close()
 

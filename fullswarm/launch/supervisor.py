@@ -16,6 +16,7 @@ import structlog
 from fullswarm.config import SwarmConfig
 from fullswarm.config.write import write_swarm
 from fullswarm.errors import ConfigError
+from fullswarm.launch.latching import RUN
 from fullswarm.launch.processes import PARENT
 from fullswarm.runtime import Scheduler
 
@@ -63,6 +64,13 @@ class Supervisor:
     insecure_network: bool = False
     children: dict[str, Child] = field(default_factory=dict)
     folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="fullswarm-")))
+
+    def __post_init__(self) -> None:
+        network = self.config.network
+        if network.conditions is not None and network.since_s is None:
+            # One zero for all, also for a process that is started again; they share this machine's clock.
+            section = network.model_copy(update={"since_s": self.scheduler.now_s()})
+            self.config = self.config.model_copy(update={"network": section})
 
     def start(self) -> None:
         """Write the fleet file for the children and start them all."""
@@ -121,7 +129,7 @@ class Supervisor:
         self.children[name] = Child(name, arguments)
 
     def _spawn(self, child: Child) -> None:
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid())}
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
         with (self.folder / f"{child.name}.log").open("ab") as sink:
             child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
                 [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],

@@ -9,6 +9,7 @@ from fullswarm.bus.endpoint import check_endpoint
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
+from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.runtime import Runtime
 
@@ -22,14 +23,17 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     options += "" if config.swarm == usual.swarm else f" --swarm {config.swarm}"
     commands = ", ".join(f"`fullswarm {verb}{options}`" for verb in ("watch", "behaviours", "stop"))
     robots = f"{len(config.robot)} robot{'s' if len(config.robot) > 1 else ''}"
+    if config.network.conditions is not None:
+        robots += f" on a bad network ({config.network.conditions})"
     return f"{robots} of swarm '{config.swarm}'; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
-def run(config: SwarmConfig, insecure_network: bool) -> int:
+def run(config: SwarmConfig, insecure_network: bool, network: str | None = None) -> int:
     """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM."""
     if not config.robot:
         raise ConfigError("names no robot", where="the fleet file", hint="add [[robot]] tables or a [fleet] count")
     check_endpoint(config.hub.endpoint, insecure_network)
+    config = with_network(config, network)
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network)

@@ -6,6 +6,7 @@ Only typer is imported here: whatever needs the bus is imported when a command r
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -102,23 +103,36 @@ def estop(
     robots: RobotArguments = None,
     clear: Annotated[bool, typer.Option("--clear", help="Release the latched e-stop instead.")] = False,
     reason: Annotated[str, typer.Option(help="Why; robots and logs repeat it.")] = "",
-    timeout: Timeout = 5.0,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=0.1, max=86400, help="Give up then; none: on Ctrl-C, with --clear 5 s."),
+    ] = None,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(
+            envvar="FULLSWARM_FLEET", metavar="FILE", help="Whose robots must confirm, also if no core knows them."
+        ),
+    ] = None,
     as_json: Json = False,
     hub: Hub = None,
     swarm: Swarm = "swarm",
     debug: Debug = False,
 ) -> None:
-    """Emergency stop: latched until --clear. Exit code 4 when a robot did not confirm, 3 when none was heard."""
+    """Emergency stop: latched until --clear. Presses until all confirm.
+
+    Exit code 4 when a robot did not confirm, 3 when none was heard or no hub answers.
+    """
 
     def command() -> int:
-        from fullswarm.operator import orders
+        from fullswarm.operator import estop_command
 
-        return orders.estop(
+        return estop_command.estop(
             _target(hub, swarm),
             robots or (),
             engaged=not clear,
             reason=reason,
             timeout_s=timeout,
+            fleet=fleet,
             as_json=as_json,
         )
 

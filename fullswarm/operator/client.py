@@ -232,6 +232,5 @@ class Operator:
             asked.on_status(asked.status)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
-        order = self._orders.get(receipt.id)
-        if order is not None:
+        for order in tuple(self._orders.values()):
             order.receive(receipt)

@@ -16,6 +16,12 @@ class EStopOrder:
     """Repeats an e-stop until every robot concerned has confirmed it or the deadline is over.
 
     An engaged e-stop is confirmed by a robot that *stands*; a release by a robot that is released.
+
+    Attributes
+    ----------
+    receipts : robot → its newest receipt
+    answered_s, confirmed_s : robot → seconds from the first sending to its first answer, and to its confirmation
+    overruled_by : robot that was latched anew after this order had released it; a release is given no longer then
     """
 
     def __init__(
@@ -31,6 +37,9 @@ class EStopOrder:
     ) -> None:
         self.message = message
         self.receipts: dict[str, EStopReceipt] = {}
+        self.answered_s: dict[str, float] = {}
+        self.confirmed_s: dict[str, float] = {}
+        self.overruled_by = ""
         self.sent = 0
         self.done = False
         self._send, self._scheduler, self._known = send, scheduler, known
@@ -61,13 +70,36 @@ class EStopOrder:
         """Who has not confirmed yet, silent or still rolling."""
         return tuple(robot for robot in self.concerned() if not self._confirmed(robot))
 
+    def silent(self) -> tuple[str, ...]:
+        """Who has not answered at all."""
+        return tuple(robot for robot in self.unconfirmed() if robot not in self.receipts)
+
+    def rolling(self) -> tuple[str, ...]:
+        """Who has answered, but not confirmed."""
+        return tuple(robot for robot in self.unconfirmed() if robot in self.receipts)
+
     def receive(self, receipt: EStopReceipt) -> None:
-        """Book a robot's receipt."""
+        """Book a robot's receipt, of this order or of another one."""
+        if receipt.id != self.message.id:
+            self._note_other(receipt)
+            return
         before = self.receipts.get(receipt.robot)
+        # Copies come late and out of order: who once stood does not roll again.
+        if before == receipt or (before is not None and before.standing and not receipt.standing):
+            return
         self.receipts[receipt.robot] = receipt
-        if self._on_receipt is not None and receipt != before:
+        self.answered_s.setdefault(receipt.robot, self.elapsed_s)
+        if self._confirmed(receipt.robot):
+            self.confirmed_s.setdefault(receipt.robot, self.elapsed_s)
+        if self._on_receipt is not None:
             self._on_receipt(receipt)
         self._finish_if_done()
+
+    def _note_other(self, receipt: EStopReceipt) -> None:
+        """End a release when a robot that it had released is latched again: the newer e-stop must win everywhere."""
+        if receipt.engaged and not self.message.engaged and not self.done and self._confirmed(receipt.robot):
+            self.overruled_by = receipt.robot
+            self._finish()
 
     def _confirmed(self, robot: str) -> bool:
         receipt = self.receipts.get(robot)
@@ -91,8 +123,11 @@ class EStopOrder:
         # Half a period of slack: the last tick before the deadline must not be lost to rounding.
         if not confirmed and self.elapsed_s < self._deadline_s - REPEAT_S / 2:
             return False
+        self._finish()
+        return True
+
+    def _finish(self) -> None:
         self.done = True
         self.close()
         if self._on_done is not None:
             self._on_done(self)
-        return True

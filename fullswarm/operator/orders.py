@@ -1,4 +1,4 @@
-"""The commands that make robots do something: request, stop, estop, drive, mock. Each returns its exit code."""
+"""The commands that make robots do something: request, stop, drive, mock. Each returns its exit code."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
-from fullswarm.errors import ConfigError, RequestRefused, SafetyStop, Unreachable
-from fullswarm.messages import ROBOT_ID, EStopReceipt, RequestStatus, Value
+from fullswarm.errors import ConfigError, RequestRefused, Unreachable
+from fullswarm.messages import ROBOT_ID, RequestStatus, Value
 from fullswarm.operator import output, session
-from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target
 from fullswarm.operator.teleop import Teleop
-from fullswarm.operator.view import FleetView
-
-COMPLAIN_S = 0.5
-"""An e-stop that is not confirmed by then names who is missing."""
 
 
 def robot_ids(names: Iterable[str]) -> tuple[str, ...]:
@@ -124,72 +119,6 @@ def stop(target: Target, robots: Sequence[str]) -> int:
             )
     output.progress(f"stop sent to {', '.join(ids) or 'all robots'}")
     return 0
-
-
-def estop(target: Target, robots: Sequence[str], *, engaged: bool, reason: str, timeout_s: float, as_json: bool) -> int:
-    """Engage or release the e-stop, print every receipt, name who did not confirm."""
-    ids = robot_ids(robots)
-    with session.connect(target) as line:
-        view = FleetView(line.bus, line.keys, line.runtime)
-
-        def receive(receipt: EStopReceipt) -> None:
-            if not as_json:
-                output.data(receipt_line(receipt))
-
-        def complain() -> None:
-            if not order.done and order.unconfirmed():
-                output.progress(f"not confirmed after {COMPLAIN_S} s: {', '.join(order.unconfirmed())}; trying on")
-
-        order = line.operator.estop(
-            engaged,
-            ids,
-            reason,
-            known=view.robots,
-            deadline_s=timeout_s,
-            on_receipt=receive,
-            on_done=lambda _: line.finish(),
-        )
-        line.runtime.after(COMPLAIN_S, complain)
-        line.run()
-        if as_json:
-            output.data_json(_order_as_dict(order))
-        if not order.concerned():
-            raise Unreachable("no robot was heard", where=line.hub, hint="are agents running in this swarm?")
-    if order.unconfirmed():
-        raise _not_confirmed(order, timeout_s)
-    return 0
-
-
-def _not_confirmed(order: EStopOrder, timeout_s: float) -> SafetyStop:
-    """Return the error that names the robots that are silent, and those that answered without standing."""
-    silent = [robot for robot in order.unconfirmed() if robot not in order.receipts]
-    answered = [robot for robot in order.unconfirmed() if robot in order.receipts]
-    parts = []
-    if silent:
-        parts.append(f"no answer from {', '.join(silent)}")
-    if answered:
-        state = "latched, but not seen standing" if order.message.engaged else "not released"
-        parts.append(f"{state}: {', '.join(answered)}")
-    hint = "go there: they may still move" if order.message.engaged else "they stay stopped; try again"
-    return SafetyStop(f"after {timeout_s:g} s {'; '.join(parts)}", hint=hint)
-
-
-def receipt_line(receipt: EStopReceipt) -> str:
-    """Return a receipt in words."""
-    if not receipt.engaged:
-        return f"{receipt.robot}: released"
-    if receipt.standing:
-        return f"{receipt.robot}: stands, rolled {receipt.rolled_m:.3f} m"
-    return f"{receipt.robot}: stopping"
-
-
-def _order_as_dict(order: EStopOrder) -> dict[str, object]:
-    return {
-        "id": order.message.id,
-        "engaged": order.message.engaged,
-        "receipts": [msgspec.to_builtins(order.receipts[robot]) for robot in sorted(order.receipts)],
-        "unconfirmed": list(order.unconfirmed()),
-    }
 
 
 def drive(

@@ -81,8 +81,8 @@ class Session:
 
 
 @contextmanager
-def connect(target: Target) -> Iterator[Session]:
-    """Open the bus for one command.
+def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
+    """Open the bus for one command; the hub has `within_s` to answer, 3 s by default.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def connect(target: Target) -> Iterator[Session]:
     hub = target.hub or DEFAULT_HUB
     bus = ZenohBus(runtime.mailbox, hub=hub)
     try:
-        bus.wait_connected(CONNECT_S)
+        bus.wait_connected(CONNECT_S if within_s is None else within_s)
         yield Session(bus, keys, runtime, hub)
     finally:
         bus.close()

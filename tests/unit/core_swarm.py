@@ -15,6 +15,7 @@ from fullswarm.messages import (
     Command,
     ControlAck,
     ControlRequest,
+    EStop,
     HealthReport,
     Message,
     RequestStatus,
@@ -29,10 +30,12 @@ KEYS = Keys()
 Drop = Callable[[str, Message], bool]
 
 
-def health(robot: str, *, behaviour: str = "", request_id: str = "", core: str = "", sequence: int = 0) -> RobotHealth:
+def health(
+    robot: str, *, behaviour: str = "", request_id: str = "", core: str = "", sequence: int = 0, estop: bool = False
+) -> RobotHealth:
     return RobotHealth(
         robot=robot, driver="null://", make="", model="", firmware="", lifecycle="ACTIVE",
-        behaviour=behaviour, request_id=request_id, core=core, sequence=sequence,
+        behaviour=behaviour, request_id=request_id, core=core, sequence=sequence, estop=estop,
     )  # fmt: skip
 
 
@@ -61,13 +64,14 @@ class Robot:
 
     def start(self) -> Robot:
         self.starts += 1
-        self.task, self.alive = None, True
+        self.task, self.alive, self.estop = None, True, False
         self.newest, self.answer = ("", 0), ControlAck(
             request_id="", robot=self.robot, behaviour="", enabled=False, accepted=False
         )  # fmt: skip
         self.subscriptions = [
             self.bus.subscribe(KEYS.control_requests(self.robot), ControlRequest, self.control),
             self.bus.subscribe(KEYS.stop, StopRequest, self.stopped),
+            self.bus.subscribe(KEYS.estop, EStop, self.latched),
             self.bus.subscribe(KEYS.command(self.robot), Command, self.commands.append),
         ]
         self.timer = self.runtime.every(0.5, self.report, first_s=0.0)
@@ -82,6 +86,11 @@ class Robot:
     def stopped(self, stop: StopRequest) -> None:
         if stop.id not in self.stops and (not stop.robots or self.robot in stop.robots):
             self.stops.add(stop.id)
+            self.halt()
+
+    def latched(self, order: EStop) -> None:
+        if not order.robots or self.robot in order.robots:
+            self.estop = order.engaged
             self.halt()
 
     def halt(self) -> None:
@@ -109,8 +118,9 @@ class Robot:
 
     def report(self) -> None:
         task = self.task
-        state = health(self.robot) if task is None else health(
-            self.robot, behaviour=task.behaviour, request_id=task.request_id, core=task.core, sequence=task.sequence
+        state = health(self.robot, estop=self.estop) if task is None else health(
+            self.robot, behaviour=task.behaviour, request_id=task.request_id, core=task.core, sequence=task.sequence,
+            estop=self.estop,
         )  # fmt: skip
         self.bus.publish(
             KEYS.health(self.robot),

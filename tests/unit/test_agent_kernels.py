@@ -125,7 +125,8 @@ def _drive(seed: int, run: object) -> np.ndarray:
     run(
         rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.full(count, 0.17), np.full(count, 0.5),
         np.full(count, 4.0), np.ones(count, bool), 1.0, 3.0, np.full(count, 2.0), np.full(count, 0.03), 3.0, start,
-        other, predicted, heard, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0]), twists,
+        other, predicted, heard, np.zeros(count), np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]),
+        np.array([0.0, 0.0, 5.0, 5.0]), twists,
     )  # fmt: skip
     return twists
 

@@ -53,7 +53,8 @@ class FakeSwarm:
         self.interrupt_after_s: float | None = None
 
     @contextmanager
-    def connect(self, target: Target) -> Iterator[Session]:
+    def connect(self, target: Target, within_s: float | None = None) -> Iterator[Session]:
+        del within_s
         self.targets.append(target)
         self.runtime = Runtime(SimClock())  # a runtime runs once
         self.bus = LocalBus(self.runtime.mailbox)
@@ -203,7 +204,7 @@ def test_an_estop_names_who_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -
     assert result.exit_code == 4
     assert result.stdout == "r1: stands, rolled 0.030 m\n"
     assert result.stderr.splitlines() == [
-        "not confirmed after 0.5 s: r2; trying on",
+        "after 0.5 s no answer from r2; trying on",
         "error: after 2 s no answer from r2 (go there: they may still move)",
     ]
 

@@ -1,13 +1,13 @@
 """Barrier certificates for unicycles, per robot (paper III.A, its [11]: Wang, Ames, Egerstedt 2017).
 
-For a neighbour j in direction n (unit, from i to j) with a gap g between the footprints, robot i may close at most
-its half: ``n·u_i <= γ g / 2``. For a wall or a box it carries the whole: ``n·u_i <= γ g``. The wished velocity is
+For a neighbour j in direction n (unit, from i to j) with a gap g between the footprints, robot i has the half of it
+to itself: ``n·u_i <= γ g / 2``. For a wall or a box it carries the whole: ``n·u_i <= γ g``. The wished velocity is
 projected onto these half-planes exactly, by an incremental method in the plane: no solver, no tolerance.
 
 A unicycle cannot drive sideways, so projecting is not enough: that is how the paper's robots collided. Here the
-projection only says where to turn to. Turning moves nobody's disc, and the speed along the *present* heading is held
-within the interval that the same half-planes allow; standing is always in it, as a violated gap counts as zero.
-A robot that obeys slows at most with ``γ v``, so γ is held below acceleration/speed and the brakes suffice.
+projection only says where to turn to. The speed along the *present* heading is held within the interval that the same
+half-planes allow, and :mod:`fullswarm.agent.safety.braking` sees to it that speed and turn rate can be brought to
+zero before the gap is used up. ``docs/explanation-safety-filter.md`` says what follows from that, and what does not.
 """
 
 from __future__ import annotations
@@ -96,9 +96,10 @@ def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: 
                 low = max(low, room / slope)
             elif room < -1e-12:
                 return 0.0, 0.0
-        if low > high:
+        if low > high + 1e-9:
             return 0.0, 0.0
-        along = max(low, min(high, along))
+        # Borders that meet in one point may miss it by a rounding error: that point is the answer.
+        along = 0.5 * (low + high) if low > high else max(low, min(high, along))
         x = base_x - ny * along
         y = base_y + nx * along
     return x, y
@@ -106,52 +107,106 @@ def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: 
 
 @kernel
 def half_planes(
-    x: float, y: float, reach_m: float, clearance_m: float, gain: float, speed_limit: float, start: int, end: int,
-    other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array, normals: Array, limits: Array,
+    x: float, y: float, reach_m: float, clearance_m: float, unsure_m: float, gain: float, speed_limit: float,
+    start: int, end: int, other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array,
+    bounds_m: Array, normals: Array, limits: Array, blur: Array, room: Array,
 ) -> int:  # fmt: skip
-    """Collect one robot's constraints ``normals[k]·u <= limits[k]``; return how many there are.
+    """Collect one robot's constraints; return how many there are, -1 when the robot must not move at all.
 
-    Those that no velocity within the speed limit can violate are left out: in open space that is nearly all.
+    Those that no velocity within the speed limit can violate are left out: in open space that is nearly all. It must
+    not move where a neighbour is believed at its own place, and where more things are near than can be looked at.
+
+    Parameters
+    ----------
+    clearance_m, unsure_m : radius plus margin; how far the robot may be from (x, y)
+    places, spread_m, blur_m : see :func:`fullswarm.agent.pairs.predict`
+    normals, limits : out, ``normals[k]·u <= limits[k]``, limits >= 0
+    blur : out, by how much the true direction may differ from the normal
+    room : out, m that the robot may use up towards there, >= 0: inside the clearance it may stand or leave
     """
     count = 0
+    clearance_m += unsure_m
+    binding_m = speed_limit / gain
+    blur_share = 2.0 * binding_m / clearance_m
     for edge in range(start, end):
         row = other[edge]
-        dx = predicted[row, 0] - x
-        dy = predicted[row, 1] - y
-        far = clearance_m + heard[row, 5] + 2.0 * speed_limit / gain
+        dx = places[row, 0] - x
+        dy = places[row, 1] - y
         squared = dx * dx + dy * dy
-        if 1e-12 < squared < far * far and count < MAX_ROWS:
-            distance = math.sqrt(squared)
+        far_off = blur_m[row] + unsure_m
+        closest_m = clearance_m + heard[row, 5] + spread_m[row]
+        reach = closest_m + 2.0 * binding_m + blur_share * far_off
+        if squared > reach * reach:
+            continue
+        distance = math.sqrt(squared)
+        if distance < 1e-6:
+            return -1
+        share = 0.5 * (distance - closest_m)
+        if share * distance < binding_m * (distance + far_off):
+            if count == MAX_ROWS:
+                return -1
             normals[count, 0] = dx / distance
             normals[count, 1] = dy / distance
-            limits[count] = max(0.0, 0.5 * gain * (distance - clearance_m - heard[row, 5]))
+            room[count] = max(0.0, share)
+            limits[count] = gain * room[count]
+            blur[count] = far_off / distance
             count += 1
-    binding_m = speed_limit / gain
     for row in range(obstacles.shape[0]):
+        across = math.hypot(obstacles[row, 2], obstacles[row, 3]) + obstacles[row, 5] + clearance_m + binding_m
+        if math.fabs(obstacles[row, 0] - x) > across or math.fabs(obstacles[row, 1] - y) > across:
+            continue
         gap, nx, ny = box_gap(x, y, obstacles, row)
-        if gap < reach_m and gap - clearance_m < binding_m and count < MAX_ROWS:
+        if gap < reach_m and gap - clearance_m < binding_m:
+            if count == MAX_ROWS:
+                return -1
             normals[count, 0] = nx
             normals[count, 1] = ny
-            limits[count] = max(0.0, gain * (gap - clearance_m))
+            room[count] = max(0.0, gap - clearance_m)
+            limits[count] = gain * room[count]
+            blur[count] = 0.0
             count += 1
+    nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
+    if nearest - clearance_m >= binding_m:
+        return count
     for side in range(4):
         horizontal = side % 2 == 0
         sign = -1.0 if side < 2 else 1.0
-        room = sign * (bounds_m[side] - (x if horizontal else y)) - clearance_m
-        if room < binding_m and count < MAX_ROWS:
+        to_edge = sign * (bounds_m[side] - (x if horizontal else y)) - clearance_m
+        if to_edge < binding_m:
+            if count == MAX_ROWS:
+                return -1
             normals[count, 0] = sign if horizontal else 0.0
             normals[count, 1] = 0.0 if horizontal else sign
-            limits[count] = max(0.0, gain * room)
+            room[count] = max(0.0, to_edge)
+            limits[count] = gain * room[count]
+            blur[count] = 0.0
             count += 1
     return count
+
+
+@kernel
+def interval(
+    heading: float, low: float, high: float, normals: Array, limits: Array, blur: Array, count: int
+) -> tuple[float, float]:
+    """Narrow the interval of speeds along `heading` to what the half-planes allow; zero stays in it."""
+    cos_heading = math.cos(heading)
+    sin_heading = math.sin(heading)
+    for k in range(count):
+        slope = normals[k, 0] * cos_heading + normals[k, 1] * sin_heading
+        # The other may be a little to the side of where it is believed to be: the worse direction counts.
+        if slope + blur[k] > 1e-9:
+            high = min(high, limits[k] / (slope + blur[k]))
+        if slope - blur[k] < -1e-9:
+            low = max(low, limits[k] / (slope - blur[k]))
+    return low, high
 
 
 @kernel
 def drive(
     wished: Array, filtered: NDArray[np.bool_], pose: Array, radius: Array, speed_limit: Array, turn_limit: Array,
     reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array,
-    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, obstacles: Array, bounds_m: Array,
-    twists: Array,
+    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, spread_m: Array, obstacles: Array,
+    bounds_m: Array, twists: Array,
 ) -> None:  # fmt: skip
     """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
@@ -171,6 +226,8 @@ def drive(
     """
     normals = np.empty((MAX_ROWS, 2))
     limits = np.empty(MAX_ROWS)
+    blur = np.empty(MAX_ROWS)
+    room = np.empty(MAX_ROWS)
     for i in range(wished.shape[0]):
         ux = wished[i, 0]
         uy = wished[i, 1]
@@ -186,19 +243,15 @@ def drive(
         high = speed_limit[i]
         if filtered[i]:
             count = half_planes(
-                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], gain[i], speed_limit[i], start[i],
-                start[i + 1], other, predicted, heard, obstacles, bounds_m, normals, limits,
+                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], 0.0, gain[i], speed_limit[i], start[i],
+                start[i + 1], other, predicted, heard, spread_m, spread_m, obstacles, bounds_m, normals, limits, blur,
+                room,
             )  # fmt: skip
             if planar:
                 ux, uy = project(ux, uy, normals, limits, count)
-            cos_heading = math.cos(pose[i, 2])
-            sin_heading = math.sin(pose[i, 2])
-            for k in range(count):
-                slope = normals[k, 0] * cos_heading + normals[k, 1] * sin_heading
-                if slope > 1e-9:
-                    high = min(high, limits[k] / slope)
-                elif slope < -1e-9:
-                    low = max(low, limits[k] / slope)
+            if count < 0:
+                low = high = 0.0
+            low, high = interval(pose[i, 2], low, high, normals, limits, blur, count)
         if planar:
             speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
             twists[i, 0] = clamp(speed, low, high)

@@ -11,10 +11,12 @@ the robots will really have, and slows those down that would close in too fast.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fullswarm.core.centralised import need
 from fullswarm.core.centralised.law import Array, Index
@@ -31,6 +33,8 @@ SETTINGS: dict[str, Any] = {
     "adaptive_rho_interval": 50,  # by iterations, not by time: the same input gives the same answer
 }
 SWEEPS = 20
+TRY_ALL_BELOW = 150
+"""Robots below which looking at all pairs beats building a tree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +62,18 @@ class JointFilter:
     """The certificates of one set of robots, from tick to tick."""
 
     def __init__(self) -> None:
-        self._osqp = need("osqp")
+        self.solver_type: Any = need("osqp").OSQP  # a benchmark watches it
         self._sparse = need("scipy.sparse")
         self._solver: Any = None
         self._codes: Index = np.zeros(0, np.int64)  # one number per pair of the programme
         self._robots = -1
         self._order: Index = np.zeros(0, np.int64)
         self._answer: Array = np.zeros(0)
+        self._all: tuple[Index, Index] = self._codes, self._codes
+        self._all_of = -1
+        self._kept: NDArray[np.bool_] = np.zeros(0, bool)  # which of all pairs are in the programme
+        self._chosen: tuple[Index, Index, Index] = self._codes, self._codes, self._codes
+        self._upper = self._lower = self._data = self._answer
         self.setups = 0
 
     def filter(self, wished: Array, positions: Array, radii: Array, arena: Arena) -> tuple[Array, Pairs]:
@@ -78,39 +87,78 @@ class JointFilter:
         positions : (n, 2) m
         radii : (n,) m
         """
-        pairs = self._pairs(positions, radii, arena)
+        pairs, changed = self._pairs(positions, radii, arena)
         low, high = _box(positions, radii, arena)
-        upper = np.concatenate([high.ravel(), pairs.budget_m_s])
-        lower = np.concatenate([low.ravel(), np.full(len(pairs.first), -np.inf)])
-        data = np.concatenate([np.ones(wished.size), (-pairs.unit).ravel(), pairs.unit.ravel()])
-        codes = pairs.first * len(wished) + pairs.second
-        if self._solver is None or len(wished) != self._robots or not np.array_equal(codes, self._codes):
+        size, count = wished.size, len(pairs.first)
+        if changed or len(self._upper) != size + count:
+            self._upper, self._lower = np.empty(size + count), np.full(size + count, -np.inf)
+            self._data = np.ones(size + 4 * count)
+        upper, lower, data = self._upper, self._lower, self._data
+        upper[:size], lower[:size], upper[size:] = high.ravel(), low.ravel(), pairs.budget_m_s
+        unit = pairs.unit.ravel()
+        np.negative(unit, out=data[size : size + 2 * count])
+        data[size + 2 * count :] = unit
+        if changed:
             self._set_up(wished, pairs, data, lower, upper)
-            self._codes, self._robots = codes, len(wished)
         else:
-            # The solver writes into the array that it is given.
-            self._solver.update(q=-wished.ravel(), l=lower, u=upper, Ax=data[self._order].copy())
+            # The solver writes into the array that it is given: `take` makes it a new one.
+            self._solver.update(q=-wished.ravel(), l=lower, u=upper, Ax=data.take(self._order))
         answer = self._solver.solve(raise_error=False)
-        solved = answer.info.status == "solved" and np.isfinite(answer.x).all()
-        if not solved:  # an infeasible answer holds huge values
+        found = np.asarray(answer.x, float)
+        if answer.info.status != "solved" or not math.isfinite(found.sum()):  # an infeasible answer holds huge values
             return np.zeros_like(wished), pairs
-        self._answer = np.array(answer.x, float)
-        allowed: Array = np.clip(np.asarray(answer.x, float).reshape(-1, 2), low, high)
+        self._answer = found
+        allowed: Array = np.minimum(np.maximum(found.reshape(-1, 2), low), high)
         return allowed, pairs
 
-    def _pairs(self, positions: Array, radii: Array, arena: Arena) -> Pairs:
+    def _pairs(self, positions: Array, radii: Array, arena: Arena) -> tuple[Pairs, bool]:
+        """Return the pairs of the programme, and whether they are others than last time."""
+        count = len(positions)
+        same = count == self._robots and self._solver is not None
+        if count <= TRY_ALL_BELOW:
+            first, second, offset, squared = self._try_all(positions)
+            keep = squared <= NEAR_M * NEAR_M
+            if same:
+                keep |= self._kept & (squared <= STAY_M * STAY_M)
+                same = bool((keep == self._kept).all())
+            if not same:
+                self._kept, rows = keep, keep.nonzero()[0]
+                self._chosen = rows, first[rows], second[rows]
+            rows, first, second = self._chosen
+            offset, squared = offset.take(rows, 0), squared.take(rows)
+        else:
+            first, second, offset, squared = self._search(positions, same)
+            codes = first * count + second
+            same = same and np.array_equal(codes, self._codes)
+            self._codes = codes
+        self._robots = count
+        distance = np.sqrt(squared)
+        unit = offset / np.maximum(distance, 1e-9)[:, None]
+        gap = distance - radii.take(first) - radii.take(second) - arena.margin_m
+        return Pairs(first, second, unit, arena.gain_per_s * np.maximum(gap, 0.0)), not same
+
+    def _try_all(self, positions: Array) -> tuple[Index, Index, Array, Array]:
+        """Return all pairs: rows, offsets, squared distances."""
+        if self._all_of != len(positions):
+            first, second = np.triu_indices(len(positions), 1)
+            self._all, self._all_of = (first.astype(np.int64), second.astype(np.int64)), len(positions)
+        first, second = self._all
+        offset = positions.take(first, 0) - positions.take(second, 0)
+        return first, second, offset, np.einsum("ij,ij->i", offset, offset)
+
+    def _search(self, positions: Array, same: bool) -> tuple[Index, Index, Array, Array]:
+        """Return the pairs to keep, found with a tree."""
         tree = need("scipy.spatial").cKDTree(positions)
         found = tree.query_pairs(STAY_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
-        found = found[np.argsort(found[:, 0] * len(positions) + found[:, 1])]
+        codes = found[:, 0] * len(positions) + found[:, 1]
+        order = codes.argsort()
+        found, codes = found[order], codes[order]
         offset = positions[found[:, 0]] - positions[found[:, 1]]
-        distance = np.linalg.norm(offset, axis=1)
-        keep = distance <= NEAR_M
-        if self._robots == len(positions):
-            keep |= np.isin(found[:, 0] * self._robots + found[:, 1], self._codes)
-        found, offset, distance = found[keep], offset[keep], distance[keep]
-        unit = offset / np.maximum(distance, 1e-9)[:, None]
-        gap = distance - radii[found[:, 0]] - radii[found[:, 1]] - arena.margin_m
-        return Pairs(found[:, 0], found[:, 1], unit, arena.gain_per_s * np.maximum(gap, 0.0))
+        squared = np.einsum("ij,ij->i", offset, offset)
+        keep = squared <= NEAR_M * NEAR_M
+        if same:
+            keep |= np.isin(codes, self._codes)
+        return found[keep, 0], found[keep, 1], offset[keep], squared[keep]
 
     def _set_up(self, wished: Array, pairs: Pairs, data: Array, lower: Array, upper: Array) -> None:
         size, count = wished.size, len(pairs.first)
@@ -124,7 +172,7 @@ class JointFilter:
         pattern = self._sparse.coo_matrix((numbered, (rows, columns)), shape=(size + count, size)).tocsc()
         self._order = pattern.data.astype(np.int64) - 1
         pattern.data = data[self._order].copy()
-        self._solver = self._osqp.OSQP()
+        self._solver = self.solver_type()
         identity = self._sparse.eye(size, format="csc")
         self._solver.setup(identity, -wished.ravel(), pattern, lower, upper, **SETTINGS)
         if len(self._answer) == size:
@@ -134,10 +182,10 @@ class JointFilter:
 
 def _box(positions: Array, radii: Array, arena: Arena) -> tuple[Array, Array]:
     """Return the least and the greatest velocity on each axis, (n, 2) m/s: speed limit and walls, zero allowed."""
-    room = radii[:, None] + arena.margin_m
-    to_low = arena.gain_per_s * np.maximum(positions - arena.low - room, 0.0)
-    to_high = arena.gain_per_s * np.maximum(arena.high - positions - room, 0.0)
-    return -np.minimum(to_low, arena.speed_m_s), np.minimum(to_high, arena.speed_m_s)
+    room, top = (radii + arena.margin_m)[:, None], arena.speed_m_s
+    to_low = np.minimum(np.maximum((positions - arena.low - room) * arena.gain_per_s, 0.0), top)
+    to_high = np.minimum(np.maximum((arena.high - positions - room) * arena.gain_per_s, 0.0), top)
+    return -to_low, to_high
 
 
 def to_twists(

@@ -17,7 +17,8 @@ from fullswarm.drivers.create_oi.senses import Power
 from fullswarm.drivers.create_oi.session import PARK, Session
 from fullswarm.drivers.create_oi.settings import describe, parse_url
 from fullswarm.drivers.create_oi.waking import Brc
-from fullswarm.drivers.link import ByteLog, SerialLink
+from fullswarm.drivers.guardian import GuardedPort
+from fullswarm.drivers.link import ByteLog, PlainPort, Port, SerialLink
 from fullswarm.errors import DriverError
 
 SONG = 0
@@ -90,10 +91,17 @@ class CreateDriver:
             return
         settings, session = self._settings, Session(self._settings, brc=self._brc)
         served = _Served(session, self._lock, self._clock)
-        link = SerialLink(settings.path, settings.baud, served, last_words=PARK, log=self._log, clock=self._clock)
+        link = SerialLink(
+            settings.path, settings.baud, served,
+            opener=self._open_port, last_words=PARK, log=self._log, clock=self._clock,
+        )  # fmt: skip
         session.send = link.send
         link.open()
         self._link, self._session = link, session
+
+    def _open_port(self, path: str, baud: int) -> Port:
+        # The Open Interface has no watchdog: see decision 14.
+        return GuardedPort(path, baud, PARK) if self._settings.guardian else PlainPort(path, baud)
 
     def activate(self) -> None:
         """Ask for Safe mode; ACTIVE when the robot confirms it, some 30 ms later. See `blocked` if it does not."""

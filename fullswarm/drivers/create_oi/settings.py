@@ -2,7 +2,8 @@
 
 ``create:///dev/ttyUSB0?model=create2``; ``model`` is ``create1``, ``roomba500`` or ``create2`` (default), ``baud``
 overrides the model's rate, ``mode_offset=1`` is for firmware that reports its mode one too high, ``speed_step=28.5``
-for wheels that only know multiples of so many mm/s: `command()` then rounds to them and tells so.
+for wheels that only know multiples of so many mm/s: `command()` then rounds to them and tells so, ``guardian=1`` has
+the port held by a process that stops the robot when this one is paused or killed (agents do so unless told 0).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ ACCEL_M_S2 = 1.0
 
 SLOWEST_BAUD = 19200
 COARSEST_MM_S = 100.0
-OPTIONS = ("model", "baud", "mode_offset", "speed_step")
+OPTIONS = ("model", "baud", "mode_offset", "speed_step", "guardian")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class Settings:
     baud: int = CREATE2.baud
     mode_offset: int = 0
     speed_step_mm_s: float = 0.0
+    guardian: bool = False
 
 
 def parse_url(url: str) -> Settings:
@@ -60,6 +62,7 @@ def parse_url(url: str) -> Settings:
         _choice(url, "baud", options.get("baud", str(generation.baud)), rates),
         _choice(url, "mode_offset", options.get("mode_offset", "0"), (0, 1)),
         _step(url, options.get("speed_step", "0")),
+        bool(_choice(url, "guardian", options.get("guardian", "0"), (0, 1))),
     )
 
 

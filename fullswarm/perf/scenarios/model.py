@@ -6,14 +6,17 @@ import json
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, model_validator
 
 from fullswarm.config import Point, Section
 from fullswarm.config.explain import dotted, explain
 from fullswarm.config.positions import line_numbers
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import ConfigError
+from fullswarm.perf.scenarios.files import package_names, read_named
+
+S = TypeVar("S", bound=Section)
 
 Box = tuple[float, float, float, float, float]
 """Centre x, y, size x, y in metres, yaw in radians; as in `WorldConfig.boxes`."""
@@ -95,8 +98,7 @@ class Scenario(Section):
 
 def scenario_names() -> tuple[str, ...]:
     """Return the names of the scenarios that come with the package."""
-    files = resources.files(__package__).iterdir()
-    return tuple(sorted(each.name.removesuffix(".toml") for each in files if each.name.endswith(".toml")))
+    return package_names(resources.files(__package__))
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
@@ -107,23 +109,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     ConfigError
         No such scenario or file, or errors in it: all of them at once, with file and line.
     """
-    text = str(name_or_path)
-    if isinstance(name_or_path, str) and text in scenario_names():
-        source = resources.files(__package__).joinpath(f"{text}.toml")
-        return parse_scenario(source.read_text("utf-8"), f"{text}.toml")
-    if isinstance(name_or_path, str) and not text.endswith(".toml") and "/" not in text:
-        raise ConfigError(f"there is no scenario '{text}'", hint=did_you_mean(text, scenario_names()))
-    try:
-        content = Path(name_or_path).read_text("utf-8")
-    except OSError as error:
-        raise ConfigError(
-            f"cannot read the scenario: {error.strerror or error}",
-            where=text,
-            hint=f"or use one by name: {', '.join(scenario_names())}",
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("the scenario is not UTF-8 text", where=text) from error
-    return parse_scenario(content, text)
+    return parse_scenario(*read_named(name_or_path, resources.files(__package__), "scenario"))
 
 
 def parse_scenario(text: str, where: str) -> Scenario:
@@ -134,17 +120,28 @@ def parse_scenario(text: str, where: str) -> Scenario:
     ConfigError
         Not TOML, or not a scenario.
     """
+    return parse_section(text, where, Scenario)
+
+
+def parse_section(text: str, where: str, kind: type[S]) -> S:
+    """Return the settings of type `kind` that TOML `text` describes; `where` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML, or not such settings: all errors at once, with their lines.
+    """
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not valid TOML: {error}", where=where) from error
     try:
         # JSON mode is strict (no "5" for 5) and yet takes TOML's lists for tuples.
-        return Scenario.model_validate_json(json.dumps(document, default=str), strict=True)
+        return kind.model_validate_json(json.dumps(document, default=str), strict=True)
     except ValidationError as error:
         lines, complaints = line_numbers(text), []
         for details in error.errors(include_url=False):
-            path, what = explain(details, Scenario)
+            path, what = explain(details, kind)
             known = next((path[:size] for size in range(len(path), 0, -1) if path[:size] in lines), None)
             line = f":{lines[known]}" if known else ""
             complaints.append(f"{where}{line}: {dotted(path)}: {what}" if path else f"{where}: {what}")

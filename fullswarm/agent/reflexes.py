@@ -1,0 +1,124 @@
+"""What a robot does by itself besides stopping: empty battery, edge of the arena, lost pose, a computer that slept.
+
+Arrays over n robots. The robot controller asks these before it lets a wish through; nothing here asks the network.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.drivers.base import FleetReading, Hazard
+from fullswarm.geometry import wrap
+from fullswarm.kernels import kernel
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BATTERY_LOW = int(Hazard.BATTERY_LOW)
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """When the reflexes act."""
+
+    battery_low: float = 0.1  # fraction; below it a robot ends what it does and takes nothing new
+    battery_rise: float = 0.05  # charged by so much above that, it may drive again
+    fence_margin_m: float = 0.0  # how far outside the arena a robot's centre may be
+    fence_delay_s: float = 0.15  # from seeing to braking, for the distance at which braking begins
+
+
+class Reflexes:
+    """The state of these reflexes.
+
+    Attributes
+    ----------
+    flat : (n,) the battery is too low to drive
+    no_pose : (n,) the estimator knows no finite pose
+    slept : this computer stood still a moment ago; nothing that it knows may be taken for new yet
+    floor, ceiling : (n,) m/s between which the arena's edge lets a speed be
+    """
+
+    def __init__(self, count: int, bounds_m: tuple[float, float, float, float], thresholds: Thresholds) -> None:
+        margin_m = thresholds.fence_margin_m
+        x_min, y_min, x_max, y_max = bounds_m
+        self._fence = np.array([x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m])
+        self._thresholds = thresholds
+        self.flat = np.zeros(count, bool)
+        self.no_pose = np.zeros(count, bool)
+        self.slept = False
+        self.floor, self.ceiling = np.full(count, -math.inf), np.full(count, math.inf)
+        self._awake_s = -math.inf
+
+    def look(self, reading: FleetReading, pose: Array) -> None:
+        """Take a reading and the poses (n, 3) made of it."""
+        self.no_pose[:] = ~np.isfinite(pose).all(axis=1)
+        level, low = reading.battery, self._thresholds.battery_low
+        warned = (reading.hazards & BATTERY_LOW) != 0
+        self.flat |= warned | ((level >= 0.0) & (level < low))  # -1: the robot does not tell
+        self.flat &= warned | (level < low + self._thresholds.battery_rise)
+
+    def watch_clock(self, now_s: float, before_s: float, patience_s: float) -> None:
+        """Compare two ticks: after a leap of the clock (suspend, a paused process) the robot stands for `patience_s`.
+
+        What has waited in sockets meanwhile arrives with a fresh stamp, but is old: it gets the time to be replaced.
+        """
+        if now_s - before_s > patience_s or now_s < before_s:
+            self._awake_s = now_s + patience_s
+        self.slept = now_s < self._awake_s
+
+    def watch_fence(self, pose: Array, twist: Array, wished: Array, accel_m_s2: Array) -> None:
+        """Work out between which speeds wished motions (n, 2) stay within the arena, or go back into it.
+
+        `twist` (n, 2) is the measured motion.
+        """
+        fence.run(
+            pose, twist, wished, self._fence, accel_m_s2, self._thresholds.fence_delay_s, self.floor, self.ceiling
+        )
+
+
+@kernel
+def fence(
+    pose: Array, twist: Array, wished: Array, bounds: Array, accel_m_s2: Array, delay_s: float, floor: Array,
+    ceiling: Array,
+) -> None:  # fmt: skip
+    """Fill `floor` and `ceiling` (n,): speeds that can be braked to zero before the centre crosses an edge.
+
+    For each edge: v² / 2a + v · delay <= distance / cos, where cos is of the angle between the motion and the
+    edge's normal, the worst one that the measured or wished turn rate can reach until the robot stands.
+    Who drives along an edge and then begins to turn towards it may cross it by the way that he needs to brake.
+    """
+    for i in range(pose.shape[0]):
+        floor[i] = -math.inf
+        ceiling[i] = math.inf
+        if not math.isfinite(pose[i, 0] + pose[i, 1] + pose[i, 2] + wished[i, 0] + wished[i, 1]):
+            continue
+        accel = accel_m_s2[i]
+        speed = max(math.fabs(twist[i, 0]), math.fabs(wished[i, 0]))
+        turned = max(math.fabs(twist[i, 1]), math.fabs(wished[i, 1])) * (delay_s + speed / accel)
+        nearest = min(pose[i, 0] - bounds[0], pose[i, 1] - bounds[1], bounds[2] - pose[i, 0], bounds[3] - pose[i, 1])
+        if nearest > speed * delay_s + speed * speed / (2.0 * accel):
+            continue
+        for edge in range(4):
+            if edge < 2:
+                room = pose[i, edge] - bounds[edge]
+                normal = math.pi if edge == 0 else -0.5 * math.pi
+            else:
+                room = bounds[edge] - pose[i, edge - 2]
+                normal = 0.0 if edge == 2 else 0.5 * math.pi
+            for way in range(2):
+                heading = pose[i, 2] + (0.0 if way == 0 else math.pi)
+                off = math.fabs(wrap(heading - normal))
+                # Outside, turning must stay free, or nobody could turn round and drive back.
+                outward = math.cos(max(0.0, off - turned) if room > 0.0 else off)
+                if outward <= 0.0:
+                    continue
+                way_m = max(0.0, room) / outward
+                top = accel * (math.sqrt(delay_s * delay_s + 2.0 * way_m / accel) - delay_s)
+                if way == 0:
+                    ceiling[i] = min(ceiling[i], top)
+                else:
+                    floor[i] = max(floor[i], -top)

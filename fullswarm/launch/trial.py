@@ -1,0 +1,213 @@
+"""One trial: a swarm in lockstep, a request through the whole stack, and a referee who watches the bodies.
+
+The referee looks at the world itself, not at what the robots report: whatever noise or network they suffer from,
+a touch is a touch.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.bus.senders import OPERATOR
+from fullswarm.clock import MonotonicClock
+from fullswarm.config import AgentConfig, SwarmConfig
+from fullswarm.drivers.base import Array, Limits
+from fullswarm.drivers.sim.world import World
+from fullswarm.errors import FullswarmError
+from fullswarm.keys import Keys
+from fullswarm.launch.lockstep import Lockstep
+from fullswarm.messages import RequestStatus
+from fullswarm.operator.client import Operator
+from fullswarm.perf.calculators import CollisionCalculator
+from fullswarm.perf.experiment.plan import Trial, world_of
+from fullswarm.perf.experiment.results import Outcome, TrialResult
+from fullswarm.perf.scenarios import Scenario, goals_for, load_scenario, spawn, world_config
+
+READY_S = 0.6
+"""From the start until the request: all have heard of each other by then."""
+LOOK_S = 0.1
+"""How often it is looked whether all have arrived."""
+ROOM = 10.0
+"""The bodies obey so many times their limits: a command above them would be driven, and is counted."""
+TOLERANCE = 1e-9
+
+
+class TrialFailed(FullswarmError):
+    """A trial that measured nothing."""
+
+
+class Referee:
+    """Counts contacts and commands above the limits, after each step of the world.
+
+    Parameters
+    ----------
+    world : its bodies are watched
+    limits : what the robots' drivers say that they can do
+    """
+
+    def __init__(self, world: World, limits: Limits) -> None:
+        count = len(world.ids)
+        self._world = world
+        self._most = np.array([limits.speed_m_s, limits.turn_rad_s]) * (1.0 + TOLERANCE)
+        self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
+        self._counts = np.zeros((2, count), np.int64)
+        self.above_limits = 0
+
+    def look(self) -> None:
+        """Take in the last step."""
+        world, counts = self._world, self._counts
+        counts[:] = 0
+        for first, second in world.pairs.tolist():
+            if second >= 0:
+                counts[0, first] += 1
+                counts[0, second] += 1
+            else:
+                counts[1, first] += 1
+        self.robots.update(world.time_s, counts[0])
+        self.obstacles.update(world.time_s, counts[1])
+        if (np.abs(world.target) > self._most).any():
+            self.above_limits += int((np.abs(world.target) > self._most).any(axis=1).sum())
+
+
+def run_trial(trial: Trial) -> TrialResult:
+    """Run a trial; whatever goes wrong in it is its result."""
+    clock = MonotonicClock()
+    began_s = clock.now_s()
+    try:
+        outcome, failure = measure(trial), ""
+    except FullswarmError as error:
+        outcome, failure = None, str(error)
+    except Exception as error:  # a law or an engine is outside code: one trial must not end the experiment
+        outcome, failure = None, f"{type(error).__name__}: {error}"
+    return TrialResult(seed=trial.seed, outcome=outcome, failure=failure, wall_s=clock.now_s() - began_s)
+
+
+def measure(trial: Trial) -> Outcome:
+    """Run a trial.
+
+    Raises
+    ------
+    ConfigError
+        Its behaviour, scenario or settings are wrong, or so many robots do not fit.
+    TrialFailed
+        The core refused the request, or not every robot ran it.
+    """
+    scenario = load_scenario(trial.cell.scenario)
+    config, goals = configure(trial, scenario)
+    swarm = Lockstep(config)
+    try:
+        return _run(trial, scenario, config, goals, swarm)
+    finally:
+        swarm.close()
+
+
+def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
+    """Return the fleet of a trial, and the goals (n, 2) of its robots."""
+    world = world_config(scenario, trial.seed, world_of(trial))
+    poses = spawn(scenario, trial.cell.robots, trial.seed, world.radius_m)
+    # The seed is part of the names, and what a blocked robot draws depends on its name.
+    robots = [{"id": f"r{row}s{trial.seed}", "pose": pose} for row, pose in enumerate(poses.tolist())]
+    config = SwarmConfig.model_validate(
+        {
+            "world": world.model_dump(),
+            "robot": robots,
+            "agent": AgentConfig.model_validate(dict(trial.agent)).model_dump(),
+            "network": {"conditions": trial.cell.network or None, "seed": trial.seed},
+        }
+    )
+    return config, goals_for(scenario, poses)
+
+
+def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, swarm: Lockstep) -> Outcome:
+    world, runtime = swarm.world, swarm.runtime
+    limits = world.description.limits
+    for row in range(len(world.ids)):
+        world.set_limits(row, widened(limits))
+    safe = in_safe_set(world, config.agent.safety_margin_m)
+    referee = Referee(world, limits)
+    runtime.every(world.dt_s, referee.look)
+    numbers = itertools.count()
+    bus, keys = swarm.bus_of(OPERATOR), Keys(config.swarm)
+    operator = Operator(bus, keys, runtime, "experiment", new_id=lambda: f"t{next(numbers)}")
+    statuses: list[RequestStatus] = []
+    try:
+        runtime.run(READY_S)
+        operator.request(trial.cell.behaviour, (), parameters(trial, scenario, goals), statuses.append)
+        limit_s = trial.time_limit_s or scenario.time_limit_s
+        began_s, deadlock_s = runtime.now_s(), 0.0
+        while runtime.now_s() - began_s < limit_s - TOLERANCE:
+            runtime.run(LOOK_S)
+            deadlock_s += LOOK_S * sum(int((agent.deadlocks.until_s > runtime.now_s()).sum()) for agent in swarm.agents)
+            arrived = np.hypot(*(world.pose[:, :2] - goals).T) <= scenario.goal.radius_m
+            if arrived.all():
+                break
+    finally:
+        operator.close()
+    check(statuses, swarm)
+    return Outcome(
+        robots=len(world.ids),
+        arrived=int(arrived.sum()),
+        robot_events=int(referee.robots.events.sum()),
+        obstacle_events=int(referee.obstacles.events.sum()),
+        safe_start=safe,
+        simulated_s=runtime.now_s() - began_s,
+        above_limits=referee.above_limits,
+        deadlocks=sum(int(agent.deadlocks.draws.sum()) for agent in swarm.agents),
+        deadlock_s=round(deadlock_s, 3),
+    )
+
+
+def widened(limits: Limits) -> Limits:
+    """Return limits that a body obeys beyond those that its driver tells."""
+    return Limits(
+        speed_m_s=ROOM * limits.speed_m_s,
+        turn_rad_s=ROOM * limits.turn_rad_s,
+        accel_m_s2=limits.accel_m_s2,
+        turn_accel_rad_s2=limits.turn_accel_rad_s2,
+        can_reverse=limits.can_reverse,
+    )
+
+
+def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:
+    """Return what the behaviour is asked with: the cell's parameters and the goal, one for all or one for each."""
+    wanted: dict[str, Any] = dict(trial.cell.parameters)
+    if scenario.goal.antipodal:
+        wanted["targets"] = goals.tolist()
+    else:
+        wanted["goal"] = goals[0].tolist()
+    return wanted
+
+
+def check(statuses: list[RequestStatus], swarm: Lockstep) -> None:
+    """Raise `TrialFailed` unless the request ran on every robot to the end."""
+    newest = statuses[-1] if statuses else None
+    if newest is None or newest.phase in ("refused", "superseded"):
+        raise TrialFailed(f"the core refused: {newest.reason}" if newest else "the core did not answer")
+    errors = {error for agent in swarm.agents for error in agent.law_error if error}
+    if errors:
+        raise TrialFailed("; ".join(sorted(errors)))
+    ran = sum(task is not None for agent in swarm.agents for task in agent.tasks.of)
+    if ran < len(swarm.world.ids):
+        raise TrialFailed(f"{ran} of {len(swarm.world.ids)} robots ran the behaviour to the end")
+
+
+def in_safe_set(world: World, margin_m: float) -> bool:
+    """Tell whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
+    position, radius_m = world.pose[:, :2], world.config.radius_m
+    apart = position[:, None] - position[None, :]
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    if distance.min(initial=np.inf) < 2.0 * radius_m + margin_m:
+        return False
+    clearance_m = radius_m + margin_m
+    x_min, y_min, x_max, y_max = world.config.bounds_m
+    inside: NDArray[np.bool_] = (position >= (x_min + clearance_m, y_min + clearance_m)) & (
+        position <= (x_max - clearance_m, y_max - clearance_m)
+    )
+    gaps = (box_gap.run(x, y, world.obstacles, row)[0] for x, y in position for row in range(len(world.obstacles)))
+    return bool(inside.all()) and all(gap >= clearance_m for gap in gaps)

@@ -1,0 +1,26 @@
+"""Experiments: behaviours x scenarios x sizes x seeds x engines x limits, as data (paper IV). In: TOML. Out: a table.
+
+``model.py`` reads the file, ``plan.py`` makes the trials of it, ``results.py`` joins what came of them. Running a
+trial needs robots and so belongs to ``fullswarm.launch.trial``.
+"""
+
+from fullswarm.perf.experiment.model import Experiment, experiment_names, load_experiment, parse_experiment, parse_seeds
+from fullswarm.perf.experiment.plan import Cell, Trial, plan, world_of
+from fullswarm.perf.experiment.results import CellResult, Outcome, Report, TrialResult, summarise
+
+__all__ = [
+    "Cell",
+    "CellResult",
+    "Experiment",
+    "Outcome",
+    "Report",
+    "Trial",
+    "TrialResult",
+    "experiment_names",
+    "load_experiment",
+    "parse_experiment",
+    "parse_seeds",
+    "plan",
+    "summarise",
+    "world_of",
+]

@@ -1,0 +1,163 @@
+"""A robot whose cable is pulled by the kernel. Run by test_network.py inside ``unshare -rn``; prints times as JSON.
+
+Two network namespaces and a cable between them: here the hub and the core, over there the robot's agent and its body.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.clock import MonotonicClock
+from fullswarm.config import SwarmConfig
+from fullswarm.config.write import write_swarm
+from fullswarm.drivers.sim.emulator import WorldServer
+from fullswarm.keys import Keys
+from fullswarm.operator.client import Operator
+from fullswarm.runtime import Mailbox, Runtime
+from tests.system.live import WatchedWorld
+
+HUB = "tcp/10.77.0.1:7447"
+CONFIG = SwarmConfig.model_validate(
+    {
+        "hub": {"endpoint": HUB},
+        "world": {"engine": "kinematic", "bounds_m": [0, 0, 90, 90], "watchdog_s": 5.0},
+        "robot": [{"id": "r1", "pose": [2.0, 2.0, 0.0]}],
+    }
+)
+CUT_S = 3.0
+clock = MonotonicClock()
+
+
+def sh(command: str) -> None:
+    subprocess.run(["sh", "-ec", command], check=True, stdout=subprocess.DEVNULL)
+
+
+def tell(what: object) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def body() -> None:
+    """Be the robot's body in the other namespace: tell each change between driving and standing."""
+    runtime = Runtime(clock, Mailbox())
+    runtime.stop_on_signals()
+    world = WatchedWorld(CONFIG, clock)
+    server = WorldServer(world)
+    was = False
+
+    def look() -> None:
+        nonlocal was
+        server.tick()
+        if (now := bool(world.setpoint.any())) is not was:
+            was = now
+            tell([now, clock.now_s()])
+
+    runtime.every(1.0 / CONFIG.world_or_default.rate_hz, look)
+    runtime.run()
+    server.close()
+    world.close()
+
+
+class Cable:
+    """The processes on both ends, and what the body tells."""
+
+    def __init__(self, folder: Path) -> None:
+        self.fleet = folder / "fleet.toml"
+        write_swarm(CONFIG, self.fleet)
+        self.processes: list[subprocess.Popen[str]] = []
+        self.told: list[tuple[bool, float]] = []
+        sh("ip link set lo up; ip addr add 10.77.0.1/32 dev lo; ip link add v0 type veth peer name v1")
+        self.far = self.start(["unshare", "-n", "sh", "-c", "echo here; exec sleep 600"])
+        assert self.far.stdout is not None
+        self.far.stdout.readline()
+        pid = self.far.pid
+        sh(f"ip link set v1 netns {pid}; ip addr add 10.78.0.1/24 dev v0; ip link set v0 up")
+        sh(
+            f"nsenter -t {pid} -n sh -ec 'ip link set lo up; ip addr add 10.78.0.2/24 dev v1; ip link set v1 up;"
+            " ip route add 10.77.0.1 via 10.78.0.1'"
+        )
+
+    def start(self, command: list[str]) -> subprocess.Popen[str]:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.processes.append(process)
+        return process
+
+    def start_all(self) -> None:
+        python = [sys.executable, "-m"]
+        self.start([*python, "fullswarm", "hub", "--listen", HUB, "--insecure-network"])
+        for name in ("core", "centralised"):
+            self.start([*python, "fullswarm", name, "--fleet", str(self.fleet)])
+        there = ["nsenter", "-t", str(self.far.pid), "-n", *python]
+        told = self.start([*there, "tests.system.cut_cable", "body"])
+        threading.Thread(target=self._read, args=(told,), daemon=True).start()
+        self.start([*there, "fullswarm", "agent", "r1", "--fleet", str(self.fleet)])
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        self.told += (tuple(json.loads(line)) for line in process.stdout)
+
+    def driven(self) -> bool:
+        return bool(self.told) and self.told[-1][0]
+
+    def pull(self) -> None:
+        sh("ip link set v0 down")
+
+    def plug(self) -> None:
+        sh("ip link set v0 up")
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            process.send_signal(signal.SIGTERM)
+        for process in self.processes:
+            process.wait(5.0)
+
+
+def until(runtime: Runtime, condition: Callable[[], bool], limit_s: float, what: str) -> None:
+    end_s = clock.now_s() + limit_s
+    while not condition():
+        if clock.now_s() > end_s:
+            raise SystemExit(f"waited {limit_s} s for: {what}")
+        runtime.run(0.01)
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        cable = Cable(Path(folder))
+        runtime = Runtime(clock, Mailbox())
+        bus = None
+        try:
+            cable.start_all()
+            bus = ZenohBus(runtime.mailbox, hub=HUB)
+            operator = Operator(bus, Keys(CONFIG.swarm), runtime, "test")
+            operator.request("move_to_goal", (), {"goal": [80.0, 80.0]})
+            until(runtime, cable.driven, 60.0, "the robot drives")
+            runtime.run(1.0)
+            pulled_s = clock.now_s()
+            cable.pull()
+            until(runtime, lambda: not cable.driven(), 10.0, "the robot stands")
+            stood_s = cable.told[-1][1]
+            runtime.run(max(0.0, pulled_s + CUT_S - clock.now_s()))
+            stayed = not cable.driven()
+            plugged_s = clock.now_s()
+            cable.plug()
+            until(runtime, cable.driven, 20.0, "the robot drives again")
+            found = {"stood_after_s": stood_s - pulled_s, "stayed": stayed,
+                     "drove_after_s": cable.told[-1][1] - plugged_s}  # fmt: skip
+            tell(found)
+            operator.close()
+        finally:
+            if bus is not None:
+                bus.close()
+            cable.close()
+
+
+if __name__ == "__main__":
+    body() if sys.argv[1:] == ["body"] else main()

@@ -1,0 +1,190 @@
+"""The latch on board: what survives, what is measured, what a release starts (nothing)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from fullswarm.agent.estops import SETTLE_TIMEOUT_S
+from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.config import SwarmConfig
+from fullswarm.launch.latching import RUN, STATE, latch_folder
+from fullswarm.messages import EStop
+from tests.unit.agent_bench import TICK_S, Bench
+
+ORDER = EStop(id="e", engaged=True, source="ann", reason="smoke")
+FAR = {"goal": [39.0, 5.0], "gain": 1.0, "arrive_radius_m": 0.2}
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench([(5.0, 5.0, 0.0)], world={"bounds_m": [0, 0, 40, 40]})
+
+
+def driving(bench: Bench) -> None:
+    bench.enable("move_to_goal", FAR, request_id=f"q{bench.runtime.now_s()}")
+    bench.run(1.5)
+    assert bench.commanded[0, 0] > 0.2
+
+
+def noticed(bench: Bench, seconds: float = 2.0) -> tuple[float, float]:
+    """Press, run; return the way in the receipt and the true one."""
+    before = float(bench.simulated.pose[0, 0])
+    bench.estop(True, "e")
+    bench.run(seconds)
+    return bench.receipts[-1].rolled_m, float(bench.simulated.pose[0, 0]) - before
+
+
+# ------------------------------------------------------------------ receipts
+def test_the_wheels_are_told_before_the_receipt_goes_out(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    driving(bench)
+    at_receipt: list[bool] = []
+    publish = bench.bus.publish
+
+    def look(key: str, message: object) -> None:
+        if "receipt" in key:
+            at_receipt.append(bool(bench.agent.setpoints.any()))
+        publish(key, message)  # type: ignore[arg-type]  # whatever came
+
+    monkeypatch.setattr(bench.bus, "publish", look)
+    bench.estop(True, "e")
+    assert at_receipt == [False]
+
+
+def test_the_receipt_tells_how_far_it_rolled(bench: Bench) -> None:
+    driving(bench)
+    told_m, true_m = noticed(bench)
+    assert bench.receipts[-1].standing
+    assert told_m == pytest.approx(true_m, abs=0.005)
+    assert told_m > 0.02
+
+
+def test_a_noisy_pose_adds_no_way() -> None:
+    noisy = Bench([(5.0, 5.0, 0.0)], world={"bounds_m": [0, 0, 40, 40], "noise": {"position_m": 0.05}})
+    driving(noisy)
+    told_m, true_m = noticed(noisy)
+    assert told_m == pytest.approx(true_m, abs=0.01)
+
+
+def test_who_tells_nothing_new_has_not_been_seen_standing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The link to the base is lost: the last reading says zero speed for ever."""
+    reading = bench.agent.reading
+    assert reading is not None
+    monkeypatch.setattr(bench.agent.fleet, "read", lambda: reading)
+    bench.estop(True, "e")
+    bench.run(SETTLE_TIMEOUT_S + 1.0)
+    assert [each.standing for each in bench.receipts] == [False, False], "at once, and after the time to settle"
+    monkeypatch.undo()
+    bench.run(0.2)
+    assert bench.receipts[-1].standing, "it is watched on"
+
+
+def test_a_driver_that_counts_anew_adds_no_way(bench: Bench) -> None:
+    driving(bench)
+    bench.estop(True, "e")
+    bench.run(TICK_S)
+    bench.simulated.odometry[0, :2] += 70.0
+    bench.run(2.0)
+    assert bench.receipts[-1].standing
+    assert bench.receipts[-1].rolled_m < 0.5
+
+
+# ------------------------------------------------------------------ release
+def test_a_release_starts_nothing_that_was_asked_for_before_it(bench: Bench) -> None:
+    bench.estop(True, "e")
+    bench.enable("move_to_goal", FAR, request_id="meanwhile")
+    assert not bench.acks[-1].accepted
+    bench.estop(False, "f")
+    bench.enable("move_to_goal", FAR, request_id="meanwhile")  # the core sends it once more
+    bench.run(0.5)
+    assert not bench.acks[-1].accepted
+    assert "released by test" in bench.acks[-1].reason
+    assert not bench.commanded.any()
+    driving(bench)
+
+
+# ------------------------------------------------------------------ a new process
+def test_a_latch_outlives_the_process(tmp_path: Path) -> None:
+    folder = LatchFolder(tmp_path / "deep" / "er")
+    for release in (False, True):
+        bench = Bench([(5.0, 5.0, 0.0)])
+        bench.agent.inbox.estops.remember(folder)
+        assert bench.agent.controller.estop[0] == release
+        bench.enable("move_to_goal", FAR, request_id="q")
+        bench.run(0.5)
+        assert bench.commanded.any() != release
+        bench.estop(True, "e")
+        assert folder.holds("r1")
+        if release:
+            bench.estop(False, "f")
+            assert not folder.holds("r1")
+            driving(bench)
+
+
+def test_a_latch_of_one_robot_is_not_anothers(tmp_path: Path) -> None:
+    folder = LatchFolder(tmp_path)
+    bench = Bench([(5.0, 5.0, 0.0), (8.0, 5.0, 0.0)])
+    bench.agent.inbox.estops.remember(folder)
+    bench.estop(True, "e", ("r2",))
+    again = Bench([(5.0, 5.0, 0.0), (8.0, 5.0, 0.0)])
+    again.agent.inbox.estops.remember(folder)
+    assert again.agent.controller.estop.tolist() == [False, True]
+
+
+def test_what_is_in_the_file_does_not_matter(tmp_path: Path) -> None:
+    folder = LatchFolder(tmp_path)
+    folder.engage("r1", ORDER)
+    assert "smoke" in (tmp_path / "r1.estop").read_text()
+    (tmp_path / "r1.estop").write_bytes(b"")
+    assert folder.holds("r1")
+    folder.release("r1")
+    folder.release("r1")
+    assert not folder.holds("r1")
+
+
+def test_a_disk_that_fails_stops_nobody_from_stopping(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.estops.remember(LatchFolder(tmp_path / "file" / "below"))
+    driving(bench)
+    bench.estop(True, "e")
+    bench.run(2.0)
+    assert bench.receipts[-1].standing
+    bench.estop(False, "f")
+    driving(bench)
+
+
+def test_when_in_doubt_it_is_latched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError("not yours")
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    assert LatchFolder(tmp_path).holds("r1")
+
+
+def test_a_latch_lives_as_long_as_the_body(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(STATE, str(tmp_path / "state"))
+    config = SwarmConfig.model_validate(
+        {"swarm": "lab", "world": {}, "robot": [{"id": "real", "driver": "create:///dev/ttyUSB0"}, {"id": "sim"}]}
+    )
+    real, simulated = config.robot
+    monkeypatch.delenv(RUN, raising=False)
+    assert latch_folder(config, real) == tmp_path / "state" / "estop" / "lab"
+    assert latch_folder(config, simulated) == tmp_path / "state" / "estop" / "lab" / "127.0.0.1_7450"
+    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    assert latch_folder(config, real) == tmp_path / "state" / "estop" / "lab"
+    assert latch_folder(config, simulated) == tmp_path / "run" / "estop", "the next demo starts free"
+    monkeypatch.delenv(STATE)
+    assert "fullswarm" in latch_folder(config, real).parts
+
+
+def test_orders_without_end_leave_no_trace(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    reading = bench.agent.reading
+    assert reading is not None
+    monkeypatch.setattr(bench.agent.fleet, "read", lambda: reading)  # nobody is ever seen standing
+    for number in range(400):
+        bench.estop(True, f"e{number}")
+    assert len(bench.agent.inbox.estops._rolling) <= 256
+    assert math.isfinite(bench.receipts[-1].rolled_m)

@@ -1,0 +1,246 @@
+"""The guardian of a serial port: whoever is paused or killed, the robot is told to stop. Real processes, real ports."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from fullswarm.clock import MonotonicClock
+from fullswarm.drivers.base import Lifecycle, Twist
+from fullswarm.drivers.create_oi.driver import CreateDriver
+from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.drivers.create_oi.protocol import Mode
+from fullswarm.drivers.create_oi.session import PARK
+from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, guarded_url
+from fullswarm.drivers.guardian_process import REPEATS
+from fullswarm.errors import DriverError
+
+CLOCK = MonotonicClock()
+LOOK_S = 0.15
+"""For a busy machine to run us."""
+START_S = 15.0
+PACE_M_S = 0.2
+
+
+def until(condition: Callable[[], bool], timeout_s: float, each: Callable[[], object] = lambda: None) -> float:
+    began_s = CLOCK.now_s()
+    while not condition():
+        assert CLOCK.now_s() - began_s < timeout_s, f"not within {timeout_s} s"
+        each()
+        select.select([], [], [], 0.005)
+    return CLOCK.now_s() - began_s
+
+
+def wheels(robot: CreateEmulator) -> tuple[int, int]:
+    return robot.firmware.wheels_mm_s
+
+
+@contextmanager
+def puppet(robot: CreateEmulator) -> Iterator[subprocess.Popen[bytes]]:
+    """Drive the robot from a process of its own, behind a guardian."""
+    kind, paths = CreateDriver, os.pathsep.join(each for each in sys.path if each)
+    command = [
+        sys.executable, "-m", "fullswarm.testing.drives_on", f"{kind.__module__}:{kind.__qualname__}",
+        guarded_url(robot.url), repr(PACE_M_S),
+    ]  # fmt: skip
+    with subprocess.Popen(command, env=os.environ | {"PYTHONPATH": paths}, stdin=subprocess.DEVNULL) as process:
+        try:
+            until(lambda: wheels(robot) != (0, 0), START_S)
+            yield process
+        finally:
+            process.kill()
+
+
+def guardians(robot: CreateEmulator) -> list[int]:
+    """Processes other than this one that hold the robot's port."""
+    device, found = Path(robot.port).resolve(), []
+    for entry in Path("/proc").glob("[0-9]*"):
+        if int(entry.name) == os.getpid():
+            continue
+        with suppress(OSError):
+            if any(each.readlink() == device for each in (entry / "fd").iterdir()):
+                found.append(int(entry.name))
+    return found
+
+
+def test_a_driver_that_is_killed() -> None:
+    with CreateEmulator() as robot, puppet(robot) as process:
+        [guardian] = guardians(robot)
+        assert guardian != process.pid
+        process.kill()
+        assert until(lambda: wheels(robot) == (0, 0), 5.0) < LOOK_S  # a closed socket, no silence to wait for
+        until(lambda: robot.mode is Mode.PASSIVE, 1.0)
+        until(lambda: not guardians(robot), 2.0)
+
+
+def test_a_driver_that_is_paused_and_goes_on() -> None:
+    told: set[tuple[int, int]] = set()
+    with CreateEmulator() as robot, puppet(robot) as process:
+        process.send_signal(signal.SIGSTOP)
+        assert until(lambda: wheels(robot) == (0, 0), 5.0) < SILENCE_S + LOOK_S
+        until(lambda: robot.mode is Mode.PASSIVE, 1.0)
+        assert len(guardians(robot)) == 1  # it keeps the port for the driver
+        process.send_signal(signal.SIGCONT)
+        limit_s = CLOCK.now_s() + 0.5
+        until(lambda: CLOCK.now_s() > limit_s, 1.0, lambda: told.add(wheels(robot)))
+        assert told == {(0, 0)}
+        assert robot.mode is Mode.PASSIVE
+
+
+@contextmanager
+def active(robot: CreateEmulator) -> Iterator[tuple[CreateDriver, Callable[[], object]]]:
+    """Yield a guarded driver whose robot drives, and what keeps it driving."""
+    driver = CreateDriver(guarded_url(robot.url))
+    driver.open()
+    try:
+        until(lambda: driver.state is Lifecycle.READY, 5.0)
+        driver.activate()
+        until(lambda: driver.state is Lifecycle.ACTIVE, 2.0)
+
+        def drive() -> object:
+            return driver.command(Twist(PACE_M_S, 0.0))
+
+        until(lambda: wheels(robot) != (0, 0), 2.0, drive)
+        yield driver, drive
+    finally:
+        driver.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_guardian_that_is_killed_or_hangs_is_replaced(number: signal.Signals) -> None:
+    """Nobody can stop the robot until the next one is there: the time that takes is the price, and is kept short."""
+    with CreateEmulator() as robot, active(robot) as (driver, drive):
+        [guardian] = guardians(robot)
+        os.kill(guardian, number)
+        assert until(lambda: driver.state is Lifecycle.FAULT, 2.0, drive) < 0.6 + LOOK_S
+        assert "guardian" in driver.fault
+        assert until(lambda: wheels(robot) == (0, 0), 2.0, drive) < 0.5 + LOOK_S
+        until(lambda: driver.state is Lifecycle.READY, 3.0, drive)
+        assert guardians(robot) != [guardian]
+        assert driver.command(Twist(PACE_M_S, 0.0)) == Twist()
+
+
+def test_a_guardian_ignores_who_ends_a_whole_group_and_goes_with_its_driver() -> None:
+    with CreateEmulator() as robot:
+        with active(robot) as (driver, drive):
+            [guardian] = guardians(robot)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                os.kill(guardian, number)
+            limit_s = CLOCK.now_s() + 0.3
+            until(lambda: CLOCK.now_s() > limit_s, 1.0, drive)
+            assert driver.state is Lifecycle.ACTIVE
+            assert guardians(robot) == [guardian]
+        assert wheels(robot) == (0, 0)
+        assert robot.mode is Mode.PASSIVE
+        assert not guardians(robot)
+
+
+def test_a_cable_that_is_pulled_behind_the_guardian() -> None:
+    with CreateEmulator() as robot, active(robot) as (driver, drive):
+        robot.unplug()
+        until(lambda: driver.state is Lifecycle.FAULT, 1.0, drive)
+        assert "plug it in again" in driver.fault
+        robot.replug()
+        until(lambda: driver.state is Lifecycle.READY, 3.0, drive)
+        assert wheels(robot) == (0, 0)
+
+
+@contextmanager
+def port() -> Iterator[tuple[int, str]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    try:
+        yield master, os.ttyname(slave)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def heard(master: int) -> bytes:
+    try:
+        return os.read(master, 4096)
+    except BlockingIOError:
+        return b""
+
+
+def test_a_silent_driver_is_told_nothing_old_when_it_speaks_again() -> None:
+    with port() as (master, path):
+        guarded, said = GuardedPort(path, 115200, PARK), b""
+
+        def listen() -> None:
+            nonlocal said
+            said += heard(master)
+
+        try:
+            guarded.write(b"go")
+            took_s = until(lambda: said.count(PARK) == REPEATS, 2.0, listen)
+            assert SILENCE_S <= took_s < SILENCE_S + 0.2 + LOOK_S
+            assert said == b"go" + PARK * REPEATS
+            os.write(master, b"old")
+            select.select([], [], [], 2 * 0.05)  # the guardian looks each 50 ms
+            guarded.write(b"back")
+            until(lambda: said.endswith(b"back"), 1.0, listen)
+            os.write(master, b"new")
+            answer = b""
+
+            def look() -> None:
+                nonlocal answer
+                answer += guarded.read(512)
+                guarded.beat()
+
+            until(lambda: answer.endswith(b"new"), 1.0, look)
+            assert answer == b"new"
+        finally:
+            guarded.close()
+
+
+def test_it_is_small_and_starts_at_once() -> None:
+    with port() as (master, path):
+        began_s = CLOCK.now_s()
+        guarded = GuardedPort(path, 115200, PARK)
+        try:
+            guarded.write(b"x")
+            until(lambda: heard(master) == b"x", 2.0, guarded.beat)
+            assert CLOCK.now_s() - began_s < 0.3
+            status = Path(f"/proc/{guarded.pid}/status").read_text()
+            resident_kb = int(status.partition("VmRSS:")[2].split()[0])
+            assert resident_kb < 15_000
+        finally:
+            guarded.close()
+        guarded.close()
+
+
+def test_a_port_that_is_held_or_missing_is_said_as_without_a_guardian() -> None:
+    with port() as (_, path):
+        guarded = GuardedPort(path, 115200, PARK)
+        try:
+            with pytest.raises(DriverError, match="held"):
+                GuardedPort(path, 115200, PARK)
+        finally:
+            guarded.close()
+        GuardedPort(path, 115200, PARK).close()
+    with pytest.raises(DriverError, match="no such port"):
+        GuardedPort("/dev/ttyNONE", 115200, PARK)
+
+
+@pytest.mark.parametrize(
+    ("url", "guarded"),
+    [
+        ("create:///dev/ttyUSB0", "create:///dev/ttyUSB0?guardian=1"),
+        ("create:///dev/ttyUSB0?model=create1", "create:///dev/ttyUSB0?model=create1&guardian=1"),
+        ("create:///dev/ttyUSB0?guardian=0", "create:///dev/ttyUSB0?guardian=0"),
+        ("sim://r1", "sim://r1"),
+    ],
+)
+def test_which_urls_get_a_guardian(url: str, guarded: str) -> None:
+    assert guarded_url(url) == guarded

@@ -1,0 +1,153 @@
+"""A robot alone never leaves the arena and never comes nearer to wall or box than its margin, whatever the law wants.
+
+The body is a unicycle that gains and loses speed and turn rate no faster than it can; between two ticks of 50 Hz its
+place is looked at ten times.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fullswarm import kernels
+from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, TOO_FAST, SafetyFilter
+from fullswarm.drivers.base import Description, Limits
+
+RADIUS_M, MARGIN_M, PERIOD_S, LOOKS = 0.17, 0.03, 0.02, 10
+BOUNDS = np.array([0.0, 0.0, 6.0, 6.0])
+THINGS = np.array([[2.0, 2.0, 0.5, 0.3, 0.7, 0.0], [4.5, 3.0, 0.4, 0.4, 0.0, 0.0], [3.0, 5.0, 0.0, 0.0, 0.0, 0.3]])
+NOBODY = np.zeros(2, np.int64), np.zeros(1, np.int64)
+NOTHING_HEARD = np.zeros((1, 2)), np.zeros((1, 6)), np.zeros(1), np.zeros(1)
+
+PAPER = Limits(4.0, math.pi / 4, 8.0, 20.0)
+CREATE = Limits(0.5, 4.25, 2.0, 20.0)
+SLUGGISH = Limits(1.0, 2.0, 1.0, 5.0)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled() -> None:
+    kernels.compile_all()
+
+
+def nearest(x: float, y: float) -> tuple[float, float, float]:
+    """Return the gap between centre and the nearest thing or edge (m), and the direction of the nearest thing."""
+    gaps = [box_gap(x, y, THINGS, row) for row in range(len(THINGS))]
+    gap, towards_x, towards_y = min(gaps)
+    edge = min(x - BOUNDS[0], y - BOUNDS[1], BOUNDS[2] - x, BOUNDS[3] - y)
+    return min(gap, float(edge)), towards_x, towards_y
+
+
+@dataclass
+class Body:
+    """A unicycle with ramps, behind the filter or not."""
+
+    limits: Limits
+    pose: np.ndarray
+    filtered: bool = True
+
+    def __post_init__(self) -> None:
+        limits, self.motion, self.twist = self.limits, np.zeros((1, 2)), np.zeros((1, 2))
+        self.filter = SafetyFilter(
+            ("r",), (Description("any", "any", RADIUS_M, limits),), np.array([limits.speed_m_s]),
+            np.array([limits.turn_rad_s]), np.array([True]), PERIOD_S, 3.0, BOUNDS, (1.0, 3.0),
+        )  # fmt: skip
+        self.gain = np.array([min(2.0, limits.accel_m_s2 / limits.speed_m_s)])
+        self.tick = 0
+        self.verdicts: set[int] = set()
+
+    def go(self, wish: tuple[float, float], twist: tuple[float, float] | None = None) -> float:
+        """Go on for one period towards a velocity or with a twist; return the least gap meanwhile (m)."""
+        now_s = self.tick * PERIOD_S
+        planar = np.array([wish if twist is None else (math.nan, math.nan)])
+        self.twist[0] = twist or (0.0, 0.0)
+        self.filter.apply(
+            now_s, planar, np.array([self.filtered]), self.pose, self.motion, np.array([now_s]), self.gain,
+            np.array([MARGIN_M]), NOBODY, NOTHING_HEARD, THINGS, self.twist,
+        )  # fmt: skip
+        self.tick += 1
+        self.verdicts.add(int(self.filter.verdict[0]))
+        limits = self.limits
+        for axis, top, most in ((0, limits.speed_m_s, limits.accel_m_s2), (1, limits.turn_rad_s, 0.0)):
+            step = (most or limits.turn_accel_rad_s2) * PERIOD_S
+            change = np.clip(self.twist[0, axis], -top, top) - self.motion[0, axis]
+            self.motion[0, axis] += np.clip(change, -step, step)
+        return min(self._glide(PERIOD_S / LOOKS) for _ in range(LOOKS))
+
+    def _glide(self, dt_s: float) -> float:
+        speed, turn = self.motion[0].tolist()
+        middle = self.pose[0, 2] + 0.5 * turn * dt_s
+        self.pose[0] += dt_s * np.array([speed * math.cos(middle), speed * math.sin(middle), turn])
+        return nearest(self.pose[0, 0], self.pose[0, 1])[0] - RADIUS_M
+
+
+def attack(body: Body, rng: np.random.Generator, ticks: int) -> float:
+    """Drive with random laws, half of them towards what is nearest; return the least gap to anything."""
+    limits, least = body.limits, math.inf
+    for _ in range(ticks // 40):
+        planar, greedy = rng.random() < 0.5, rng.random() < 0.5
+        angle, speed = rng.uniform(-math.pi, math.pi), 1.5 * limits.speed_m_s * rng.uniform(0.1, 1.0)
+        turn, way = rng.uniform(-1.2, 1.2) * limits.turn_rad_s, rng.choice([-1.0, 1.0])
+        for _ in range(rng.integers(1, 80)):
+            if greedy:
+                x, y, heading = body.pose[0]
+                _, to_x, to_y = nearest(x, y)
+                angle = math.atan2(to_y, to_x)
+                turn = math.copysign(limits.turn_rad_s, way * math.sin(angle - heading))
+            twist = None if planar else (way * speed, turn)
+            least = min(least, body.go((speed * math.cos(angle), speed * math.sin(angle)), twist))
+    return least
+
+
+def start(seed: int) -> tuple[np.random.Generator, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng, np.array([[3.2, 1.0, rng.uniform(-math.pi, math.pi)]])
+
+
+@pytest.mark.parametrize("limits", [PAPER, CREATE, SLUGGISH], ids=["paper", "create", "sluggish"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=12, deadline=None)
+def test_no_law_gets_a_lone_robot_out_or_into_its_margin(limits: Limits, seed: int) -> None:
+    rng, pose = start(seed)
+    body = Body(limits, pose)
+    assert attack(body, rng, 800) >= MARGIN_M - 1e-5
+    assert body.verdicts <= {0, LIMITED}, "what it promised could be driven at every tick"
+
+
+@pytest.mark.parametrize("limits", [PAPER, CREATE], ids=["paper", "create"])
+def test_without_the_filter_the_same_laws_do(limits: Limits) -> None:
+    rng, pose = start(1)
+    assert attack(Body(limits, pose, filtered=False), rng, 800) < 0.0
+
+
+@pytest.mark.parametrize("limits", [PAPER, CREATE], ids=["paper", "create"])
+def test_a_turn_towards_the_wall_at_full_speed_is_braked_in_time(limits: Limits) -> None:
+    """What half-planes alone do not see: beside the wall they bind nothing, and a moment later the brakes are late."""
+    body = Body(limits, np.array([[0.8, RADIUS_M + MARGIN_M + 1e-3, 0.0]]))
+    body.motion[0, 0] = limits.speed_m_s
+    gap = min(body.go((0.0, 0.0), (limits.speed_m_s, -limits.turn_rad_s)) for _ in range(25))
+    assert gap >= MARGIN_M - 1e-5
+    assert body.motion[0, 0] < 0.1 * limits.speed_m_s  # it turned in the end, and stands before the wall
+    assert body.filter.deviation_m_s[0] > 0.0
+
+
+def test_a_start_that_no_brake_can_save_is_braked_and_told() -> None:
+    body = Body(CREATE, np.array([[3.0, RADIUS_M + MARGIN_M + 0.01, -0.5 * math.pi]]))
+    body.motion[0, 0] = 0.5
+    body.go((0.0, -1.0))
+    assert body.twist[0].tolist() == [0.0, 0.0]
+    assert body.filter.verdict[0] == TOO_FAST
+    assert body.filter.note(0) == EXPLAIN[TOO_FAST]
+
+
+def test_who_starts_inside_the_margin_may_leave_it_and_not_go_deeper() -> None:
+    body = Body(CREATE, np.array([[3.0, RADIUS_M + 0.01, 0.5 * math.pi]]))
+    assert min(body.go((0.0, -1.0)) for _ in range(50)) >= 0.01 - 1e-5
+    for _ in range(50):
+        body.go((0.0, 1.0))
+    assert body.pose[0, 1] > 0.5

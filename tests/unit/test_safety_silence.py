@@ -1,0 +1,192 @@
+"""Data that is old or missing makes the safe set smaller: silent neighbours, old poses, unknown poses, blind robots."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fullswarm.agent import pairs
+from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.safety.filter import BLIND, CROWDED, EXPLAIN, FREE, SafetyFilter
+from fullswarm.bus.local import LocalBus
+from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
+from fullswarm.keys import Keys
+from fullswarm.messages import RobotStates
+from fullswarm.runtime import Mailbox
+
+ACCEL, SPEED, TURN, HALT_S, TIMEOUT_S = 2.0, 0.5, 4.25, 1.3, 1.0
+HERE = np.zeros((1, 2))
+BOUNDS = np.array([-50.0, -50.0, 50.0, 50.0])
+
+
+def state(x: float, y: float, speed: float = 0.0, sequence: int = 1, robot: str = "other") -> RobotStates:
+    return RobotStates(
+        host=robot, sequence=sequence, stamp_s=0.1 * sequence, robots=(robot,), x_m=(x,), y_m=(y,), heading_rad=(0.0,),
+        speed_m_s=(speed,), turn_rad_s=(0.0,), radius_m=(0.17,),
+    )  # fmt: skip
+
+
+def table() -> Neighbours:
+    made = Neighbours(("me",), TIMEOUT_S)
+    made.accel_m_s2, made.speed_m_s, made.turn_rad_s, made.halt_s = ACCEL, SPEED, TURN, HALT_S
+    return made
+
+
+def one_filter() -> SafetyFilter:
+    limits = Limits(SPEED, TURN, ACCEL, 20.0)
+    return SafetyFilter(
+        ("me",), (Description("any", "any", 0.17, limits),), np.array([SPEED]), np.array([TURN]), np.array([True]),
+        0.02, 3.0, BOUNDS, (1.0, 3.0),
+    )  # fmt: skip
+
+
+def go(
+    others: Neighbours, now_s: float, wish: tuple[float, float] = (0.5, 0.0), pose: tuple[float, ...] = (0.0, 0.0, 0.0),
+    stamp_s: float | None = None, made: SafetyFilter | None = None,
+) -> float:  # fmt: skip
+    """Return the speed that the filter lets through at the origin, heading east."""
+    made, twists = made or one_filter(), np.array([[0.5, 0.0]])
+    others.look(now_s)
+    near = others.around(HERE, 3.0)
+    made.apply(
+        now_s, np.array([wish]), np.ones(1, bool), np.array([pose]), np.zeros((1, 2)),
+        np.array([now_s if stamp_s is None else stamp_s]), np.array([2.0]), np.array([0.03]), near, others.believed,
+        NO_OBSTACLES, twists,
+    )  # fmt: skip
+    return float(twists[0, 0])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.3))
+@settings(max_examples=200, deadline=None)
+def test_a_robot_is_always_in_the_disc_where_it_is_believed(seed: int, age_s: float) -> None:
+    rng = np.random.default_rng(seed)
+    others, dt_s = table(), 0.001
+    pose, speed, turn = np.array([1.0, 2.0, 0.0]), rng.uniform(-SPEED, SPEED), rng.uniform(-TURN, TURN)
+    heard = state(1.0, 2.0, speed)
+    others.hear(RobotStates(**{**{n: getattr(heard, n) for n in heard.__struct_fields__}, "turn_rad_s": (turn,)}), 0.0)
+    goal_speed, goal_turn = rng.choice([-1.0, 0.0, 1.0]) * SPEED, rng.choice([-1.0, 0.0, 1.0]) * TURN
+    for _ in range(round(age_s / dt_s)):
+        speed += float(np.clip(goal_speed - speed, -ACCEL * dt_s, ACCEL * dt_s))
+        turn = float(goal_turn)
+        pose += dt_s * np.array([speed * math.cos(pose[2]), speed * math.sin(pose[2]), turn])
+    others.look(age_s)
+    others.around(HERE, 3.0)
+    # What the prediction's straight chord leaves out is of third order in the age.
+    assert math.dist(others.places[0], pose[:2]) <= others.spread_m[0] + SPEED * TURN**2 * age_s**3 / 24 + 2e-3
+
+
+def test_the_room_shrinks_with_age_and_stays_gone() -> None:
+    others = table()
+    others.hear(state(0.75, 0.0), 0.0)
+    speeds = [go(others, age_s) for age_s in (0.0, 0.05, 0.2, 0.5, 0.9, 1.05, 1.4, 10.0, 3600.0)]
+    assert speeds == sorted(speeds, reverse=True)
+    assert speeds[0] > 0.3
+    assert speeds[-1] == 0.0
+
+
+def test_a_silent_neighbour_is_gone_for_laws_and_stands_for_the_filter() -> None:
+    others = table()
+    others.hear(state(1.0, 0.0, speed=0.3), 0.0)
+    others.look(2.0)
+    assert others.within(HERE, 3.0)[0].tolist() == [0, 0]
+    start, other = others.around(HERE, 3.0)
+    assert start.tolist() == [0, 1]
+    assert others.silent == 1
+    row = other[0]
+    assert others.places[row].tolist() == [1.0, 0.0]
+    assert others.spread_m[row] == pytest.approx(SPEED * HALT_S + SPEED**2 / (2 * ACCEL))
+    others.look(200.0)
+    others.around(HERE, 3.0)
+    assert others.spread_m[row] == pytest.approx(SPEED * HALT_S + SPEED**2 / (2 * ACCEL))
+
+
+def test_who_is_inside_the_disc_of_a_silent_robot_may_leave_it() -> None:
+    others = table()
+    others.hear(state(0.5, 0.0), 0.0)
+    assert go(others, 5.0, (0.5, 0.0)) == 0.0
+    assert go(others, 5.0, (-0.5, 0.0)) == pytest.approx(-0.5)
+
+
+def test_a_silent_robot_that_is_heard_again_is_where_it_says() -> None:
+    others = table()
+    others.hear(state(0.5, 0.0), 0.0)
+    assert go(others, 5.0) == 0.0
+    others.hear(state(9.0, 0.0, sequence=2), 5.0)
+    assert go(others, 5.0) == 0.5
+
+
+def test_a_state_that_is_no_number_does_not_make_a_robot_vanish() -> None:
+    others = table()
+    others.hear(state(0.5, 0.0), 0.0)
+    others.hear(state(math.nan, 0.0, sequence=2), 0.5)
+    assert go(others, 1.0) == 0.0
+
+
+def test_silence_where_nobody_listens_says_nothing() -> None:
+    mailbox = Mailbox()
+    others = table()
+    listening = Listening(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
+    listening.follow(np.array([[1.5, 1.5]]), 3.0)  # cells from -3 to 6 m
+    others.hear(state(2.0, 2.0, robot="dead"), 0.0)
+    others.hear(state(5.95, 2.0, robot="leaving"), 0.0)
+    others.forget(0.2, listening.covers)
+    assert np.isfinite(others.arrival_s[:2]).all(), "nobody is silent yet"
+    others.forget(1.0, listening.covers)
+    assert np.isfinite(others.arrival_s[:2]).tolist() == [True, False]
+    listening.follow(np.array([[40.0, 1.5]]), 3.0)
+    others.forget(1.0, listening.covers)
+    assert not np.isfinite(others.arrival_s[0])
+    listening.close()
+
+
+def test_an_old_own_pose_costs_room() -> None:
+    others = table()
+    others.hear(state(0.9, 0.0), 1.0)
+    made = one_filter()
+    fresh = go(others, 1.0, made=made)
+    old = go(others, 1.0, stamp_s=0.7, made=made)
+    assert old < fresh
+
+
+@pytest.mark.parametrize("wish", [(0.5, 0.0), (math.nan, math.nan)], ids=["velocity", "twist"])
+def test_without_a_pose_it_brakes_and_says_why(wish: tuple[float, float]) -> None:
+    made = one_filter()
+    assert go(table(), 0.0, wish, (math.nan, 0.0, 0.0), made=made) == 0.0
+    assert made.verdict[0] == BLIND
+    assert made.note(0) == EXPLAIN[BLIND]
+    assert go(table(), 0.1, wish, made=made) == 0.5
+    assert made.verdict[0] == FREE
+
+
+def test_a_robot_at_ones_own_place_leaves_no_way() -> None:
+    others, made = table(), one_filter()
+    others.hear(state(0.0, 0.0), 0.0)
+    assert go(others, 0.0, made=made) == 0.0
+    assert made.verdict[0] == CROWDED
+
+
+def test_the_deviation_is_told_and_added_up() -> None:
+    others, made = table(), one_filter()
+    for tick in range(50):
+        others.hear(state(0.4, 0.0, sequence=tick + 1), 0.02 * tick)
+        go(others, 0.02 * tick, made=made)
+    assert made.deviation_m_s[0] == pytest.approx(0.5, abs=0.05)
+    assert made.deviation_m[0] == pytest.approx(0.5 * 49 * 0.02, rel=0.1)
+    others.hear(state(9.0, 0.0, sequence=60), 1.0)
+    go(others, 1.0, made=made)
+    assert made.deviation_m_s[0] == 0.0
+
+
+def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
+    """The disc never jumps to a smaller one with age while nothing is heard."""
+    heard = np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]])
+    out = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1)
+    sizes = []
+    for age_s in np.linspace(0.0, 3.0, 301).tolist():
+        pairs.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
+        sizes.append(float(out[2][0]))
+    assert (np.diff(sizes) >= -1e-12).all()
