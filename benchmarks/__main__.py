@@ -11,6 +11,7 @@ ALL = (
     ("benchmarks.latency",),
     ("benchmarks.swarm",),
     ("benchmarks.estop",),
+    ("benchmarks.filter",),
     ("benchmarks.create",),
     ("benchmarks.mavlink",),
     ("benchmarks.can_bus",),
