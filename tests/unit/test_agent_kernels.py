@@ -17,6 +17,7 @@ from fullswarm.agent import pairs
 from fullswarm.agent.behaviours import voronoi_coverage
 from fullswarm.agent.robot_controller import decide
 from fullswarm.agent.safety import barrier
+from fullswarm.agent.safety.filter import guard
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -112,21 +113,23 @@ def test_the_gap_to_a_box_equals_shapelys(seed: int) -> None:
     assert math.hypot(nx, ny) == pytest.approx(1.0)
 
 
-def _drive(seed: int, run: object) -> np.ndarray:
+def _guard(seed: int, run: object) -> np.ndarray:
     rng = np.random.default_rng(seed)
     count = 6
     pose = np.concatenate([rng.uniform(0.5, 4.5, (count, 2)), rng.uniform(-3, 3, (count, 1))], axis=1)
     heard = np.concatenate([pose, rng.uniform(-0.5, 0.5, (count, 2)), np.full((count, 1), 0.17)], axis=1)
-    predicted = np.ascontiguousarray(pose[:, :2])
+    places = np.ascontiguousarray(pose[:, :2])
     start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
-    pairs.all_pairs(predicted, np.arange(count), predicted, count, 3.0, start, other)
-    twists = np.zeros((count, 2))
+    pairs.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
+    twists, zeros = np.zeros((count, 2)), np.zeros(count)
     assert callable(run)
     run(
-        rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.full(count, 0.17), np.full(count, 0.5),
-        np.full(count, 4.0), np.ones(count, bool), 1.0, 3.0, np.full(count, 2.0), np.full(count, 0.03), 3.0, start,
-        other, predicted, heard, np.zeros(count), np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]),
-        np.array([0.0, 0.0, 5.0, 5.0]), twists,
+        0.02, 0.02, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.zeros((count, 2)), zeros,
+        np.full(count, 0.17), np.full(count, 0.5), np.full(count, 4.0), np.full(count, 2.0), np.full(count, 20.0),
+        np.ones(count, bool), 1.0, 3.0, np.full(count, 2.0), np.full(count, 0.03), 3.0, start, other, places, heard,
+        zeros, zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0]), twists,
+        np.zeros(count), np.zeros(count), np.zeros(count, np.int64), np.empty((barrier.MAX_ROWS, 2)),
+        np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS),
     )  # fmt: skip
     return twists
 
@@ -134,7 +137,7 @@ def _drive(seed: int, run: object) -> np.ndarray:
 @given(seeds)
 @settings(max_examples=30, deadline=None)
 def test_filtered_twists_close_no_gap_faster_than_allowed(seed: int) -> None:
-    twists = _drive(seed, barrier.drive)
+    twists = _guard(seed, guard)
     rng = np.random.default_rng(seed)
     pose = np.concatenate([rng.uniform(0.5, 4.5, (6, 2)), rng.uniform(-3, 3, (6, 1))], axis=1)
     velocity = twists[:, :1] * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
@@ -150,7 +153,7 @@ def test_filtered_twists_close_no_gap_faster_than_allowed(seed: int) -> None:
 
 def test_compiled_and_plain_agree() -> None:
     kernels.compile_all()
-    for kernel, call in ((barrier.drive, _drive),):
+    for kernel, call in ((guard, _guard),):
         for seed in range(5):
             np.testing.assert_allclose(call(seed, kernel), call(seed, kernel.plain), atol=1e-12)
     assert decide.run is not decide.plain

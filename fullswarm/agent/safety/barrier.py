@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.geometry import clamp, unicycle
+from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
 
 Array = NDArray[np.float64]
@@ -199,62 +199,3 @@ def interval(
         if slope - blur[k] < -1e-9:
             low = max(low, limits[k] / (slope - blur[k]))
     return low, high
-
-
-@kernel
-def drive(
-    wished: Array, filtered: NDArray[np.bool_], pose: Array, radius: Array, speed_limit: Array, turn_limit: Array,
-    reverse: NDArray[np.bool_], speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array,
-    reach_m: float, start: Index, other: Index, predicted: Array, heard: Array, spread_m: Array, obstacles: Array,
-    bounds_m: Array, twists: Array,
-) -> None:  # fmt: skip
-    """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
-
-    Parameters
-    ----------
-    wished : (n, 2) m/s, world frame; NaN: no such wish, the robot's twist is taken as it is, within what the
-        filter allows
-    filtered : (n,) behind the filter or straight through the paper's map
-    pose : (n, 3) x, y, heading
-    radius, speed_limit, turn_limit, reverse : (n,) of each robot
-    gain, margin_m : (n,) γ in 1/s and the gap to keep
-    reach_m : obstacles farther than this are not sensed
-    start, other, predicted, heard : neighbours (see :mod:`fullswarm.agent.pairs`)
-    obstacles : (k, 6) rounded boxes
-    bounds_m : (4,) x_min, y_min, x_max, y_max
-    twists : (n, 2) in and out, m/s and rad/s
-    """
-    normals = np.empty((MAX_ROWS, 2))
-    limits = np.empty(MAX_ROWS)
-    blur = np.empty(MAX_ROWS)
-    room = np.empty(MAX_ROWS)
-    for i in range(wished.shape[0]):
-        ux = wished[i, 0]
-        uy = wished[i, 1]
-        planar = not (math.isnan(ux) or math.isnan(uy))
-        if not planar and not filtered[i]:
-            continue
-        if planar:
-            size = math.hypot(ux, uy)
-            if size > speed_limit[i]:
-                ux *= speed_limit[i] / size
-                uy *= speed_limit[i] / size
-        low = -speed_limit[i] if reverse[i] else 0.0
-        high = speed_limit[i]
-        if filtered[i]:
-            count = half_planes(
-                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], 0.0, gain[i], speed_limit[i], start[i],
-                start[i + 1], other, predicted, heard, spread_m, spread_m, obstacles, bounds_m, normals, limits, blur,
-                room,
-            )  # fmt: skip
-            if planar:
-                ux, uy = project(ux, uy, normals, limits, count)
-            if count < 0:
-                low = high = 0.0
-            low, high = interval(pose[i, 2], low, high, normals, limits, blur, count)
-        if planar:
-            speed, turn = unicycle(ux, uy, pose[i, 2], speed_gain, turn_gain_per_s)
-            twists[i, 0] = clamp(speed, low, high)
-            twists[i, 1] = clamp(turn, -turn_limit[i], turn_limit[i])
-        else:
-            twists[i, 0] = clamp(twists[i, 0], low, high)
