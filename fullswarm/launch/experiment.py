@@ -60,7 +60,7 @@ def run(options: Options, work: Work = run_trial) -> int:
     if options.as_json:
         output.data_json(report.to_json())
     else:
-        output.data_table(table(report))
+        output.data_table(table(report), into_file=130)
         output.data(closing(report))
     return 0 if report.passed else 1
 

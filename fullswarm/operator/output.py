@@ -19,9 +19,12 @@ def data_json(value: object) -> None:
     typer.echo(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False))
 
 
-def data_table(table: RenderableType) -> None:
-    """Print results for people, at the width of the terminal, or 80 columns into a file."""
-    Console(highlight=False).print(table)
+def data_table(table: RenderableType, into_file: int = 80) -> None:
+    """Print results for people, at the width of the terminal, or `into_file` columns into a file."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = into_file
+    console.print(table)
 
 
 def progress(text: str) -> None:
