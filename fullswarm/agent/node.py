@@ -253,8 +253,7 @@ class AgentNode:
             return
         if tasks.any_filtered:
             # A stick is not turned aside: whoever holds it sees the robot.
-            lasting = tasks.filtered & np.isinf(tasks.lapses_s)
-            self.deadlocks.resolve(now_s, self._planar, lasting, pose, self.controller.speed_limit)
+            self.deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self.controller.speed_limit)
         reach_m = settings.sensing_radius_m
         near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self.atlas.given

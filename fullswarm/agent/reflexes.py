@@ -55,11 +55,10 @@ class Reflexes:
 
     def look(self, reading: FleetReading, pose: Array) -> None:
         """Take a reading and the poses (n, 3) made of it."""
-        self.no_pose[:] = ~np.isfinite(pose).all(axis=1)
-        level, low = reading.battery, self._thresholds.battery_low
-        warned = (reading.hazards & BATTERY_LOW) != 0
-        self.flat |= warned | ((level >= 0.0) & (level < low))  # -1: the robot does not tell
-        self.flat &= warned | (level < low + self._thresholds.battery_rise)
+        low = self._thresholds.battery_low
+        inspect.run(
+            pose, reading.battery, reading.hazards, low, low + self._thresholds.battery_rise, self.no_pose, self.flat
+        )
 
     def watch_clock(self, now_s: float, before_s: float, patience_s: float) -> None:
         """Compare two ticks: after a leap of the clock (suspend, a paused process) the robot stands for `patience_s`.
@@ -78,6 +77,17 @@ class Reflexes:
         fence.run(
             pose, twist, wished, self._fence, accel_m_s2, self._thresholds.fence_delay_s, self.floor, self.ceiling
         )
+
+
+@kernel
+def inspect(
+    pose: Array, level: Array, hazards: NDArray[np.uint8], low: float, risen: float, no_pose: Flags, flat: Flags
+) -> None:
+    """Fill `no_pose` and renew `flat` (n,); a level of -1: the robot does not tell."""
+    for i in range(pose.shape[0]):
+        no_pose[i] = not math.isfinite(pose[i, 0] + pose[i, 1] + pose[i, 2])
+        warned = int(hazards[i]) & BATTERY_LOW != 0
+        flat[i] = warned or 0.0 <= level[i] < low or (flat[i] and level[i] < risen)
 
 
 @kernel

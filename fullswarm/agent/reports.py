@@ -10,6 +10,7 @@ import numpy as np
 
 from fullswarm.agent.robot_controller import EXPLAIN, Reason
 from fullswarm.agent.view import Array
+from fullswarm.kernels import kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.runtime import LoopStats
@@ -32,7 +33,9 @@ def states(
     """Yield (key, message): one per grid cell that holds robots of this agent."""
     pose, twist = agent.pose, agent.twist
     if len(pose) > 1 and agent.reading is not None:
-        pose = _moved_on(pose, twist, now_s - agent.reading.stamp_s)
+        there = np.empty_like(pose)
+        moved_on.run(pose, twist, agent.reading.stamp_s, now_s, there)
+        pose = there
     if len(pose) == 1:
         yield from _state_of_one(agent, keys, cell_m, sequence, now_s)
         return
@@ -65,14 +68,16 @@ def states(
         )
 
 
-def _moved_on(pose: Array, twist: Array, age_s: Array) -> Array:
-    """Return where robots (n, 3) are by now: a fast one goes its own radius between two readings."""
-    age_s = np.clip(age_s, 0.0, LONGEST_S)
-    middle = pose[:, 2] + 0.5 * age_s * twist[:, 1]
-    step_m = twist[:, 0] * age_s
-    return np.column_stack(
-        (pose[:, 0] + step_m * np.cos(middle), pose[:, 1] + step_m * np.sin(middle), pose[:, 2] + age_s * twist[:, 1])
-    )
+@kernel
+def moved_on(pose: Array, twist: Array, stamp_s: Array, now_s: float, there: Array) -> None:
+    """Fill `there` (n, 3) with where robots are by now: a fast one goes its own radius between two readings."""
+    for i in range(pose.shape[0]):
+        age_s = min(max(now_s - stamp_s[i], 0.0), LONGEST_S)
+        middle = pose[i, 2] + 0.5 * age_s * twist[i, 1]
+        step_m = twist[i, 0] * age_s
+        there[i, 0] = pose[i, 0] + step_m * math.cos(middle)
+        there[i, 1] = pose[i, 1] + step_m * math.sin(middle)
+        there[i, 2] = pose[i, 2] + age_s * twist[i, 1]
 
 
 def _state_of_one(

@@ -126,6 +126,7 @@ class Tasks:
     ----------
     active : (n,) a task is on
     filtered : (n,) it runs behind the safety filter
+    lasting : (n,) it is filtered and no intent of a stick
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
     lapses_s : (n,) when it ends by itself; inf
@@ -139,6 +140,7 @@ class Tasks:
     of: list[Task | None] = field(init=False)
     active: NDArray[np.bool_] = field(init=False)
     filtered: NDArray[np.bool_] = field(init=False)
+    lasting: NDArray[np.bool_] = field(init=False)
     survives_core: NDArray[np.bool_] = field(init=False)
     margin_m: Array = field(init=False)
     gain_per_s: Array = field(init=False)
@@ -150,6 +152,7 @@ class Tasks:
         self.of = [None] * self.count
         self.active = np.zeros(self.count, bool)
         self.filtered = np.zeros(self.count, bool)
+        self.lasting = np.zeros(self.count, bool)
         self.survives_core = np.zeros(self.count, bool)
         self.margin_m = np.full(self.count, self.usual_margin_m)
         self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
@@ -170,6 +173,7 @@ class Tasks:
         self.of[row] = task
         self.lapses_s[row] = task.lapses_s
         if request.filtered:
+            self.lasting[row] = request.expires_s <= 0.0
             self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
             gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
             self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
@@ -177,6 +181,7 @@ class Tasks:
             return
         self.active[row] = True
         self.filtered[row] = request.filtered
+        self.lasting[row] = request.filtered and request.expires_s <= 0.0
         self.survives_core[row] = request.survives_core
         self._groups = None
 
@@ -193,7 +198,7 @@ class Tasks:
     def disable(self, row: int) -> None:
         """Take robot `row`'s task away."""
         self.of[row] = None
-        self.active[row] = self.filtered[row] = self.survives_core[row] = False
+        self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
         self.lapses_s[row] = math.inf
         self._groups = None
 
