@@ -240,7 +240,9 @@ def test_a_second_start_and_a_close_before_any_are_fine() -> None:
     with CreateEmulator() as robot:
         robot.start()
         robot.replug()
+        assert Path(robot.port).is_symlink()
         robot.close()
+        assert not Path(robot.port).is_symlink()
 
 
 def test_bytes_take_their_time_on_the_wire() -> None:

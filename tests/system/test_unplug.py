@@ -120,5 +120,10 @@ def test_an_agent_that_is_killed(swarm: LiveSwarm, robot: str) -> None:
     swarm.supervisor.kill(robot)
     if robot in AT_REST_S:
         swarm.until(lambda: stands(swarm, robot), AT_REST_S[robot] + LOOK_S, f"{robot} stops by itself")
+    else:
+        assert not stands(swarm, robot), "nothing on this machine can stop it: the README says so"
     swarm.supervisor.revive(robot)
+    if robot not in AT_REST_S:
+        passive = emulator(swarm, robot).mode.PASSIVE
+        swarm.until(lambda: emulator(swarm, robot).mode is passive, 10.0, "its new agent stops the motors first")
     swarm.until(lambda: speed(swarm, robot) > 0.25 and swarm.row(robot).age_s < 0.5, 20.0, f"{robot} goes on")
