@@ -41,13 +41,16 @@ def request(
 ) -> int:
     """Ask for a behaviour and print who accepted it; with `wait` until all present robots have confirmed."""
     newest: RequestStatus | None = None
+    told = ""
     with session.connect(target) as line:
 
         def receive(status: RequestStatus) -> None:
-            nonlocal newest
+            nonlocal newest, told
             newest = status
-            if wait and status.phase != "refused":
-                output.progress(f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed")
+            text = f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed"
+            if wait and status.phase != "refused" and text != told:  # the core says it again now and then
+                output.progress(text)
+                told = text
             if not wait or settled(status):
                 line.finish()
 
