@@ -103,19 +103,18 @@ class Latches:
     def _reported(self, member: Member, restarted: bool) -> None:
         del restarted
         robot, latch = member.robot, self._latches.get(member.robot)
-        if member.health is None:
+        if member.health is None or (latch is None and not member.health.estop):
             return
         old = self._scheduler.now_s() - self._since_s.get(robot, -math.inf) < OLD_REPORT_S
-        if member.health.estop:
-            if latch is None and old:
+        if latch is None:
+            if old:
                 return  # it has just been released
-            reason = latch.reason if latch is not None else ""
-            held = Latch(reason, member.process, held=True)
+            self._latches[robot] = Latch("", member.process, held=True)
+        elif member.health.estop:
+            held = Latch(latch.reason, member.process, held=True)
             if latch == held:
                 return
             self._latches[robot] = held
-        elif latch is None:
-            return
         elif latch.agent != member.process:
             self._again(robot, latch, member.process)  # another process, or one that was away
         elif old:

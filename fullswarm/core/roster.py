@@ -100,16 +100,19 @@ class Roster:
         self._timer.cancel()
 
     def _report(self, report: HealthReport) -> None:
+        now_s = self._scheduler.now_s()
         for health in report.robots:
-            if not ROBOT_ID.match(health.robot):
-                continue  # it would not fit into a key
-            member = self._members.setdefault(health.robot, Member(health.robot))
-            if member.overtaken(report, self._scheduler.now_s()):
+            member = self._members.get(health.robot)
+            if member is None:
+                if not ROBOT_ID.match(health.robot):
+                    continue  # it would not fit into a key
+                member = self._members[health.robot] = Member(health.robot)
+            if member.overtaken(report, now_s):
                 continue
             restarted = member.process != report.process
             if restarted and member.process:
                 member.past.append(member.process)
-            member.heard_s, member.present = self._scheduler.now_s(), True
+            member.heard_s, member.present = now_s, True
             member.process, member.health, member.stamp_s = report.process, health, report.stamp_s
             for callback in self._on_report:
                 callback(member, restarted)

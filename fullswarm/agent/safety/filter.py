@@ -41,10 +41,9 @@ FEW = 5
 @kernel
 def guard(
     dt_s: float, period_s: float, wished: Array, filtered: Flags, pose: Array, motion: Array, age_s: Array,
-    radius: Array, speed_limit: Array, turn_limit: Array, accel: Array, turn_accel: Array, reverse: Flags,
-    speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array, reach_m: float, start: Index,
+    make: Array, speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array, reach_m: float, start: Index,
     other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array, bounds_m: Array,
-    twists: Array, deviation_m_s: Array, deviation_m: Array, verdict: Index, normals: Array, limits: Array,
+    twists: Array, deviation: Array, verdict: Index, normals: Array, limits: Array,
     blur: Array, room: Array,
 ) -> int:  # fmt: skip
     """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
@@ -55,13 +54,13 @@ def guard(
     wished : (n, 2) m/s, world frame; NaN: no such wish, the robot's twist in `twists` is the wish
     filtered : (n,) behind the filter or straight through the paper's map
     pose, motion, age_s : (n, 3), (n, 2) m/s and rad/s, (n,): as measured, and how old that is
-    radius, speed_limit, turn_limit, accel, turn_accel, reverse : (n,) of each robot
+    make : (n, 6) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration
     gain, margin_m : (n,) γ in 1/s and the gap to keep
     reach_m : obstacles farther than this are not sensed
     start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.pairs`)
     obstacles, bounds_m : (k, 6) rounded boxes; (4,) x_min, y_min, x_max, y_max
     twists : (n, 2) in and out, m/s and rad/s
-    deviation_m_s, deviation_m, verdict : (n,) out, see :class:`SafetyFilter`
+    deviation, verdict : (n, 2), (n,) out, see :class:`SafetyFilter`
     normals, limits, blur, room : room for one robot's constraints
 
     Returns
@@ -74,23 +73,25 @@ def guard(
         ux = wished[i, 0]
         uy = wished[i, 1]
         planar = not (math.isnan(ux) or math.isnan(uy))
+        top = make[i, 1]
+        low = make[i, 2]
+        turn_limit = make[i, 3]
         if not filtered[i]:
             if planar:
                 size = math.hypot(ux, uy)
-                scale = speed_limit[i] / size if size > speed_limit[i] else 1.0
+                scale = top / size if size > top else 1.0
                 speed, turn = unicycle(scale * ux, scale * uy, pose[i, 2], speed_gain, turn_gain_per_s)
-                twists[i, 0] = clamp(speed, -speed_limit[i] if reverse[i] else 0.0, speed_limit[i])
-                twists[i, 1] = clamp(turn, -turn_limit[i], turn_limit[i])
+                twists[i, 0] = clamp(speed, low, top)
+                twists[i, 1] = clamp(turn, -turn_limit, turn_limit)
             if verdict[i] != 0:
                 news += verdict[i] > 1
                 verdict[i] = 0
-                deviation_m_s[i] = 0.0
+                deviation[i, 0] = 0.0
             continue
         heading = pose[i, 2]
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
-        top = speed_limit[i]
-        low = -top if reverse[i] else 0.0
+        accel = make[i, 4]
         count = 0
         why = 0
         if not math.isfinite(pose[i, 0] + pose[i, 1] + heading + speed_now + turn_now + age_s[i]):
@@ -98,15 +99,15 @@ def guard(
         else:
             # Where it has got to since it was measured: it may have sped up or turned, too.
             age = max(age_s[i], 0.0)
-            unsure_m = min(math.fabs(speed_now) + 0.5 * accel[i] * age, max(top, math.fabs(speed_now))) * age
+            unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
             count = half_planes(
-                pose[i, 0], pose[i, 1], reach_m, radius[i] + margin_m[i], unsure_m, gain[i], top, start[i],
+                pose[i, 0], pose[i, 1], reach_m, make[i, 0] + margin_m[i], unsure_m, gain[i], top, start[i],
                 start[i + 1], other, places, heard, spread_m, blur_m, obstacles, bounds_m, normals, limits, blur, room,
             )  # fmt: skip
             if count < 0:
                 why = 3
         if why != 0:
-            deviation = math.hypot(ux, uy) if planar else math.fabs(twists[i, 0])
+            off = math.hypot(ux, uy) if planar else math.fabs(twists[i, 0])
             twists[i, 0] = 0.0
             twists[i, 1] = 0.0
         else:
@@ -129,28 +130,27 @@ def guard(
                 if off > 0.0:  # what the unicycle map makes of the wish, without its arctangents
                     wish_speed = speed_gain * (wish_x * math.cos(heading) + wish_y * math.sin(heading))
             wish_speed = clamp(wish_speed, low, top)
-            turn = clamp(turn, -turn_limit[i], turn_limit[i])
-            deviation = 0.0
+            turn = clamp(turn, -turn_limit, turn_limit)
             if count == 0:
                 speed = wish_speed
             else:
                 low, high = interval(heading, low, top, normals, limits, blur, count)
                 speed, turn, fits = stoppable(
-                    heading, clamp(speed, low, high), turn, speed_now, turn_now, accel[i], turn_accel[i], period_s,
+                    heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, make[i, 5], period_s,
                     normals, room, blur, count,
                 )  # fmt: skip
                 if not fits:
                     why = 4
-                step = accel[i] * period_s
+                step = accel * period_s
                 slower = math.fabs(towards(speed_now, wish_speed, step) - towards(speed_now, speed, step))
-                deviation = max(off, slower)
-            if why == 0 and deviation > 1e-6:
+                off = max(off, slower)
+            if why == 0 and off > 1e-6:
                 why = 1
             twists[i, 0] = speed
             twists[i, 1] = turn
-        deviation_m_s[i] = deviation
-        if deviation > 0.0 and math.isfinite(deviation):
-            deviation_m[i] += deviation * dt_s
+        deviation[i, 0] = off
+        if off > 0.0 and math.isfinite(off):
+            deviation[i, 1] += off * dt_s
         news += why != verdict[i] and (why > 1 or verdict[i] > 1)
         verdict[i] = why
     return news
@@ -181,18 +181,20 @@ class SafetyFilter:
         self._gains, self._period_s, self._reach_m = gains, period_s, reach_m
         self._last_s = math.inf
         self._told_s: dict[int, float] = {}
-        self.deviation_m_s = np.zeros(count)
-        self.deviation_m = np.zeros(count)
+        deviation = np.zeros((count, 2))
+        self.deviation_m_s, self.deviation_m = deviation[:, 0], deviation[:, 1]
         self.verdict = np.zeros(count, np.int64)
-        self._make: tuple[Any, ...] = (
-            np.array([each.radius_m for each in descriptions]), speed_limit, turn_limit,
-            np.array([each.limits.accel_m_s2 for each in descriptions]),
-            np.array([each.limits.turn_accel_rad_s2 for each in descriptions]), reverse,
+        self._make = np.column_stack(
+            (
+                [each.radius_m for each in descriptions], speed_limit, np.where(reverse, -speed_limit, 0.0), turn_limit,
+                [each.limits.accel_m_s2 for each in descriptions],
+                [each.limits.turn_accel_rad_s2 for each in descriptions],
+            )
         )  # fmt: skip
         scratch = np.empty((MAX_ROWS, 2)), np.empty(MAX_ROWS), np.empty(MAX_ROWS), np.empty(MAX_ROWS)
-        self._out: tuple[Any, ...] = (self.deviation_m_s, self.deviation_m, self.verdict, *scratch)
+        self._out: tuple[Any, ...] = (deviation, self.verdict, *scratch)
         self._bounds_m = bounds_m
-        self._plain = (tuple(map(plain, self._make)), plain(bounds_m), tuple(map(plain, self._out)))
+        self._plain = (plain(self._make), plain(bounds_m), tuple(map(plain, self._out)))
 
     def apply(
         self, now_s: float, wished: Array, filtered: Flags, pose: Array, motion: Array, stamp_s: Array,
@@ -217,7 +219,7 @@ class SafetyFilter:
             make, bounds_m, out = self._plain
             given, settings = tuple(map(plain, given)), tuple(map(plain, settings))
             neighbours, twists = tuple(map(plain, neighbours)), plain(twists)
-        columns = (*given, *make, *self._gains, *settings, self._reach_m, *neighbours, bounds_m, twists, *out)
+        columns = (*given, make, *self._gains, *settings, self._reach_m, *neighbours, bounds_m, twists, *out)
         run: Any = guard.run
         if run(dt_s, self._period_s, *columns):
             self._tell(now_s)
