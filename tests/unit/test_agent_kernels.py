@@ -126,7 +126,8 @@ def _guard(seed: int, run: object) -> np.ndarray:
     run(
         0.02, 0.02, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.zeros((count, 2)), zeros,
         np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0], (count, 1)), 1.0, 3.0, np.full(count, 2.0), np.full(count, 0.03),
-        3.0, start, other, places, heard, zeros, zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0]), twists,
+        3.0, start, other, places, heard, zeros, zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]),
+        np.array([0.0, 0.0, 5.0, 5.0]), twists,
         np.zeros((count, 2)), np.zeros(count, np.int64), np.empty((barrier.MAX_ROWS, 2)),
         np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS),
     )  # fmt: skip
