@@ -73,7 +73,8 @@ class JointFilter:
         self._all_of = -1
         self._kept: NDArray[np.bool_] = np.zeros(0, bool)  # which of all pairs are in the programme
         self._chosen: tuple[Index, Index, Index] = self._codes, self._codes, self._codes
-        self._upper = self._lower = self._data = self._answer
+        self._upper = self._lower = self._data = self._reach_m = self._answer
+        self._reach_of = b"", 0.0
         self.setups = 0
 
     def filter(self, wished: Array, positions: Array, radii: Array, arena: Arena) -> tuple[Array, Pairs]:
@@ -94,15 +95,15 @@ class JointFilter:
             self._upper, self._lower = np.empty(size + count), np.full(size + count, -np.inf)
             self._data = np.ones(size + 4 * count)
         upper, lower, data = self._upper, self._lower, self._data
-        upper[:size], lower[:size], upper[size:] = high.ravel(), low.ravel(), pairs.budget_m_s
-        unit = pairs.unit.ravel()
+        upper[:size], lower[:size], upper[size:] = high.reshape(-1), low.reshape(-1), pairs.budget_m_s
+        unit = pairs.unit.reshape(-1)
         np.negative(unit, out=data[size : size + 2 * count])
         data[size + 2 * count :] = unit
         if changed:
             self._set_up(wished, pairs, data, lower, upper)
         else:
             # The solver writes into the array that it is given: `take` makes it a new one.
-            self._solver.update(q=-wished.ravel(), l=lower, u=upper, Ax=data.take(self._order))
+            self._solver.update(q=-wished.reshape(-1), l=lower, u=upper, Ax=data.take(self._order))
         answer = self._solver.solve(raise_error=False)
         found = np.asarray(answer.x, float)
         if answer.info.status != "solved" or not math.isfinite(found.sum()):  # an infeasible answer holds huge values
@@ -120,7 +121,7 @@ class JointFilter:
             keep = squared <= NEAR_M * NEAR_M
             if same:
                 keep |= self._kept & (squared <= STAY_M * STAY_M)
-                same = bool((keep == self._kept).all())
+                same = keep.tobytes() == self._kept.tobytes()
             if not same:
                 self._kept, rows = keep, keep.nonzero()[0]
                 self._chosen = rows, first[rows], second[rows]
@@ -134,8 +135,10 @@ class JointFilter:
         self._robots = count
         distance = np.sqrt(squared)
         unit = offset / np.maximum(distance, 1e-9)[:, None]
-        gap = distance - radii.take(first) - radii.take(second) - arena.margin_m
-        return Pairs(first, second, unit, arena.gain_per_s * np.maximum(gap, 0.0)), not same
+        made = radii.tobytes(), arena.margin_m
+        if not same or made != self._reach_of:
+            self._reach_m, self._reach_of = radii.take(first) + radii.take(second) + arena.margin_m, made
+        return Pairs(first, second, unit, arena.gain_per_s * np.maximum(distance - self._reach_m, 0.0)), not same
 
     def _try_all(self, positions: Array) -> tuple[Index, Index, Array, Array]:
         """Return all pairs: rows, offsets, squared distances."""
@@ -182,10 +185,14 @@ class JointFilter:
 
 def _box(positions: Array, radii: Array, arena: Arena) -> tuple[Array, Array]:
     """Return the least and the greatest velocity on each axis, (n, 2) m/s: speed limit and walls, zero allowed."""
-    room, top = (radii + arena.margin_m)[:, None], arena.speed_m_s
-    to_low = np.minimum(np.maximum((positions - arena.low - room) * arena.gain_per_s, 0.0), top)
-    to_high = np.minimum(np.maximum((arena.high - positions - room) * arena.gain_per_s, 0.0), top)
-    return -to_low, to_high
+    room = (radii + arena.margin_m)[:, None]
+    to = np.empty((2, *positions.shape))
+    low, high = to
+    np.subtract(positions, arena.low + room, out=low)
+    np.subtract(arena.high - room, positions, out=high)
+    to *= arena.gain_per_s
+    np.minimum(np.maximum(to, 0.0, out=to), arena.speed_m_s, out=to)
+    return np.negative(low, out=low), high
 
 
 def to_twists(
