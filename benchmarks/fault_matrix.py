@@ -16,7 +16,7 @@ from tests.system.fault_rounds import Matrix
 
 DOCS = Path(__file__).parent.parent / "docs" / "safety.md"
 SILENCE_S = 0.32
-SILENCES = ("command time-to-live", "hub lost", "estimator silent", "clock jump")
+SILENCES = ("command time-to-live", "hub lost", "estimator silent", "clock jump", "frozen simulation clock")
 REFLEXES = ("bump", "cliff", "wheel drop", "low battery", "geofence")
 
 HEAD = """# Safety: the fault matrix, measured

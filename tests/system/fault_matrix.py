@@ -156,6 +156,17 @@ class Rig:
         for each in (self.deaf, self.mute):
             (each.add if on else each.discard)(robot)
 
+    def freeze(self) -> None:
+        """Stop the simulation's clock for `PAUSE_S`: messages go to and fro, but time and bodies stand still."""
+        world, until_s = self.node.world, self.swarm.clock.now_s() + PAUSE_S
+
+        def step() -> None:
+            if self.swarm.clock.now_s() >= until_s:
+                del world.step
+                world.step()
+
+        world.step = step
+
     def hush(self, robot: str, on: bool) -> None:
         """Let a robot hear, but say nothing."""
         if robot != "s1":
@@ -241,6 +252,11 @@ FAULTS = {
             "clock jump", to_agent(signal.SIGCONT), bound_s=2 * PERIOD_S,
             notes=dict.fromkeys(BACKENDS, f"paused for {PAUSE_S} s; time from when it goes on"),
         ),
+        Fault(
+            "frozen simulation clock", lambda rig, _: rig.freeze(), robots=("s1",),
+            lacking="its firmware has a clock of its own",
+            notes={"s1": f"for {PAUSE_S} s; the body goes no way meanwhile, and comes to stand when time goes on"},
+        ),
         Fault("agent SIGKILL", to_agent(signal.SIGKILL), each(lambda rig, robot: rig.swarm.supervisor.revive(robot)),
               DIES, notes=GUARDED),
         Fault("agent SIGSTOP", to_agent(signal.SIGSTOP), to_agent(signal.SIGCONT), DIES, notes=GUARDED),
@@ -299,6 +315,7 @@ def quick_rounds() -> list[Round]:
         {"c1": "cliff", "s1": "agent SIGSTOP"},
         {"c1": "wheel drop", "o1": "clock jump"},
         {"c1": "guardian SIGKILL"},
+        {"s1": "frozen simulation clock"},
     ]
     together = ("command time-to-live", "hub lost", "e-stop", "core heartbeat")  # the slowest to mend comes last
     return apart + [dict.fromkeys(BACKENDS, name) for name in together]

@@ -30,9 +30,12 @@ from tests.system.live import LiveSwarm
 REACH_M = BOX_M - 0.2 - 0.17
 """Where a robot's bumper touches the box."""
 READY_S = 15.0
+AGAIN_S = 1.5
 LONG_WAY_S = 12.0
+PAUSES = ("clock jump", "frozen simulation clock")
+"""They pass by themselves, and the robot would drive on."""
 CALLED_OFF_S = 0.15
-"""So long a robot whose clock has leapt is seen to stand before its task is called off."""
+"""So long it is seen to stand before its task is called off."""
 
 
 @dataclass(slots=True)
@@ -96,12 +99,26 @@ class Matrix:
         for robot, name in happens.items():
             rig.place(robot, FAULTS[name].start_m)
         swarm.rest(0.3)  # a few fixes, so that each knows where it is
+        asked_s = -math.inf
+
+        def all_drive() -> bool:
+            nonlocal asked_s
+            if all(self._drives(robot) for robot in happens):
+                return True
+            if swarm.clock.now_s() - asked_s > AGAIN_S:  # one that has just got over its last fault refuses
+                asked_s = swarm.clock.now_s()
+                self._ask(happens)
+            return False
+
+        swarm.until(all_drive, 15.0, f"{tuple(happens)} drive")
+
+    def _ask(self, happens: Round) -> None:
+        operator = self.rig.swarm.operator
         if any(FAULTS[name].centralised for name in happens.values()):
             parameters: dict[str, Value] = {"targets": [[55.0, LANE_M[robot]] for robot in BACKENDS]}
-            swarm.operator.request("formation_assigned", (), {**parameters, "speed_m_s": CRUISE_M_S})
+            operator.request("formation_assigned", (), {**parameters, "speed_m_s": CRUISE_M_S})
         else:
-            swarm.operator.request("flocking", tuple(happens), {"cruise_m_s": CRUISE_M_S})
-        swarm.until(lambda: all(self._drives(robot) for robot in happens), 15.0, f"{tuple(happens)} drive")
+            operator.request("flocking", tuple(happens), {"cruise_m_s": CRUISE_M_S})
 
     def _drives(self, robot: str) -> bool:
         return self.rig.driven(robot) and self.rig.speed_m_s(robot) > 0.7 * CRUISE_M_S
@@ -144,7 +161,7 @@ class Matrix:
             watch.zero_s = now_s
         if watch.moving:
             watch.rest_s = now_s
-        if fault.name == "clock jump" and not watch.called_off and now_s - watch.zero_s > CALLED_OFF_S:
+        if fault.name in PAUSES and not watch.called_off and now_s - watch.zero_s > CALLED_OFF_S:
             # Only a pause: with new messages it would go on, and with right.
             watch.called_off = True
             rig.swarm.operator.stop((robot,))

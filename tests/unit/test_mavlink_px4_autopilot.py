@@ -36,7 +36,7 @@ def test_an_url_that_says_otherwise_is_told() -> None:
 def test_the_url_makes_the_description() -> None:
     driver = MavlinkDriver("mavlink+tcp://127.0.0.1:5760?autopilot=px4&speed=0.4")
     assert (driver.description.make, driver.description.watchdog_s) == ("PX4", 1.0)
-    assert driver.description.limits == Limits(0.4, 2.0, 1.0, 2.0, can_reverse=False)
+    assert driver.description.limits == Limits(0.4, 2.0, 0.7, 2.0, can_reverse=False)
     assert MavlinkDriver("mavlink+tcp://127.0.0.1:5760").description.limits.can_reverse
     for query in ("autopilot=pix4", "pose=gps", "origin=1,2,3", "pose=external&origin=91,0,0", "key=00", "sign_link=1"):
         with pytest.raises(ConfigError):

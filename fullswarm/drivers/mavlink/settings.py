@@ -14,8 +14,9 @@ from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps, read_key, state_path
 from fullswarm.errors import ConfigError, did_you_mean
 
-# ArduRover's defaults (ATC_ACCEL_MAX, ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED.
-LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=1.0, turn_accel_rad_s2=2.0)
+# ArduRover's defaults (ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED. ATC_ACCEL_MAX is
+# 1 m/s², but its brakes answer late and end softly: a stop from 0.5 m/s takes 0.17 m, as with 0.7 m/s² at once.
+LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=0.7, turn_accel_rad_s2=2.0)
 RADIUS_M = 0.35
 KNOWN = {
     "autopilot", "ekf", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid", "turn",
