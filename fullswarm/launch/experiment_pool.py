@@ -20,7 +20,7 @@ def serve(connection: Connection, work: Work) -> None:
     from fullswarm.operator.output import log_to_stderr
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the parent ends its workers in order
-    log_to_stderr()
+    log_to_stderr(warnings_only=True)  # a thousand trials brake a thousand times: that is counted, not told
     while True:
         try:
             trial = connection.recv()

@@ -32,9 +32,14 @@ def progress(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def log_to_stderr() -> None:
+def log_to_stderr(*, warnings_only: bool = False) -> None:
     """Send log lines to stderr: structlog's default is stdout, which is for data."""
+    import logging
+
     import structlog
 
     # Looked up at each line: whoever redirects stderr, a test for one, may close it again.
-    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
+    structlog.configure(
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
+        wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING if warnings_only else logging.NOTSET),
+    )
