@@ -286,7 +286,7 @@ FAULTS = {
         Fault("geofence", nothing, bound_s=REFLEX, start_m=FENCE_M - 1.5, from_mark=True,
               notes={
                   **dict.fromkeys(BACKENDS, "distance and times count from the fence"),
-                  "m1": "it brakes more softly than its description says: give the fence a margin",
+                  "m1": "the last of its speed dies away slowly: give the fence a margin",
               }),
     )
 }  # fmt: skip
