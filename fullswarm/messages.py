@@ -293,14 +293,28 @@ class CoverageMeasurement(Message, frozen=True, kw_only=True):
     stamp_s: float
 
 
-Measurement = WorkMeasurement | CollisionMeasurement | CoverageMeasurement
+class RobotMeasurement(Message, frozen=True, kw_only=True):
+    """All that is one number per robot, or per host: what each name means stands in ``perf/metrics.py``.
+
+    Cumulative since the process started or the newest value, so that a lost message costs nothing; NaN: has none.
+    """
+
+    host: str
+    process: str  # unique per process start: another one has counted from zero again
+    robots: tuple[str, ...]
+    columns: dict[str, tuple[float, ...]]  # name → one value per robot
+    totals: dict[str, float] = {}  # name → the host's value
+    stamp_s: float
+
+
+Measurement = WorkMeasurement | CollisionMeasurement | CoverageMeasurement | RobotMeasurement
 
 
 class Summary(Message, frozen=True, kw_only=True):
     """A summarizer's result for the whole swarm (paper II.F.2)."""
 
-    metric: str  # work, coverage, collisions
-    values: dict[str, float]  # e.g. total_m, mean_m, max_m
+    metric: str  # work, coverage, collisions, … see `perf/metrics.py`
+    values: dict[str, float]  # e.g. total_m, mean_m, max_m; truth_total_m: as a supervisory process saw it
     per_robot: dict[str, float] = {}
     finished: bool = False
     reason: str = ""  # which termination condition was met
@@ -389,6 +403,9 @@ def _explain(data: bytes, kind: type[Message], error: Exception) -> str:
         return f"got '{found}' where '{wanted}' is understood: {advice}"
     return str(error)
 
+
+TRUTH = "truth"
+"""The host of a supervisory process that measures the true bodies (paper II.F.1); no robot may be called so."""
 
 ROBOT_ID = re.compile(r"[A-Za-z0-9_-]{1,64}\Z")
 """What a robot id, a swarm name or a behaviour name may look like: one plain chunk of a key."""

@@ -16,6 +16,7 @@ from fullswarm.agent import reports
 from fullswarm.agent.atlas import Atlas, map_of
 from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
+from fullswarm.agent.gauges import Gauges
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.reflexes import Reflexes, Thresholds
@@ -25,6 +26,7 @@ from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import Array, View
 from fullswarm.bus.base import Bus
+from fullswarm.bus.counting import CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
 from fullswarm.keys import Keys
@@ -67,7 +69,8 @@ class AgentNode:
         loop: Callable[[], LoopStats],
         thresholds: Thresholds | None = None,
     ) -> None:
-        self._bus, self._scheduler, self._fleet = bus, scheduler, fleet
+        self._bus = bus = CountingBus(bus)
+        self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
         self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
         self._bounds = config.bounds_m
@@ -109,9 +112,10 @@ class AgentNode:
             self._radius,
             np.array([each.speed_m_s for each in limits]),
         )
+        self.gauges = Gauges(self, config.performance.arrive_radius_m)
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
         self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
-        self._alone = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
+        self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._driver_ready = np.zeros(count, bool)
         self._driver_state = Lifecycle.CLOSED
@@ -131,7 +135,7 @@ class AgentNode:
             scheduler.every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
             scheduler.every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
             scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
-            scheduler.every(1.0 / settings.measurement_rate_hz, self._publish_measurements),
+            scheduler.every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
             scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
         ]
@@ -165,7 +169,7 @@ class AgentNode:
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
         contacts = self.contacts if self.fixes.touching else reading.contacts
-        self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry)
+        self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry, reading.twist)
         self.inbox.watch_estops(now_s)
         self._last_tick_s = now_s
         if self._dirty:
@@ -186,6 +190,7 @@ class AgentNode:
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         groups = self.tasks.groups()
+        self._near = self._alone
         if groups or self.tasks.any_filtered:
             self._wish(groups, now_s, reading)
         self.reflexes.watch_fence(self.pose, self.twist, self.controller.wished, self._accel)
@@ -255,7 +260,7 @@ class AgentNode:
             # A stick is not turned aside: whoever holds it sees the robot.
             self.deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self.controller.speed_limit)
         reach_m = settings.sensing_radius_m
-        near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
+        self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self.atlas.given
         self.filter.apply(
             now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
@@ -273,7 +278,7 @@ class AgentNode:
         try:
             wished = group.call(view, group.params)
             # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else wished.sum()):
+            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else np.add.reduce(wished, None)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
             self._law_failed(group, error)
@@ -305,9 +310,12 @@ class AgentNode:
 
     def _look_around(self) -> None:
         """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
-        if self.reading is None or not len(self.reading.obstacles):
+        if self.reading is None:
             return
         now_s = self._scheduler.now_s()
+        self.gauges.look(now_s)
+        if not len(self.reading.obstacles):
+            return
         new = self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
         if new or now_s >= self._tell_s:
             self._tell_s = now_s + TELL_PERIOD_S
@@ -334,8 +342,22 @@ class AgentNode:
         report = reports.health(self, self._loop(), __version__, now_s)
         self._bus.publish(self._keys.health(self._identity.host), report)
 
-    def _publish_measurements(self) -> None:
-        self.calculators.publish(self._bus, self._keys, self._identity.host, self._scheduler.now_s())
+    def publish_measurements(self, *, whole: bool = True) -> None:
+        """Publish what the calculators have counted until now; the grid of coverage not always unless `whole`."""
+        """Publish what the robots have measured of themselves until now."""
+        now_s, host = self._scheduler.now_s(), self._identity.host
+        self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
+        if self.reading is not None:
+            message = self.gauges.message(now_s, self._loop(), self._bus)
+            self._bus.publish(self._keys.measurement("robots", host), message)
+
+    @property
+    def near(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Who is in sensing range of each robot: ``Neighbours.around``, of the last tick if it was asked then."""
+        if self._near is self._alone and len(self._fleet.ids):
+            self.neighbours.look(self._scheduler.now_s())
+            return self.neighbours.around(np.ascontiguousarray(self.pose[:, :2]), self._config.sensing_radius_m)
+        return self._near
 
     @property
     def setpoints(self) -> Array:
@@ -365,7 +387,7 @@ class AgentNode:
         for row in range(len(self._fleet.ids)):
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
-        self._publish_measurements()
+        self.publish_measurements()
         self._listening.close()
         self._subscription.close()
         self.fixes.close()

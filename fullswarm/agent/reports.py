@@ -40,7 +40,10 @@ def states(
         yield from _state_of_one(agent, keys, cell_m, sequence, now_s)
         return
     cells: dict[str, list[int]] = {}
-    known = np.flatnonzero(~np.isnan(pose[:, 0]) & agent.driver_ready)
+    if cell_m <= 0.0 and np.logical_and.reduce(agent.driver_ready) and math.isfinite(np.add.reduce(pose[:, 0])):
+        known = np.arange(len(pose))
+    else:
+        known = np.flatnonzero(~np.isnan(pose[:, 0]) & agent.driver_ready)
     if cell_m <= 0.0 and len(known):
         cells[cell_of(0.0, 0.0, cell_m)] = known.tolist()
     elif cell_m > 0.0:

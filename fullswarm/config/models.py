@@ -13,13 +13,15 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.bus.network import parse_network
 from fullswarm.errors import ConfigError
-from fullswarm.messages import ROBOT_ID
+from fullswarm.messages import ROBOT_ID, TRUTH
 
 DEFAULT_WORLD = "127.0.0.1:7450"
 ALL_TO_ALL_ROBOTS = 16
 
 
 def _robot_id(text: str) -> str:
+    if text == TRUTH:
+        raise ValueError(f"'{TRUTH}' cannot name a robot: it is who measures all of them from outside")
     return _name(text, "robot")
 
 
@@ -138,9 +140,12 @@ class PerformanceConfig(Section):
     """Calculators, summarizers and when a trial is over."""
 
     coverage_cell_m: PositiveFloat = 0.1
+    arrive_radius_m: PositiveFloat | None = None  # a robot so near its goal has arrived; None: the request's, or 0.1
     max_execution_s: PositiveFloat | None = None
     coverage_at_least: float | None = Field(None, gt=0.0, le=1.0)
     stop_on_collision: bool = False
+    all_arrived: bool = False  # every robot of the fleet file is at its goal
+    stalled_s: PositiveFloat | None = None  # no robot with a task has moved by more than its radius for so long
 
 
 class NetworkConfig(Section):

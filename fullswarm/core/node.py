@@ -76,10 +76,11 @@ class CoreNode:
         )
         self.remapper.restore(self.handler.holders)
         controller = MainController(bus, keys, scheduler, self.library, self.roster, board, self.handler, self.remapper)
+        self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
         self._parts: tuple[Closing, ...] = (
-            controller, self.handler, board, self.remapper, latches, self.roster, params, *reversed(tuple(extra)),
+            controller, self.handler, board, self.remapper, latches, self.roster, params, *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

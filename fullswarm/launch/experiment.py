@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TextIO
-
-import msgspec
-from rich.table import Table
+from typing import Protocol
 
 from fullswarm.clock import MonotonicClock
-from fullswarm.errors import ConfigError
-from fullswarm.launch.experiment_pool import Pool, Work
-from fullswarm.launch.trial import run_trial
+from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.launch.experiment_folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder
+from fullswarm.launch.experiment_pool import Pool
+from fullswarm.launch.experiment_table import closing, table
+from fullswarm.launch.provenance import provenance
+from fullswarm.launch.trial import Measure, attempt, measure
+from fullswarm.launch.trial_file import launch_text
+from fullswarm.launch.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
 from fullswarm.operator import output
-from fullswarm.perf.experiment import CellResult, Report, Trial, TrialResult, load_experiment, plan, summarise
+from fullswarm.perf.experiment import Experiment, Trial, TrialResult, load_experiment, plan, summarise
 from fullswarm.perf.experiment.model import parse_seeds
 
 TELL_S = 5.0
 """How often progress is told."""
-TRIALS_FILE = "trials.jsonl"
+INTERRUPTED = 130
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,33 +39,107 @@ class Options:
     timeout_s: float = 600.0
     folder: Path | None = None
     as_json: bool = False
+    engine: str | None = None  # instead of all groups' engines
+    shard: str | None = None  # "1/4": the first of four parts
+    retries: int = 1
+    dask: str | None = None  # "local", or a scheduler's address
+    live: bool = False  # real processes in real time
+    emulate: str | None = None  # with `live`: the make behind whose emulated ports the robots are
+    fleet: Path | None = None  # the robots of a fleet file, one trial after the other
+    yes: bool = False  # with `fleet`: nobody is asked whether it may drive
+    insecure_network: bool = False  # with `fleet`
 
 
-def run(options: Options, work: Work = run_trial) -> int:
-    """Run the experiment; return 0 when no trial collided and none failed, else 1.
+@dataclass(frozen=True, slots=True)
+class FleetTrials:
+    """Runs trials on the robots of a fleet file, in this process: somebody sets them up and is asked."""
+
+    options: Options
+    fleet: Path
+    experiment: str
+
+    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        """Yield the trials that the fleet can run."""
+        from fullswarm.launch.fleet_trial import run_fleet
+
+        options = self.options
+        return run_fleet(
+            trials,
+            self.fleet,
+            self.experiment,
+            options.folder,
+            yes=options.yes,
+            insecure_network=options.insecure_network,
+        )
+
+
+class Runner(Protocol):
+    """Runs trials somewhere."""
+
+    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        """Yield each trial once, with its result, as it ends; those that it cannot run at all are left out."""
+        ...
+
+
+def run(options: Options, run_one: Measure = measure) -> int:
+    """Run the experiment; return 0 when no trial failed and none collided but where that was expected, else 1.
+
+    Ctrl-C ends it at once with 130; what is done is kept.
 
     Raises
     ------
     ConfigError
-        The experiment, a filter, the seeds or the folder are wrong.
+        The experiment, a filter, the seeds, the shard or the folder are wrong.
     """
+    _check(options)
     experiment = load_experiment(options.experiment)
-    trials = plan(experiment, _seeds(options.seeds), options.cells, options.small)
-    kept = _read_kept(options.folder)
-    left = [trial for trial in trials if _key(trial) not in kept]
-    results = {trial: kept[_key(trial)] for trial in trials if _key(trial) in kept}
-    if results:
-        output.progress(f"{len(results)} of {len(trials)} trials are in {options.folder} already")
+    everything = plan(experiment, _seeds(options.seeds), options.cells, options.small, options.engine)
+    trials = shard_of(everything, options.shard)
+    results = _kept(options, experiment, everything, trials)
     clock = MonotonicClock()
     began_s = clock.now_s()
-    results.update(_run_all(left, options, work))
-    report = summarise(((trial, results[trial]) for trial in trials), clock.now_s() - began_s)
+    try:
+        for trial, result in _run_all([each for each in trials if each not in results], experiment, options, run_one):
+            results[trial] = result
+    except KeyboardInterrupt:
+        _say_interrupted(options, results, trials)
+        return INTERRUPTED
+    report = summarise(((trial, results[trial]) for trial in trials if trial in results), clock.now_s() - began_s)
+    written = options.folder is None or _finish(options.folder)
     if options.as_json:
         output.data_json(report.to_json())
     else:
         output.data_table(table(report), into_file=130)
         output.data(closing(report))
-    return 0 if report.passed else 1
+    return 0 if report.passed and written else 1
+
+
+def shard_of(trials: list[Trial], text: str | None) -> list[Trial]:
+    """Return the trials of shard ``"i/n"``: every n-th, from the i-th on; together the n shards are all.
+
+    Raises
+    ------
+    ConfigError
+        It is no shard, or holds no trial.
+    """
+    if text is None:
+        return trials
+    part, slash, of = text.partition("/")
+    if not (slash and part.isdecimal() and of.isdecimal() and 1 <= int(part) <= int(of)):
+        raise ConfigError(f"'{text}' is no shard", where="--shard", hint="write 1/4 for the first of four")
+    found = trials[int(part) - 1 :: int(of)]
+    if not found:
+        raise ConfigError(f"shard {text} of {len(trials)} trials is empty", where="--shard")
+    return found
+
+
+def _check(options: Options) -> None:
+    chosen = [name for name in ("dask", "live", "fleet") if getattr(options, name)]
+    if len(chosen) > 1:
+        raise ConfigError(f"choose one of {', '.join(f'--{name}' for name in chosen)}")
+    for name, needed in (("emulate", "live"), ("yes", "fleet")):
+        if getattr(options, name) and not getattr(options, needed):
+            raise ConfigError(f"it needs --{needed}", where=f"--{name}")
 
 
 def _seeds(text: str | None) -> tuple[int, ...] | None:
@@ -72,133 +149,133 @@ def _seeds(text: str | None) -> tuple[int, ...] | None:
         raise ConfigError(str(error), where="--seeds") from error
 
 
+def _kept(
+    options: Options, experiment: Experiment, everything: list[Trial], trials: list[Trial]
+) -> dict[Trial, TrialResult]:
+    """Make the folder ready; return the results that it holds."""
+    if options.folder is None:
+        return {}
+    asked = Asked(
+        name=experiment.name,
+        description=experiment.description,
+        configuration=configuration_of(experiment),
+        seeds=options.seeds,
+        cells=options.cells,
+        small=options.small,
+        engine=options.engine,
+        how=_how(options),
+    )
+    _, swept = open_folder(options.folder, asked, everything)
+    if swept:
+        output.progress(f"{swept} half-written trials of a run that died are removed")
+    results = kept_of(options.folder, trials)
+    if results:
+        output.progress(f"{len(results)} of {len(trials)} trials are in {options.folder} already")
+    return results
+
+
+def _how(options: Options) -> str:
+    if options.fleet is not None:
+        return "fleet"
+    return f"live {options.emulate or ''}".rstrip() if options.live else LOCKSTEP
+
+
 # ---------------------------------------------------------------------------------------------------- running
-def _run_all(trials: list[Trial], options: Options, work: Work) -> Iterator[tuple[Trial, TrialResult]]:
-    """Yield every trial with its result; tell on stderr how it goes, and keep each result in the folder."""
+def _run_all(
+    trials: list[Trial], experiment: Experiment, options: Options, run_one: Measure
+) -> Iterator[tuple[Trial, TrialResult]]:
+    """Yield every trial with its result; tell on stderr how it goes."""
     if not trials:
         return
     clock = MonotonicClock()
     began_s = told_s = clock.now_s()
     collisions = failed = 0
-    keep = None if options.folder is None else (options.folder / TRIALS_FILE).open("a", encoding="utf-8")
+    with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as runner:
+        for done, (trial, result) in enumerate(runner.run(trials), 1):
+            if result.lost and options.folder is not None:
+                result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
+            failed += result.outcome is None
+            collisions += result.outcome.events if result.outcome and result.outcome.safe_start else 0
+            _tell_trouble(trial, result)
+            now_s = clock.now_s()
+            if now_s - told_s >= TELL_S or done == len(trials):
+                told_s = now_s
+                left_s = (now_s - began_s) / done * (len(trials) - done)
+                output.progress(
+                    f"{done} of {len(trials)} trials, {collisions} collisions, {failed} failed, "
+                    f"about {left_s:.0f} s left"
+                )
+            yield trial, result
+
+
+def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> AbstractContextManager[Runner]:
+    kind = "pool"
+    if options.fleet is not None:
+        return nullcontext(FleetTrials(options, options.fleet, experiment))
+    if options.live:
+        from fullswarm.launch.live_trial import measure_live
+
+        run_one = partial(measure_live, emulate=options.emulate)
+        kind, jobs = "live", 1  # in real time a machine has no room for two swarms
+    if options.dask is not None:
+        from fullswarm.launch.experiment_dask import Cluster, Task
+
+        task = Task(experiment, run_one, options.timeout_s)
+        return Cluster(options.dask, jobs, task, options.folder, options.retries)
+    keeper = (
+        partial(_run_only, run_one) if options.folder is None else Keeper(options.folder, experiment, run_one, kind)
+    )
+    return Pool(jobs, options.timeout_s, keeper, retries=options.retries)
+
+
+def _run_only(run_one: Measure, trial: Trial, attempts: int) -> TrialResult:
+    clock = MonotonicClock()
+    began_s = clock.now_s()
+    found = attempt(trial, run_one)
+    return result_of(trial, found, clock.now_s() - began_s, attempts)
+
+
+def _keep_lost(out: Path, experiment: str, runner: str, trial: Trial, result: TrialResult) -> TrialResult:
+    """Keep a trial whose process could not do so itself any more, as failed; return what counts."""
+    kept = read_kept(out, trial)  # it may have died between keeping and answering
+    if kept is not None:
+        return kept
     try:
-        with Pool(min(options.jobs, len(trials)), options.timeout_s, work, clock) as pool:
-            for done, (trial, result) in enumerate(pool.run(trials), 1):
-                failed += result.outcome is None
-                collisions += result.outcome.events if result.outcome and result.outcome.safe_start else 0
-                _tell_trouble(trial, result)
-                if keep is not None and result.outcome is not None:
-                    _keep(keep, trial, result)
-                now_s = clock.now_s()
-                if now_s - told_s >= TELL_S or done == len(trials):
-                    told_s = now_s
-                    left_s = (now_s - began_s) / done * (len(trials) - done)
-                    output.progress(
-                        f"{done} of {len(trials)} trials, {collisions} collisions, {failed} failed, "
-                        f"about {left_s:.0f} s left"
-                    )
-                yield trial, result
-    finally:
-        if keep is not None:
-            keep.close()
+        about = provenance(None, result.wall_s, result.attempts, launch_text(trial, experiment), runner)
+        write_trial(out, record_of(trial, experiment, result.failure), about)
+    except OSError as error:
+        output.progress(f"cannot keep that it failed: {trial.label}: {error.strerror or error}")
+    return result
+
+
+def _finish(folder: Path) -> bool:
+    """Tidy up and write the report; tell what is in the way."""
+    sweep(folder)
+    try:
+        from fullswarm.perf.results import write_report
+
+        output.progress(f"report: {write_report(folder)}")
+    except (FullswarmError, ImportError) as error:
+        output.progress(f"no report: {error}")
+    except OSError as error:
+        output.progress(f"no report: {folder}: {error.strerror or error}")
+        return False
+    return True
 
 
 def _tell_trouble(trial: Trial, result: TrialResult) -> None:
     outcome = result.outcome
     if outcome is None:
         output.progress(f"failed: {trial.label}: {result.failure}")
-    elif outcome.events:
+    elif outcome.events and not trial.cell.collisions_expected:
         apart = "" if outcome.safe_start else " (it began outside the safe set)"
         output.progress(f"{outcome.events} collisions: {trial.label}{apart}")
 
 
-# ---------------------------------------------------------------------------------------------------- resuming
-def _key(trial: Trial) -> str:
-    """Return all that a trial depends on, as text: a changed experiment does not reuse old results."""
-    return msgspec.json.encode(trial).decode()
-
-
-def _keep(file: TextIO, trial: Trial, result: TrialResult) -> None:
-    line = msgspec.json.encode({"trial": _key(trial), "result": result}).decode()
-    file.write(f"{line}\n")
-    file.flush()
-
-
-class _Kept(msgspec.Struct):
-    """One line of the file of trials."""
-
-    trial: str
-    result: TrialResult
-
-
-def _read_kept(folder: Path | None) -> dict[str, TrialResult]:
-    """Return the results that a folder holds; make it when there is none."""
-    if folder is None:
-        return {}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / TRIALS_FILE
-        lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
-    except OSError as error:
-        raise ConfigError(f"cannot use the folder: {error.strerror or error}", where=str(folder)) from error
-    kept: dict[str, TrialResult] = {}
-    for number, line in enumerate(lines, 1):
-        try:
-            record = msgspec.json.decode(line, type=_Kept)
-        except msgspec.DecodeError as error:
-            if number == len(lines):  # cut off while it was written; the trial runs again
-                path.write_bytes(b"".join(lines[:-1]))
-                break
-            raise ConfigError(
-                f"not a line of results: {error}", where=f"{path}:{number}", hint="use an empty folder"
-            ) from error
-        kept[record.trial] = record.result
-    return kept
-
-
-# ---------------------------------------------------------------------------------------------------- telling
-def table(report: Report) -> Table:
-    """Return the results for people."""
-    view = Table(box=None, pad_edge=False)
-    for name in ("behaviour", "scenario", "engine", "limits", "bad"):
-        view.add_column(name, overflow="fold")
-    for name in ("N", "seeds", "coll.", "robots %", "trials %", "mean s", "blocked"):
-        view.add_column(name, justify="right", no_wrap=True, min_width=len(name))
-    for cell in report.cells:
-        view.add_row(*_row(cell), style="red" if cell.collisions or cell.failed else None)
-    return view
-
-
-def _row(cell: CellResult) -> tuple[str, ...]:
-    of, mean_s = cell.cell, cell.mean_s()
-    return (
-        of.label,
-        of.scenario,
-        of.engine,
-        of.limits,
-        "network" if of.network else "noise" if of.noise_m or of.noise_rad else "",
-        str(of.robots),
-        str(len(cell.results)),
-        str(cell.collisions),
-        f"{100 * cell.arrived_fraction:.1f}",
-        f"{100 * cell.all_arrived_fraction:.0f}",
-        "-" if math.isnan(mean_s) else f"{mean_s:.1f}",
-        str(sum(each.deadlocks for _, each in cell.outcomes)),
-    )
-
-
-def closing(report: Report) -> str:
-    """Return the last lines for people."""
-    apart = sum(len(each.results) - len(each.failed) - len(each.outcomes) for each in report.cells)
-    above = sum(each.above_limits for cell in report.cells for _, each in cell.outcomes)
-    counts = f"{report.trials_done} trials done, {report.trials_failed} failed, {report.collisions} collisions"
-    lines = [
-        f"{counts}, {above} commands above the limits, {apart} starts outside the safe set",
-        f"{report.simulated_s:.0f} s simulated in {report.wall_s:.0f} s",
-    ]
-    for cell in report.cells:
-        name = " ".join((*filter(None, _row(cell)[:5]), f"N={cell.cell.robots}"))
-        if cell.colliding_seeds:
-            lines.append(f"collided: {name}: seeds {cell.colliding_seeds}")
-        lines += [f"failed: {name} seed {each.seed}: {each.failure}" for each in cell.failed]
-    return "\n".join(lines)
+def _say_interrupted(options: Options, results: dict[Trial, TrialResult], trials: list[Trial]) -> None:
+    done = sum(result.outcome is not None for result in results.values())
+    if options.folder is None:
+        then = "nothing is kept without --out FOLDER"
+    else:
+        then = f"they are in {options.folder}; the same command goes on from there"
+    output.progress(f"interrupted: {done} of {len(trials)} trials are done, {then}")

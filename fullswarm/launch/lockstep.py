@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from typing import Any
 
 from fullswarm import kernels
 from fullswarm.agent.node import AgentNode, Identity
@@ -17,11 +18,14 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.bus.senders import CENTRALISED, CORE
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
+from fullswarm.core.node import CoreNode
 from fullswarm.drivers.sim.fleet import SimFleet
 from fullswarm.drivers.sim.row_fleet import RowFleet
 from fullswarm.drivers.sim.world import World
+from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.launch.network import network_of, on_network
+from fullswarm.perf.summarizers import Summarizer
 from fullswarm.runtime import Mailbox, Runtime
 
 
@@ -40,6 +44,7 @@ class Lockstep:
     bus: LocalBus = field(init=False)
     world: World = field(init=False)
     agents: tuple[AgentNode, ...] = field(init=False)
+    summarizers: tuple[Summarizer[Any], ...] = field(init=False)
     wall_s: float = field(init=False, default=0.0)
     _nodes: list[nodes.Node] = field(init=False, default_factory=list)
 
@@ -61,7 +66,10 @@ class Lockstep:
         self.world = World(settings, config.robots, nodes.start_poses(config))
         # Before the agent's timer: a period ends with the world's step, then the robots read what came of it.
         self.runtime.every(1.0 / settings.rate_hz, self.world.step)
-        self._nodes += nodes.core(self.bus_of(CORE), self.runtime, config, "core-0", self.runtime.now_s)
+        core = nodes.core(self.bus_of(CORE), self.runtime, config, "core-0", self.runtime.now_s)
+        self._nodes += core
+        extra = [each for node in core if isinstance(node, CoreNode) for each in node.extra]
+        self.summarizers = tuple(each for each in extra if isinstance(each, Summarizer))
         self._nodes += nodes.centralised(self.bus_of(CENTRALISED), self.runtime, config, "centralised-0")
         self.agents = self._agent_each() if bad else (self._agent_of_all(),)
         self._nodes += self.agents
@@ -95,6 +103,20 @@ class Lockstep:
         began_s = time.perf_counter()
         self.runtime.run(duration_s)
         self.wall_s += time.perf_counter() - began_s
+
+    def report(self) -> None:
+        """Have the agents tell what they have measured until now, and the summarizers what it comes to."""
+        for agent in self.agents:
+            agent.publish_measurements()
+        self.runtime.mailbox.drain()
+        for summarizer in self.summarizers:
+            summarizer.report()
+        self.runtime.mailbox.drain()
+
+    @property
+    def keys(self) -> Keys:
+        """The names of the swarm's messages."""
+        return Keys(self.config.swarm)
 
     @property
     def real_time_factor(self) -> float:

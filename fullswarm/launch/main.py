@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
+from fullswarm.launch.experiment_cli import experiment_app
 from fullswarm.launch.hardware import hardware_app
+from fullswarm.launch.results_cli import results_app
+from fullswarm.launch.scenario_cli import scenario_app
+from fullswarm.launch.watch import replay, watch
 from fullswarm.operator.cli import operator_app, run_guarded
 
 if TYPE_CHECKING:
@@ -22,10 +26,14 @@ app = typer.Typer(
     help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
 )
 app.add_typer(operator_app)
-experiment_app = typer.Typer(no_args_is_help=True)
-app.add_typer(
-    experiment_app, name="experiment", rich_help_panel="Evaluate", help="Measure behaviours over many seeded trials."
-)
+for each, name, text in (
+    (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
+    (results_app, "results", "Look at what experiments left: cells, figures, comparisons, reports."),
+    (scenario_app, "scenario", "Worlds: list, look at, bring along from other simulators, take to them."),
+):
+    app.add_typer(each, name=name, rich_help_panel="Evaluate", help=text)
+experiment_app.command()(watch)
+experiment_app.command()(replay)
 app.add_typer(hardware_app)  # after the operator's: its `robots` has more verbs
 
 Fleet = Annotated[Path, typer.Option("--fleet", metavar="FILE", help="The fleet file (TOML).")]
@@ -226,41 +234,6 @@ def fixes(
             insecure_network,
         )
         return source.run(hub, swarm, options, with_parent)
-
-    _run(debug, command)
-
-
-@experiment_app.callback()
-def _experiment() -> None:
-    """Keep `run` a command of its own, although it is the only one."""
-
-
-@experiment_app.command("run")
-def run_experiment(
-    name: Annotated[str, typer.Argument(metavar="NAME|FILE.toml", help="One of the package: safety; or your own.")],
-    seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
-    cells: Annotated[
-        list[str] | None,
-        typer.Option("--cells", metavar="FILTER", help="Only these: 'behaviour=navigate_bc,robots=32'; may repeat."),
-    ] = None,
-    small: Annotated[bool, typer.Option("--small", help="The file's small version: about a minute.")] = False,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
-    timeout_s: Annotated[
-        float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
-    ] = 600.0,
-    folder: Annotated[
-        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to go on.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")] = False,
-    debug: Debug = False,
-) -> None:
-    """Run an experiment. Exit code 0: no trial collided and none failed; 1 otherwise."""
-
-    def command() -> int:
-        from fullswarm.launch import experiment
-
-        options = experiment.Options(name, seeds, tuple(cells or ()), small, jobs, timeout_s, folder, as_json)
-        return experiment.run(options)
 
     _run(debug, command)
 

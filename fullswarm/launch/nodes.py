@@ -18,7 +18,7 @@ from fullswarm.core.settings import Settings
 from fullswarm.drivers.base import Fleet
 from fullswarm.keys import Keys
 from fullswarm.perf.performance_node import PerformanceNode
-from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer
+from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer, robot_summarizer
 from fullswarm.runtime import LoopStats, Scheduler
 from fullswarm.store import Store
 
@@ -48,6 +48,7 @@ def core(
         summarizer(bus, keys, scheduler, lambda: settings.performance)
         for summarizer in (WorkSummarizer, CollisionSummarizer, CoverageSummarizer)
     ]
+    extra.append(robot_summarizer(bus, keys, scheduler, lambda: settings.performance, config.robots, config.bounds_m))
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
     return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
 

@@ -7,6 +7,7 @@ a touch is a touch.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,18 @@ from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Array, Limits
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import FullswarmError
-from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.launch.trial_watch import BodyWatch, Measurement, SummaryWatch, finite, joined
 from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.perf.calculators import CollisionCalculator
-from fullswarm.perf.experiment.plan import Trial, world_of
+from fullswarm.perf.experiment.plan import Trial, scenario_of, world_of
 from fullswarm.perf.experiment.results import Outcome, TrialResult
-from fullswarm.perf.scenarios import Scenario, goals_for, load_scenario, spawn, world_config
+from fullswarm.perf.scenarios import Scenario, goals_for, spawn, world_config
 
-READY_S = 0.6
-"""From the start until the request: all have heard of each other by then."""
+READY_S = 0.49
+"""From the start until the request: between two ticks, after all have heard of each other, before the first measurement
+that the agents publish. So what is measured begins with the request."""
 LOOK_S = 0.1
 """How often it is looked whether all have arrived."""
 ROOM = 10.0
@@ -74,20 +76,32 @@ class Referee:
             self.above_limits += int((np.abs(world.target) > self._most).any(axis=1).sum())
 
 
+Measure = Callable[[Trial], Measurement]
+"""Runs a trial."""
+
+
 def run_trial(trial: Trial) -> TrialResult:
-    """Run a trial; whatever goes wrong in it is its result."""
+    """Run a trial and keep nothing of it but its result; whatever goes wrong in it is its result."""
     clock = MonotonicClock()
     began_s = clock.now_s()
+    found = attempt(trial)
+    wall_s = clock.now_s() - began_s
+    if isinstance(found, str):
+        return TrialResult(seed=trial.seed, outcome=None, failure=found, wall_s=wall_s)
+    return TrialResult(seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason)
+
+
+def attempt(trial: Trial, run: Measure | None = None) -> Measurement | str:
+    """Return what `run`, by default `measure`, makes of a trial, or why it failed."""
     try:
-        outcome, failure = measure(trial), ""
+        return (run or measure)(trial)
     except FullswarmError as error:
-        outcome, failure = None, str(error)
+        return str(error)
     except Exception as error:  # a law or an engine is outside code: one trial must not end the experiment
-        outcome, failure = None, f"{type(error).__name__}: {error}"
-    return TrialResult(seed=trial.seed, outcome=outcome, failure=failure, wall_s=clock.now_s() - began_s)
+        return f"{type(error).__name__}: {error}"
 
 
-def measure(trial: Trial) -> Outcome:
+def measure(trial: Trial) -> Measurement:
     """Run a trial.
 
     Raises
@@ -97,7 +111,7 @@ def measure(trial: Trial) -> Outcome:
     TrialFailed
         The core refused the request, or not every robot ran it.
     """
-    scenario = load_scenario(trial.cell.scenario)
+    scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
     swarm = Lockstep(config)
     try:
@@ -117,48 +131,73 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
             "world": world.model_dump(),
             "robot": robots,
             "agent": AgentConfig.model_validate(dict(trial.agent)).model_dump(),
+            "performance": {"arrive_radius_m": scenario.goal.radius_m, **dict(trial.stop)},
             "network": {"conditions": trial.cell.network or None, "seed": trial.seed},
         }
     )
     return config, goals_for(scenario, poses)
 
 
-def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, swarm: Lockstep) -> Outcome:
+def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, swarm: Lockstep) -> Measurement:
     world, runtime = swarm.world, swarm.runtime
     limits = world.description.limits
     for row in range(len(world.ids)):
         world.set_limits(row, widened(limits))
     safe = in_safe_set(world, config.agent.safety_margin_m)
     referee = Referee(world, limits)
-    runtime.every(world.dt_s, referee.look)
+    bodies = BodyWatch(world, goals, scenario.goal.radius_m, config.performance.coverage_cell_m)
+    watching = False
+
+    def look() -> None:
+        if watching:
+            referee.look()
+            bodies.look()
+
+    # From the start, so that it comes after each of the world's steps; a later timer might come before them.
+    runtime.every(world.dt_s, look)
     numbers = itertools.count()
-    bus, keys = swarm.bus_of(OPERATOR), Keys(config.swarm)
-    operator = Operator(bus, keys, runtime, "experiment", new_id=lambda: f"t{next(numbers)}")
+    operator = Operator(swarm.bus_of(OPERATOR), swarm.keys, runtime, "experiment", new_id=lambda: f"t{next(numbers)}")
+    summaries = SummaryWatch(swarm, runtime.pause)
     statuses: list[RequestStatus] = []
     try:
         runtime.run(READY_S)
         operator.request(trial.cell.behaviour, (), parameters(trial, scenario, goals), statuses.append)
+        watching = True
+        bodies.begin()
         limit_s = trial.time_limit_s or scenario.time_limit_s
         began_s, deadlock_s = runtime.now_s(), 0.0
+        end_reason = "time limit"
         while runtime.now_s() - began_s < limit_s - TOLERANCE:
             runtime.run(LOOK_S)
             deadlock_s += LOOK_S * sum(int((agent.deadlocks.until_s > runtime.now_s()).sum()) for agent in swarm.agents)
             arrived = np.hypot(*(world.pose[:, :2] - goals).T) <= scenario.goal.radius_m
-            if arrived.all():
+            if summaries.reason or arrived.all():
+                end_reason = summaries.reason or "all arrived"
                 break
+        check(statuses, swarm)
+        swarm.report()
     finally:
+        summaries.close()
         operator.close()
-    check(statuses, swarm)
-    return Outcome(
+    outcome = Outcome(
         robots=len(world.ids),
         arrived=int(arrived.sum()),
         robot_events=int(referee.robots.events.sum()),
         obstacle_events=int(referee.obstacles.events.sum()),
         safe_start=safe,
-        simulated_s=runtime.now_s() - began_s,
+        simulated_s=round(runtime.now_s() - began_s, 6),  # what a sum of ticks adds is no time
         above_limits=referee.above_limits,
         deadlocks=sum(int(agent.deadlocks.draws.sum()) for agent in swarm.agents),
         deadlock_s=round(deadlock_s, 3),
+    )
+    return Measurement(
+        outcome=outcome,
+        end_reason=end_reason,
+        onboard=summaries.onboard(),
+        truth=finite(bodies.truth.values()),
+        per_robot=joined(summaries.per_robot(), bodies.truth.per_robot()),
+        trajectory=bodies.trajectory(),
+        coverage=summaries.coverage(),
     )
 
 

@@ -4,6 +4,10 @@
 file                    what it holds                                               runs in
 ======================  ==========================================================  =============
 ``calculators.py``      distance, contact events and covered cells per robot        agent
+``energy.py``           what driving costs, a proxy                                 agent
+``metrics.py``          what else is measured: columns, quantities, their meaning   core
+``robot_tally.py``      joins those columns; ``shape.py``: order, spacing, …        core
+``truth.py``            what the true bodies did; ``supervisor.py`` publishes it    base station
 ``coverage.py``         the coverage grid and how it travels on the bus             agent, core
 ``summarizers.py``      one node per metric: measurements of all hosts → Summary    core
 ``termination.py``      when a trial is over                                        core

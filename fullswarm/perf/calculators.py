@@ -17,6 +17,7 @@ from fullswarm.kernels import kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, WorkMeasurement
 from fullswarm.perf.coverage import Bounds, GridFrame, pack
+from fullswarm.perf.energy import MASS_KG, spend
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -106,14 +107,16 @@ def cover(position: Array, radius: Array, marked: Array, grid: Grid, x0: float, 
 
 @kernel
 def measure(
-    now_s: float, dt_s: float, travelled: Array, pose: Array, contacts: Counts,
+    now_s: float, dt_s: float, travelled: Array, pose: Array, contacts: Counts, twist: Array,
     max_speed: Array, last: Array, moved_s: Array, distance: Array,
     touching: Grid, touched_s: Array, events: Counts,
+    mass: Array, energy: Array,
     radius: Array, marked: Array, grid: Grid, x0: float, y0: float, cell: float,
 ) -> int:  # fmt: skip
-    """Run all three in one call: crossing into compiled code costs more than the work of a small swarm."""
+    """Run all four in one call: crossing into compiled code costs more than the work of a small swarm."""
     travel(now_s, dt_s, travelled, max_speed, last, moved_s, distance)
     touch(now_s, contacts, touching, touched_s, events)
+    spend(twist, radius, mass, energy, dt_s)
     return cover(pose, radius, marked, grid, x0, y0, cell)
 
 
@@ -169,8 +172,19 @@ class CoverageCalculator:
         return self._packed
 
 
+class EnergyCalculator:
+    """What driving cost each of n robots since the start, in joules: see :mod:`fullswarm.perf.energy`."""
+
+    def __init__(self, n: int, mass_kg: float = MASS_KG) -> None:
+        self.mass_kg = np.full(n, mass_kg)
+        self.state = np.zeros((n, 2))
+        self.state[:, 1] = math.nan
+        self.energy_j = self.state[:, 0]
+        self.unknown = np.full((n, 2), math.nan)
+
+
 class Calculators:
-    """The three calculators of the robots `ids`, updated by one kernel call and published together.
+    """The calculators of the robots `ids`, updated by one kernel call and published together.
 
     Parameters
     ----------
@@ -201,6 +215,19 @@ class Calculators:
         self.work = WorkCalculator(len(self.ids), max_speed_m_s)
         self.collision = CollisionCalculator(len(self.ids))
         self.coverage = CoverageCalculator(bounds_m, cell_m, radii_m)
+        self.energy = EnergyCalculator(len(self.ids))
+        self._with_grid = False
+        work, collision, coverage, frame = self.work, self.collision, self.coverage, self.coverage.frame
+        self._kept = (
+            work.max_speed_m_s, work.last, work.moved_s, work.distance_m,
+            collision.touching, collision.touched_s, collision.events, self.energy.mass_kg, self.energy.state,
+            coverage.radii_m, coverage.marked, coverage.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m,
+        )  # fmt: skip
+
+    @property
+    def energy_j(self) -> Array:
+        """What driving cost per robot since the start, (n,)."""
+        return self.energy.energy_j
 
     @property
     def collisions(self) -> Counts:
@@ -212,7 +239,15 @@ class Calculators:
         """Distance travelled per robot since the start, (n,)."""
         return self.work.distance_m
 
-    def update(self, now_s: float, pose: Array, contacts: Counts, dt_s: float, odometry: Array | None = None) -> None:
+    def update(
+        self,
+        now_s: float,
+        pose: Array,
+        contacts: Counts,
+        dt_s: float,
+        odometry: Array | None = None,
+        twist: Array | None = None,
+    ) -> None:
         """Take in one control period.
 
         Parameters
@@ -226,17 +261,19 @@ class Calculators:
         odometry
             Positions to measure the distance by, (n, 2 or more); `pose` when None. Noise of a pose adds up
             to metres that nobody drove, so odometry is the better source where there is any.
+        twist
+            Speed and turn rate as measured, (n, 2), NaN where unknown; None: no energy is counted.
         """
-        work, collision, coverage, frame = self.work, self.collision, self.coverage, self.coverage.frame
-        coverage.covered += measure.run(
+        self.coverage.covered += measure.run(
             now_s, dt_s, pose if odometry is None else odometry, pose, contacts,
-            work.max_speed_m_s, work.last, work.moved_s, work.distance_m,
-            collision.touching, collision.touched_s, collision.events,
-            coverage.radii_m, coverage.marked, coverage.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m,
+            self.energy.unknown if twist is None else twist, *self._kept,
         )  # fmt: skip
 
-    def publish(self, bus: Bus, keys: Keys, host: str, now_s: float) -> None:
-        """Publish the three measurements of `host`, cumulative since the start."""
+    def publish(self, bus: Bus, keys: Keys, host: str, now_s: float, *, whole: bool = True) -> None:
+        """Publish the three measurements of `host`, cumulative since the start.
+
+        Unless `whole` the grid goes along every second time only: it is larger than all else together.
+        """
         ids, frame = self.ids, self.coverage.frame
         distance_m, events = tuple(self.work.distance_m.tolist()), tuple(self.collision.events.tolist())
         bus.publish(
@@ -247,6 +284,9 @@ class Calculators:
             keys.measurement("collisions", host),
             CollisionMeasurement(host=host, robots=ids, events=events, stamp_s=now_s),
         )
+        self._with_grid = whole or not self._with_grid
+        if not self._with_grid:
+            return
         bus.publish(
             keys.measurement("coverage", host),
             CoverageMeasurement(

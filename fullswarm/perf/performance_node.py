@@ -25,7 +25,7 @@ WRITE_PERIOD_S = 1.0
 MAX_WAITING = 1000
 """Lines kept for ``summaries.jsonl`` while the disk refuses them."""
 
-UNITS = {"_m": "m", "_m2": "m²", "_s": "s"}
+UNITS = {"_m": "m", "_m2": "m²", "_s": "s", "_j": "J", "_rad": "rad"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,32 +1,47 @@
-"""Summarizers (paper II.F.2). In: measurements of all hosts. Out: a Summary per metric, once per second.
+"""Summarizers (paper II.F.2). In: measurements of all hosts. Out: a Summary per metric, now and then and at the end.
 
-One node per metric, in the core: ``WorkSummarizer(bus, keys, scheduler, conditions)`` and likewise
-``CollisionSummarizer`` and ``CoverageSummarizer``. They differ in their tally and in nothing else.
+Nodes in the core: ``WorkSummarizer(bus, keys, scheduler, conditions)``, likewise ``CollisionSummarizer`` and
+``CoverageSummarizer``; ``robot_summarizer`` for all that is one number per robot. They differ in their tally alone.
+
+A supervisory process that sees the true bodies may calculate, too (paper II.F.1): what it publishes as host ``truth``
+is kept apart and shown beside what the robots say, as ``truth_…``. The truth decides when a trial is over, if it is
+known; it stands in for robots that say nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Generic
 
 from fullswarm.bus.base import Bus
 from fullswarm.errors import MessageError
 from fullswarm.keys import Keys
-from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, Summary, WorkMeasurement
-from fullswarm.perf.tallies import CollisionTally, CoverageTally, M, Tally, WorkTally
+from fullswarm.messages import (
+    TRUTH,
+    CollisionMeasurement,
+    CoverageMeasurement,
+    RobotMeasurement,
+    Summary,
+    WorkMeasurement,
+)
+from fullswarm.perf.coverage import Bounds
+from fullswarm.perf.robot_tally import RobotTally
+from fullswarm.perf.tallies import Alone, CollisionTally, CoverageTally, M, One, Result, Results, Tally, WorkTally
 from fullswarm.perf.termination import Conditions, reason_to_stop
 from fullswarm.runtime import Scheduler, Timer
 
 REPORT_PERIOD_S = 1.0
+ROBOTS_PERIOD_S = 5.0
+"""So many metrics are reported at a time, and at the end anyway."""
 
 
 class Summarizer(Generic[M]):
-    """One metric of the whole swarm.
+    """The metrics of one kind of measurement, of the whole swarm.
 
     The trial's clock starts with the first measurement; nothing is reported before. Conditions are checked with
-    every measurement, each second and at `max_execution_s` itself. Once one is met the summarizer halts: the
-    result stands, and is still sent each second, so that a lost message or a late performance node costs nothing.
+    every measurement, each period and at `max_execution_s` itself. Once one is met the summarizer halts: the
+    result stands, and is still sent each period, so that a lost message or a late performance node costs nothing.
 
     Parameters
     ----------
@@ -47,30 +62,40 @@ class Summarizer(Generic[M]):
         keys: Keys,
         scheduler: Scheduler,
         conditions: Conditions,
+        *,
+        period_s: float = REPORT_PERIOD_S,
     ) -> None:
         self.metric, self.refused = metric, 0
         """`refused`: measurements that made no sense and were dropped."""
-        self._tally = tally()
-        self._bus, self._key, self._scheduler, self._conditions = bus, keys.summary(metric), scheduler, conditions
+        self._make, self._tally = tally, tally()
+        self._truth: Tally[M] | None = None
+        self._onboard = False
+        self._bus, self._keys, self._scheduler, self._conditions = bus, keys, scheduler, conditions
         self._started_s: float | None = None
-        self._final: Summary | None = None
+        self._final: tuple[Summary, ...] = ()
         self._deadline: Timer | None = None
-        self._timer = scheduler.every(REPORT_PERIOD_S, self._on_period)
+        self._period_s = period_s
+        self._timer = scheduler.every(period_s, self._on_period)
         self._subscription = bus.subscribe(keys.measurement(metric), kind, self._on_measurement, latest=True)
 
     @property
     def finished(self) -> bool:
         """Whether a termination condition was met; the result then stands."""
-        return self._final is not None
+        return bool(self._final)
 
     def summary(self) -> Summary:
-        """Return the result as it stands, or the final one."""
-        return self._final or self._result("")
+        """Return the result of the first metric as it stands, or the final one."""
+        return self.summaries()[0]
+
+    def summaries(self) -> tuple[Summary, ...]:
+        """Return the results as they stand, or the final ones."""
+        return self._final or self._results("")
 
     def report(self) -> None:
-        """Publish the result now, e.g. when the core ends between two reports."""
+        """Publish the results now, e.g. when the core ends between two reports."""
         if self._started_s is not None:
-            self._bus.publish(self._key, self.summary())
+            for summary in self.summaries():
+                self._bus.publish(self._keys.summary(summary.metric), summary)
 
     def close(self) -> None:
         """Stop listening and reporting. Closing twice is fine."""
@@ -78,23 +103,36 @@ class Summarizer(Generic[M]):
         self._timer.cancel()
         self._cancel_deadline()
 
-    def _result(self, reason: str) -> Summary:
+    def _results(self, reason: str) -> tuple[Summary, ...]:
         now_s = self._scheduler.now_s()
         elapsed_s = 0.0 if self._started_s is None else now_s - self._started_s
-        return Summary(
-            metric=self.metric,
-            values={**self._tally.values(), "elapsed_s": elapsed_s},
-            per_robot=self._tally.per_robot(),
-            finished=bool(reason),
-            reason=reason,
-            stamp_s=now_s,
+        return tuple(
+            Summary(
+                metric=metric,
+                values={**result.values, "elapsed_s": elapsed_s},
+                per_robot=result.per_robot,
+                finished=bool(reason),
+                reason=reason,
+                stamp_s=now_s,
+            )
+            for metric, result in self._tables().items()
         )
 
+    def _tables(self) -> Results:
+        if self._truth is None:
+            return self._tally.results()
+        truth = self._truth.results()
+        onboard = self._tally.results() if self._onboard else truth
+        return {
+            metric: Result(result.values | _marked(truth[metric].values), result.per_robot)
+            for metric, result in onboard.items()
+        }
+
     def _on_measurement(self, message: M) -> None:
-        if self._final is not None:
+        if self._final:
             return
         try:
-            self._tally.add(message)
+            self._take(message)
         except MessageError:
             self.refused += 1
             return
@@ -103,19 +141,31 @@ class Summarizer(Generic[M]):
             self._set_deadline()
         self._check()
 
+    def _take(self, message: M) -> None:
+        if getattr(message, "host", "") != TRUTH:
+            self._tally.add(message)
+            self._onboard = True
+            return
+        truth = self._truth or self._make()
+        truth.add(message)
+        self._truth = truth
+
     def _on_period(self) -> None:
         self._check()
         self._set_deadline()  # the limit may have been changed
-        if self._final is None or self._final.stamp_s < self._scheduler.now_s():
+        if not self._final or self._final[0].stamp_s < self._scheduler.now_s():
             self.report()
 
     def _check(self) -> None:
-        if self._started_s is None or self._final is not None:
+        if self._started_s is None or self._final:
             return
-        progress = self._tally.progress(self._scheduler.now_s() - self._started_s)
+        elapsed_s = self._scheduler.now_s() - self._started_s
+        progress = self._tally.progress(elapsed_s)
+        if self._truth is not None:
+            progress = self._truth.progress(elapsed_s).or_else(progress)
         reason = reason_to_stop(self._conditions(), progress)
         if reason:
-            self._final = self._result(reason)
+            self._final = self._results(reason)
             self._cancel_deadline()
             self.report()
 
@@ -123,10 +173,10 @@ class Summarizer(Generic[M]):
         """Wake at the end of `max_execution_s` itself if that comes before the next report."""
         self._cancel_deadline()
         limit_s = self._conditions().max_execution_s
-        if self._started_s is None or self._final is not None or limit_s is None:
+        if self._started_s is None or self._final or limit_s is None:
             return
         left_s = self._started_s + limit_s - self._scheduler.now_s()
-        if left_s < REPORT_PERIOD_S:
+        if left_s < self._period_s:
             self._deadline = self._scheduler.after(max(left_s, 0.0), self._check)
 
     def _cancel_deadline(self) -> None:
@@ -135,6 +185,26 @@ class Summarizer(Generic[M]):
             self._deadline = None
 
 
-WorkSummarizer = partial(Summarizer[WorkMeasurement], "work", WorkMeasurement, WorkTally)
-CollisionSummarizer = partial(Summarizer[CollisionMeasurement], "collisions", CollisionMeasurement, CollisionTally)
-CoverageSummarizer = partial(Summarizer[CoverageMeasurement], "coverage", CoverageMeasurement, CoverageTally)
+def _marked(values: dict[str, float]) -> dict[str, float]:
+    return {f"{TRUTH}_{quantity}": value for quantity, value in values.items()}
+
+
+def _alone(metric: str, tally: Callable[[], One[M]]) -> Callable[[], Tally[M]]:
+    return lambda: Alone(metric, tally())
+
+
+WorkSummarizer = partial(Summarizer[WorkMeasurement], "work", WorkMeasurement, _alone("work", WorkTally))
+CollisionSummarizer = partial(
+    Summarizer[CollisionMeasurement], "collisions", CollisionMeasurement, _alone("collisions", CollisionTally)
+)
+CoverageSummarizer = partial(
+    Summarizer[CoverageMeasurement], "coverage", CoverageMeasurement, _alone("coverage", CoverageTally)
+)
+
+
+def robot_summarizer(
+    bus: Bus, keys: Keys, scheduler: Scheduler, conditions: Conditions, robots: Sequence[str], bounds_m: Bounds
+) -> Summarizer[RobotMeasurement]:
+    """Return the summarizer of all metrics in ``metrics.py``; `robots` are those of the fleet file."""
+    tally = partial(RobotTally, robots, bounds_m)
+    return Summarizer("robots", RobotMeasurement, tally, bus, keys, scheduler, conditions, period_s=ROBOTS_PERIOD_S)

@@ -7,8 +7,9 @@ before is kept.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,41 @@ M = TypeVar("M", bound=Message)
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
+class Result(NamedTuple):
+    """What came of one metric."""
+
+    values: Values  # of the swarm, by quantity
+    per_robot: Values  # in the order of the names
+
+
+Results = dict[str, Result]
+"""By metric."""
+
+
 class Tally(Protocol[M_contra]):
-    """What a summarizer needs of a metric."""
+    """What a summarizer needs."""
+
+    def add(self, message: M_contra) -> None:
+        """Take in one measurement.
+
+        Raises
+        ------
+        MessageError
+            It makes no sense; nothing was taken in.
+        """
+        ...
+
+    def progress(self, elapsed_s: float) -> Progress:
+        """Return what the termination conditions look at; cheap, called for each measurement."""
+        ...
+
+    def results(self) -> Results:
+        """Return the swarm's results."""
+        ...
+
+
+class One(Protocol[M_contra]):
+    """The tally of a single metric."""
 
     def add(self, message: M_contra) -> None:
         """Take in one measurement.
@@ -49,12 +83,26 @@ class Tally(Protocol[M_contra]):
         ...
 
 
+class Alone(Generic[M]):
+    """Makes the tally of a single metric one that a summarizer can use."""
+
+    def __init__(self, metric: str, tally: One[M]) -> None:
+        self._metric, self._tally = metric, tally
+        self.add, self.progress = tally.add, tally.progress
+
+    def results(self) -> Results:
+        """Return the metric's result."""
+        return {self._metric: Result(self._tally.values(), self._tally.per_robot())}
+
+
 class Totals:
     """Cumulative counters of many hosts, kept across restarts of their agents."""
 
     def __init__(self) -> None:
         self._kept: Values = {}  # per robot, from agents that are gone
         self._last: dict[str, Values] = {}  # host → robot → newest counter
+        self._columns: dict[str, tuple[Sequence[str], Sequence[float]]] = {}  # host → as received
+        self._sum: Values | None = None
 
     def add(self, host: str, robots: Sequence[str], counters: Sequence[float]) -> None:
         """Take in the columns of one message.
@@ -64,24 +112,34 @@ class Totals:
         MessageError
             Columns of different length, or a counter that is negative or not finite.
         """
-        if len(robots) != len(counters) or not all(0.0 <= each < math.inf for each in counters):
+        told, before = self._columns.get(host, ((), ()))
+        if before == counters and told == robots:  # robots that stand, or touch nothing
+            return
+        fits = len(robots) == len(counters) and math.isfinite(sum(counters))
+        if not fits or min(counters, default=0.0) < 0.0:
             raise MessageError("columns that are no measurement", where=host)
         last = self._last.setdefault(host, {})
-        new = dict(zip(robots, counters, strict=True))
         # The counters of one agent start again together, also those that have overtaken their old value.
-        if any(new[robot] < count for robot, count in last.items() if robot in new):
+        if told == robots:
+            fallen = any(map(operator.lt, counters, before))
+        else:
+            fallen = any(count < last.get(robot, 0.0) for robot, count in zip(robots, counters, strict=True))
+        if fallen:
             for robot, count in last.items():
                 self._kept[robot] = self._kept.get(robot, 0.0) + count
             last.clear()
-        last.update(new)
+        last.update(zip(robots, counters, strict=True))
+        self._columns[host], self._sum = (robots, counters), None
 
     def per_robot(self) -> Values:
         """Return the totals in the order of the robots' names."""
-        totals = dict(self._kept)
-        for last in self._last.values():
-            for robot, count in last.items():
-                totals[robot] = totals.get(robot, 0.0) + count
-        return dict(sorted(totals.items()))
+        if self._sum is None:
+            totals = dict(self._kept)
+            for last in self._last.values():
+                for robot, count in last.items():
+                    totals[robot] = totals.get(robot, 0.0) + count
+            self._sum = dict(sorted(totals.items()))
+        return self._sum
 
 
 class WorkTally:

@@ -18,9 +18,11 @@ from fullswarm.perf.experiment import (
     parse_experiment,
     parse_seeds,
     plan,
+    scenario_of,
     summarise,
     world_of,
 )
+from fullswarm.perf.scenarios import load_scenario
 
 TEXT = """
 name = "mine"
@@ -178,6 +180,40 @@ def test_small_leaves_out_crowds_and_slow_engines() -> None:
     assert {trial.cell.robots for trial in trials} == {4}
 
 
+def test_paper_holds_what_the_paper_does() -> None:
+    trials = plan(load_experiment("paper"))
+    assert len(trials) == 640
+    cells = {trial.cell for trial in trials}
+    assert {each.engine for each in cells} == {"pybullet"}
+    arenas = ("empty", "empty_dense", "uniform", "concave")
+    wanted = {
+        (law, arena, n) for law in ("move_to_goal", "move_to_goal_bc") for arena in arenas for n in (4, 8, 16, 32)
+    }
+    assert {(each.behaviour, each.scenario, each.robots) for each in cells} == wanted
+    assert {each.behaviour for each in cells if each.collisions_expected} == {"move_to_goal"}
+    assert {trial.cell for trial in plan(load_experiment("paper"), small=True)} == cells
+
+
+def test_another_engine_for_all_groups() -> None:
+    experiment = parse_experiment(TEXT, "mine.toml")
+    trials = plan(experiment, engine="kinematic")
+    assert {trial.cell.engine for trial in trials} == {"kinematic"}
+    assert len(trials) == 2 * 2 * 2 * 3 + 2
+    assert {trial.cell.engine for trial in plan(experiment, small=True, engine="pybullet-wheels")} == {
+        "pybullet-wheels"
+    }
+    with pytest.raises(ConfigError, match="did you mean 'kinematic'"):
+        plan(experiment, engine="kinematik")
+
+
+def test_a_trial_carries_its_scenario_and_when_to_stop() -> None:
+    text = TEXT.replace("time_limit_s = 7.0", "time_limit_s = 7.0\n[groups.stop]\ncoverage_at_least = 0.5")
+    trials = plan(parse_experiment(text, "mine.toml"))
+    assert (trials[0].stop, trials[-1].stop) == ((), (("coverage_at_least", 0.5),))
+    for one in (trials[0], trials[-1]):
+        assert scenario_of(one) == load_scenario(one.cell.scenario)
+
+
 # ---------------------------------------------------------------------------------------------------- results
 def outcome(**changes: object) -> Outcome:
     usual = Outcome(robots=4, arrived=4, robot_events=0, obstacle_events=0, safe_start=True, simulated_s=10.0)
@@ -217,6 +253,16 @@ def test_starts_outside_the_safe_set_are_counted_apart() -> None:
     assert (cell["collisions"], cell["unsafe_starts"], cell["unsafe_start_collisions"]) == (0, 1, 9)
     assert (cell["arrived_fraction"], cell["seeds"]) == (1.0, 2)
     assert report.passed
+
+
+def test_expected_collisions_do_not_fail_the_experiment() -> None:
+    text = TEXT.replace('{ name = "move_to_goal_bc" }', '{ name = "move_to_goal", collisions_expected = true }')
+    trials = plan(parse_experiment(text, "mine.toml"), (0,), ("robots=4,empty,kinematic",))
+    assert [each.cell.behaviour for each in trials] == ["navigate_bc", "move_to_goal"]
+    bad, good = TrialResult(seed=0, outcome=outcome(robot_events=2)), TrialResult(seed=0, outcome=outcome())
+    assert summarise(zip(trials, (good, bad), strict=True)).passed
+    assert not summarise(zip(trials, (bad, good), strict=True)).passed
+    assert summarise(zip(trials, (good, bad), strict=True)).collisions == 2
 
 
 def test_nothing_measured_is_no_success() -> None:

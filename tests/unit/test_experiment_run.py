@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,12 @@ import pytest
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.sim.world import World
-from fullswarm.launch.experiment import TRIALS_FILE, Options, run
+from fullswarm.launch.experiment import Options, run
 from fullswarm.launch.experiment_pool import Pool
 from fullswarm.launch.trial import Referee, in_safe_set, run_trial, widened
 from fullswarm.perf.experiment import Outcome, Trial, TrialResult, load_experiment, plan
+from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS
+from fullswarm.perf.results.folder import read_records
 from tests.unit.experiment_work import answer, misbehave
 
 FILTERS = ("engine=kinematic", "limits=paper", "robots=8", "scenario=empty_dense", "move_to_goal_bc")
@@ -24,7 +27,7 @@ FILTERS = ("engine=kinematic", "limits=paper", "robots=8", "scenario=empty_dense
 def trial(**changes: object) -> Trial:
     (one,) = plan(load_experiment("safety"), (0,), FILTERS)
     cell = {key: value for key, value in changes.items() if hasattr(one.cell, key)}
-    rest = {key: value for key, value in changes.items() if key not in cell}
+    rest = {"arena": "", **{key: value for key, value in changes.items() if key not in cell}}
     return replace(one, cell=replace(one.cell, **cell), **rest)  # type: ignore[arg-type]  # names are given by the test
 
 
@@ -145,21 +148,26 @@ def test_a_trial_that_cannot_run_says_why(changes: dict[str, object], words: str
 # ---------------------------------------------------------------------------------------------------- processes
 def test_trials_whose_process_dies_or_hangs_fail_alone() -> None:
     trials = [replace(trial(), seed=seed) for seed in range(6)]
-    with Pool(2, 6.0, misbehave) as pool:
-        results = {one.seed: result for one, result in pool.run(trials)}
-    assert sorted(results) == list(range(6))
+    with Pool(2, 3.0, misbehave, retries=1) as pool:
+        found = [(one.seed, result) for one, result in pool.run(trials)]
+    results = dict(found)
+    assert sorted(seed for seed, _ in found) == list(range(6))
     assert {seed for seed, result in results.items() if result.outcome is None} == {1, 2}
-    assert "exit code 3" in results[1].failure
-    assert "longer than 6 s" in results[2].failure
+    assert "exit code 3 (2 times)" in results[1].failure
+    assert "longer than 3 s (2 times)" in results[2].failure
+    assert [results[seed].attempts for seed in range(6)] == [1, 2, 2, 2, 1, 1]
+    assert [results[seed].lost for seed in range(4)] == [False, True, True, False]
 
 
 def test_a_run_goes_on_where_it_was_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = Options("safety", "0-1", ("group=paper", "empty", "kinematic", "map=given"), jobs=1, folder=tmp_path)
     assert run(options, answer) == 1  # the crowds of 32 collide
     assert "16 of 16 trials, 4 collisions, 0 failed" in capsys.readouterr().err
-    lines = (tmp_path / TRIALS_FILE).read_bytes().splitlines(keepends=True)
-    assert len(lines) == 16
-    (tmp_path / TRIALS_FILE).write_bytes(b"".join(lines[:10]) + lines[10][:40])
+    kept = sorted((tmp_path / TRIALS).iterdir())
+    assert len(kept) == 16
+    for each in kept[:5]:
+        shutil.rmtree(each)
+    (kept[5] / RESULT_FILE).write_bytes((kept[5] / RESULT_FILE).read_bytes()[:40])
     assert run(replace(options, as_json=True), answer) == 1
     out, err = capsys.readouterr()
     assert "10 of 16 trials are in" in err
@@ -167,7 +175,8 @@ def test_a_run_goes_on_where_it_was_cut_off(tmp_path: Path, capsys: pytest.Captu
     document = json.loads(out)
     assert (document["trials_done"], document["trials_failed"], len(document["cells"])) == (16, 0, 8)
     assert [each["collisions"] for each in document["cells"]] == [0, 0, 0, 2] * 2
-    assert len((tmp_path / TRIALS_FILE).read_bytes().splitlines()) == 16
+    assert sorted((tmp_path / TRIALS).iterdir()) == kept
+    assert len(read_records(tmp_path)) == 16
 
 
 def test_the_table_names_who_collided(capsys: pytest.CaptureFixture[str]) -> None:

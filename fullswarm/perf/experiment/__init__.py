@@ -5,7 +5,7 @@ trial needs robots and so belongs to ``fullswarm.launch.trial``.
 """
 
 from fullswarm.perf.experiment.model import Experiment, experiment_names, load_experiment, parse_experiment, parse_seeds
-from fullswarm.perf.experiment.plan import Cell, Trial, plan, world_of
+from fullswarm.perf.experiment.plan import Cell, Trial, arena_of, plan, scenario_of, world_of
 from fullswarm.perf.experiment.results import CellResult, Outcome, Report, TrialResult, summarise
 
 __all__ = [
@@ -16,11 +16,13 @@ __all__ = [
     "Report",
     "Trial",
     "TrialResult",
+    "arena_of",
     "experiment_names",
     "load_experiment",
     "parse_experiment",
     "parse_seeds",
     "plan",
+    "scenario_of",
     "summarise",
     "world_of",
 ]

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
 from fullswarm.bus.network import parse_network
-from fullswarm.config import AgentConfig, NoiseConfig, Section
+from fullswarm.config import AgentConfig, NoiseConfig, PerformanceConfig, Section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.perf.scenarios.files import package_names, read_named
 from fullswarm.perf.scenarios.model import parse_section, scenario_names
@@ -59,6 +59,7 @@ class Behaviour(Section):
 
     name: str = Field(min_length=1)
     parameters: dict[str, Parameter] = Field(default_factory=dict)
+    collisions_expected: bool = False  # they do not make the experiment fail, e.g. without a filter
 
 
 class Group(Section):
@@ -75,6 +76,8 @@ class Group(Section):
     noise: NoiseConfig = NoiseConfig()
     network: str = ""  # as in --network
     agent: dict[str, Parameter] = Field(default_factory=dict)  # settings of the agents that differ from the usual ones
+    stop: PerformanceConfig = PerformanceConfig()  # ends a trial before its time limit, as the summarizers see it
+    collisions_expected: bool = False  # of all behaviours
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import fnmatch
 from dataclasses import asdict, dataclass
+from functools import cache
 from itertools import product
+from typing import get_args
 
 from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.perf.experiment.model import Experiment, Group, Parameter, Small, parse_seeds
+from fullswarm.perf.experiment.model import Engine, Experiment, Group, Parameter, Small, parse_seeds
+from fullswarm.perf.scenarios import Scenario, load_scenario
 
 Settings = tuple[tuple[str, Parameter], ...]
 """Names and values; a tuple, so that a cell can be the key of a dictionary."""
@@ -28,6 +31,7 @@ class Cell:
     network: str = ""
     noise_m: float = 0.0
     noise_rad: float = 0.0
+    collisions_expected: bool = False
 
     @property
     def label(self) -> str:
@@ -50,6 +54,8 @@ class Trial:
     time_limit_s: float | None  # None: the scenario's
     body: Settings  # of the world
     agent: Settings  # of the agents
+    stop: Settings = ()  # termination conditions, as in a fleet file's table [performance]
+    arena: str = ""  # the scenario as JSON: its file may change or be elsewhere; empty: the cell's, by its name
 
     @property
     def label(self) -> str:
@@ -60,7 +66,11 @@ class Trial:
 
 
 def plan(
-    experiment: Experiment, seeds: tuple[int, ...] | None = None, cells: tuple[str, ...] = (), small: bool = False
+    experiment: Experiment,
+    seeds: tuple[int, ...] | None = None,
+    cells: tuple[str, ...] = (),
+    small: bool = False,
+    engine: str | None = None,
 ) -> list[Trial]:
     """Return the trials.
 
@@ -70,25 +80,32 @@ def plan(
     cells : filters, all of which must hold: a word that any field of a cell equals, or ``field=value``; several
         may stand in one text with commas, ``*`` and ``?`` fit anything
     small : only what the file's table ``[small]`` leaves
+    engine : instead of all groups' engines
 
     Raises
     ------
     ConfigError
-        A filter names no field, or nothing is left.
+        A filter names no field, nothing is left, a scenario's file is wrong, or there is no such engine.
     """
+    if engine is not None and engine not in get_args(Engine):
+        raise ConfigError(
+            f"there is no engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(Engine))
+        )
     shrunk = experiment.small if small else None
     wanted = seeds or parse_seeds(shrunk.seeds if shrunk else experiment.seeds)
     filters = [part.strip() for text in cells for part in text.split(",") if part.strip()]
-    trials, names = [], set[str]()
+    trials, names, arena = [], set[str](), cache(arena_of)
     for group in experiment.groups:
-        for cell in _cells(group, shrunk):
+        stop = tuple(group.stop.model_dump(exclude_defaults=True).items())
+        for cell in _cells(group, shrunk, engine):
             fields = cell.fields()
             names |= fields.keys()
             if all(_fits(fields, each) for each in filters):
                 body = tuple(experiment.limits[cell.limits].model_dump().items())
                 agent = tuple(group.agent.items())
                 few = wanted[: group.seeds_at_most]
-                trials += [Trial(cell, seed, group.time_limit_s, body, agent) for seed in few]
+                settings = group.time_limit_s, body, agent, stop, arena(cell.scenario)
+                trials += [Trial(cell, seed, *settings) for seed in few]
     for each in filters:
         field, equals, _ = each.partition("=")
         if equals and field not in names:
@@ -98,7 +115,7 @@ def plan(
     return trials
 
 
-def _cells(group: Group, small: Small | None) -> list[Cell]:
+def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
     if small and small.groups is not None and group.name not in small.groups:
         return []
     return [
@@ -108,16 +125,21 @@ def _cells(group: Group, small: Small | None) -> list[Cell]:
             parameters=tuple(behaviour.parameters.items()),
             scenario=scenario,
             robots=robots,
-            engine=engine,
+            engine=each,
             limits=limits,
             network=group.network,
             noise_m=group.noise.position_m,
             noise_rad=group.noise.heading_rad,
+            collisions_expected=group.collisions_expected or behaviour.collisions_expected,
         )
-        for engine, limits, behaviour, scenario, robots in product(
-            group.engines, group.limits, group.behaviours, group.scenarios, group.robots
+        for each, limits, behaviour, scenario, robots in product(
+            group.engines if engine is None else (engine,),
+            group.limits,
+            group.behaviours,
+            group.scenarios,
+            group.robots,
         )
-        if small is None or (robots <= small.robots_at_most and engine in small.engines)
+        if small is None or (robots <= small.robots_at_most and (engine is not None or each in small.engines))
     ]
 
 
@@ -133,3 +155,15 @@ def world_of(trial: Trial) -> WorldConfig:
     cell = trial.cell
     noise = {"position_m": cell.noise_m, "heading_rad": cell.noise_rad}
     return WorldConfig.model_validate({**dict(trial.body), "engine": cell.engine, "noise": noise, "seed": trial.seed})
+
+
+def arena_of(scenario: str) -> str:
+    """Return a scenario, by name or path, as the text that a trial carries; `ConfigError` as `load_scenario`."""
+    return load_scenario(scenario).model_dump_json(exclude_none=True)
+
+
+def scenario_of(trial: Trial) -> Scenario:
+    """Return the scenario of a trial; `ConfigError` as `load_scenario` when the trial does not carry it."""
+    if not trial.arena:
+        return load_scenario(trial.cell.scenario)
+    return Scenario.model_validate_json(trial.arena, strict=True)

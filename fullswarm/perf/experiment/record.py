@@ -84,7 +84,7 @@ class Trajectory:
     @classmethod
     def load(cls, path: Path) -> Trajectory:
         """Read the file."""
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             fields = {name: file[name] for name in file.files}
         fields["ids"] = tuple(fields["ids"].tolist())
         fields["goal_radius_m"] = float(fields["goal_radius_m"])

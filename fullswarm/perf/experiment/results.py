@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,6 +39,9 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     outcome: Outcome | None
     failure: str = ""
     wall_s: float = 0.0
+    end_reason: str = ""  # as in `Record`
+    attempts: int = 1
+    lost: bool = False  # its process died or ran out of time, and could keep nothing
 
 
 @dataclass(slots=True)
@@ -119,6 +123,8 @@ class CellResult:
             "commands_above_limits": sum(each.above_limits for each in outcomes),
             "unsafe_starts": len(apart),
             "unsafe_start_collisions": sum(each.events for each in apart),
+            "collisions_expected": cell.collisions_expected,
+            "end_reasons": dict(sorted(Counter(each.end_reason for each in self.results if each.end_reason).items())),
             "failed": len(self.failed),
             "failures": sorted({each.failure for each in self.failed}),
         }
@@ -154,8 +160,9 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """No trial collided and none failed."""
-        return self.collisions == 0 and self.trials_failed == 0
+        """No trial failed, and none collided but where that was expected."""
+        collisions = sum(each.collisions for each in self.cells if not each.cell.collisions_expected)
+        return collisions == 0 and self.trials_failed == 0
 
     def to_json(self) -> dict[str, Any]:
         """Return the document of ``--json``."""

@@ -1,0 +1,116 @@
+"""The verbs of ``fullswarm experiment``: `run` and `trial`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fullswarm.operator.cli import Debug, Json, run_guarded
+
+experiment_app = typer.Typer(no_args_is_help=True)
+
+
+def _run(debug: bool, command: Callable[[], int]) -> None:
+    from fullswarm.operator.output import log_to_stderr
+
+    log_to_stderr()
+    raise typer.Exit(run_guarded(command, debug))
+
+
+@experiment_app.command("run")
+def run_experiment(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME|FILE.toml", help="One of the package: paper, safety; or your own.")
+    ],
+    seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
+    cells: Annotated[
+        list[str] | None,
+        typer.Option("--cells", metavar="FILTER", help="Only these: 'behaviour=navigate_bc,robots=32'; may repeat."),
+    ] = None,
+    small: Annotated[bool, typer.Option("--small", help="The file's small version: a minute or two.")] = False,
+    engine: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Instead of the file's: kinematic, pybullet, pybullet-wheels.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
+    timeout_s: Annotated[
+        float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
+    ] = 600.0,
+    retries: Annotated[
+        int, typer.Option(min=0, max=10, help="Run a trial again whose process died or ran out of time.")
+    ] = 1,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="Only every Nth trial from the Ith on, for N machines.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to go on.")
+    ] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="local|ADDRESS", help="Run by Dask, here or where its scheduler is.")
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Real processes in real time instead of lockstep, one trial at a time.")
+    ] = False,
+    emulate: Annotated[
+        str | None, typer.Option(metavar="MAKE", help="With --live: robots of this make, behind emulated ports.")
+    ] = None,
+    fleet: Annotated[
+        Path | None, typer.Option("--fleet", metavar="FILE", help="On the robots of a fleet file; pauses to set up.")
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="With --fleet: robots stand in their places and may drive; ask nobody.")
+    ] = False,
+    insecure_network: Annotated[
+        bool, typer.Option("--insecure-network", help="With --fleet: listen beyond this machine.")
+    ] = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Run an experiment. Exit code 0: none failed, and none collided but where the file expects it; 1 otherwise."""
+
+    def command() -> int:
+        from fullswarm.launch import experiment
+
+        options = experiment.Options(
+            experiment=name,
+            seeds=seeds,
+            cells=tuple(cells or ()),
+            small=small,
+            jobs=jobs,
+            timeout_s=timeout_s,
+            folder=folder,
+            as_json=as_json,
+            engine=engine,
+            shard=shard,
+            retries=retries,
+            dask=dask,
+            live=live,
+            emulate=emulate,
+            fleet=fleet,
+            yes=yes,
+            insecure_network=insecure_network,
+        )
+        return experiment.run(options)
+
+    _run(debug, command)
+
+
+@experiment_app.command("trial")
+def run_trial(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A trial.toml, or the directory that holds it.")],
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep the trial here, in FOLDER/trials.")
+    ] = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
+
+    def command() -> int:
+        from fullswarm.launch import experiment_trial
+
+        return experiment_trial.run(file, folder, as_json)
+
+    _run(debug, command)

@@ -1,0 +1,99 @@
+"""What is measured of a swarm besides work, coverage and collisions. One line per column, one per quantity.
+
+A column is a number per robot (or per host) that an agent publishes at its measurement rate, see
+`RobotMeasurement`; a quantity joins a column of all robots to one number of the swarm. A new metric needs a column
+that some calculator fills (``agent/gauges.py`` says which array) and its lines here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Restart = Literal["add", "least", "most", "newest"]
+"""What becomes of a robot's value when its agent is started again: counters add up, extremes stay, states do not."""
+
+Rule = Literal["sum", "mean", "max", "min", "share", "rms"]
+"""How robots' values become the swarm's; robots without a number are left out. share: of robots that have one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A number per robot, or one per host."""
+
+    unit: str
+    doc: str
+    restart: Restart = "newest"
+    per_host: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """Quantities that are summarized together."""
+
+    doc: str
+    quantities: dict[str, tuple[Rule, str]]  # name of the quantity → rule, column
+    per_robot: str = ""  # the column that is shown per robot
+
+
+COLUMNS = {
+    "x_m": Column("m", "where the robot believes to be"),
+    "y_m": Column("m", "where the robot believes to be"),
+    "heading_rad": Column("rad", "where it looks"),
+    "goal_m": Column("m", "distance to the goal or target that it was given; none without one"),
+    "arrived_s": Column("s", "from the request until it last entered its goal's disc; none outside it"),
+    "still_s": Column("s", "since it last moved by more than its radius; none without a task"),
+    "gap_m": Column("m", "smallest gap to a neighbour so far: between centres, less both radii", "least"),
+    "draws": Column("", "how often it was found blocked and stepped aside", "add"),
+    "aside_s": Column("s", "time spent on stepping aside", "add"),
+    "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
+    "energy_j": Column("J", "what driving cost, see `perf/energy.py`", "add"),
+    "ticks": Column("", "control periods and other timers run", "add", per_host=True),
+    "late": Column("", "of them later than 1 ms", "add", per_host=True),
+    "missed": Column("", "whole periods skipped", "add", per_host=True),
+    "worst_late_s": Column("s", "the latest of them", "most", per_host=True),
+    "sent": Column("", "messages published by the agent", "add", per_host=True),
+    "received": Column("", "messages that the agent took in", "add", per_host=True),
+}
+
+LOOP: dict[str, tuple[Rule, str]] = {
+    "ticks": ("sum", "ticks"),
+    "late": ("sum", "late"),
+    "missed": ("sum", "missed"),
+    "worst_late_s": ("max", "worst_late_s"),
+    "sent": ("sum", "sent"),
+    "received": ("sum", "received"),
+}
+
+METRICS = {
+    "arrival": Metric(
+        "Who is at his goal, and since when, counted from the request",
+        {"fraction": ("share", "arrived_s"), "mean_s": ("mean", "arrived_s"), "last_s": ("max", "arrived_s")},
+        "arrived_s",
+    ),
+    "separation": Metric("Smallest gap between two robots", {"min_m": ("min", "gap_m")}, "gap_m"),
+    "deadlocks": Metric(
+        "Robots that blocked each other", {"draws": ("sum", "draws"), "aside_s": ("sum", "aside_s")}, "draws"
+    ),
+    "filter": Metric(
+        "How much the safety filter changed",
+        {"total_m": ("sum", "deviation_m"), "mean_m": ("mean", "deviation_m"), "max_m": ("max", "deviation_m")},
+        "deviation_m",
+    ),
+    "energy": Metric(
+        "What driving cost",
+        {"total_j": ("sum", "energy_j"), "mean_j": ("mean", "energy_j"), "max_j": ("max", "energy_j")},
+        "energy_j",
+    ),
+    "loop": Metric("Deadlines and messages of the agents", LOOP),
+    "formation": Metric("Root mean square distance to the targets", {"error_m": ("rms", "goal_m")}, "goal_m"),
+}
+
+SHAPE = "shape"
+SHAPE_DOC = {
+    "order": "length of the mean heading vector: 1 when all look one way",
+    "spacing_m": "mean distance to the nearest neighbour",
+    "diameter_m": "largest distance of two robots",
+    "voronoi_m2": "mean over the arena of the squared distance to the nearest robot (Lloyd's cost over the area)",
+}
+"""The swarm's shape now, from x_m, y_m and heading_rad of all robots: see `perf/shape.py`."""

@@ -1,0 +1,134 @@
+"""`fullswarm results`: stdout is data, errors are one line with the right exit code."""
+
+from __future__ import annotations
+
+import json
+import webbrowser
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from fullswarm.launch.results_cli import results_app
+from fullswarm.perf.experiment.record import RESULT_FILE
+from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
+
+run = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_folder(tmp_path_factory.mktemp("results"))
+
+
+def said(*words: str | Path, code: int = 0) -> str:
+    result = run.invoke(results_app, [str(each) for each in words])
+    assert result.exit_code == code, result.output
+    return result.stdout
+
+
+def complaint(*words: str | Path) -> str:
+    result = run.invoke(results_app, [str(each) for each in words])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    return result.stderr
+
+
+def test_list(folder: Path) -> None:
+    table = said("list", folder)
+    assert len(table.splitlines()) == 9
+    found = json.loads(said("list", folder, "--json"))
+    assert len(found["cells"]) == 8
+    assert found["problems"] == []
+    assert sum(each["trials"] for each in found["cells"]) == 32
+    assert sum(each["failed"] for each in found["cells"]) == 1
+    bare = [each for each in found["cells"] if each["label"] == "move_to_goal"]
+    assert sum(each["collisions"] for each in bare) == 15 + 35 + 27 + 43
+    assert all(each["parameters"] == {} for each in bare)
+
+
+def test_list_of_the_working_directory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert len(json.loads(said("list", "--json"))["cells"]) == 8
+
+
+def test_show_a_trial(folder: Path) -> None:
+    name = next(each.name for each in sorted((folder / "trials").iterdir()) if "uniform-n8" in each.name)
+    assert json.loads(said("show", folder, name, "--json"))["record"]["id"] == name
+    text = said("show", folder, name)
+    assert "work.total_m" in text
+    assert "end: all arrived" in text
+
+
+def test_show_a_failed_trial(folder: Path) -> None:
+    text = said("show", folder, "behaviour=move_to_goal,scenario=concave,robots=4,seed=3")
+    assert FAILURE in text
+
+
+def test_show_a_cell(folder: Path) -> None:
+    what = "behaviour=move_to_goal,scenario=concave,robots=4"
+    found = json.loads(said("show", folder, what, "--json"))
+    assert (found["trials"], found["failed"], len(found["ids"])) == (4, 1, 4)
+    events = next(each for each in found["metrics"] if each["name"] == "events")
+    assert (events["source"], events["count"], events["mean"], events["low"] >= 0.0) == ("outcome", 3, 5.0, True)
+    assert "4 trials, 1 failed" in said("show", folder, what)
+    assert "no trial fits" in complaint("show", folder, "robots=5")
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "parquet", "mat"])
+def test_export(folder: Path, tmp_path: Path, form: str) -> None:
+    path = tmp_path / f"t.{form}"
+    assert said("export", folder, "--format", form, "--out", path).strip() == str(path)
+    assert path.stat().st_size > 500
+
+
+def test_export_to_stdout(folder: Path) -> None:
+    lines = said("export", folder, "--out", "-").splitlines()
+    assert len(lines) == 33
+    assert lines[0].startswith("trial,experiment,")
+    assert len(said("export", folder, "--out", "-", "--long").splitlines()) > 500
+    assert "cannot be printed" in complaint("export", folder, "--out", "-", "--format", "mat")
+    assert "did you mean 'xlsx'" in complaint("export", folder, "--format", "xls")
+
+
+def test_compare(folder: Path) -> None:
+    words = ("compare", folder, "move_to_goal", "move_to_goal_bc", "--by", "behaviour")
+    found = json.loads(said(*words, "--json"))
+    assert found["pairs"] == 15
+    assert "15 pairs; alone: 1 of A, 1 of B" in said(*words)
+    assert "concave N=4" in said(*words, "--cells")
+    assert "31 pairs" in said("compare", folder, folder)
+    assert "3 words instead of 2" in complaint("compare", folder, folder, folder)
+
+
+def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "results"
+    write_trial(folder, a_trial("move_to_goal", "empty", 4, 0))
+    opened: list[str] = []
+
+    def note(address: str) -> bool:
+        opened.append(address)
+        return True
+
+    monkeypatch.setattr(webbrowser, "open", note)
+    lines = said("report", folder, "--open", "--plots", tmp_path).splitlines()
+    assert lines[0] == str(folder / "report.html")
+    assert str(tmp_path / "collisions.svg") in lines
+    assert opened == [(folder / "report.html").resolve().as_uri()]
+
+
+def test_index(tmp_path: Path) -> None:
+    write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
+    assert "1 trials, 0 of them failed" in said("index", tmp_path)
+    broken = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 1))
+    (broken / RESULT_FILE).write_text("{")
+    found = json.loads(said("index", tmp_path, "--json", code=1))
+    assert found["trials"] == 1
+    assert found["problems"][0]["directory"] == str(broken)
+
+
+@pytest.mark.parametrize("verb", ["list", "show", "export", "report", "index"])
+def test_a_folder_without_results(tmp_path: Path, verb: str) -> None:
+    assert "not a results folder" in complaint(verb, tmp_path, *(["x"] if verb == "show" else []))

@@ -1,0 +1,218 @@
+"""The report: whole in itself, the same bytes for the same trials, every trouble named."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from fullswarm.perf.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
+from fullswarm.perf.results import read_records, write_plots, write_report
+from fullswarm.perf.results.maps import trajectories_plot
+from fullswarm.perf.results.plots import collisions_plot, means_plot
+from fullswarm.perf.results.sample import bare, conditions, is_filtered
+from fullswarm.perf.results.tables import cells_grid, filter_grid, interval, p_text
+from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
+
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Checks that tags close, and keeps links and ids."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def of(self, name: str) -> list[str]:
+        return [value for _, attribute, value in self.attributes if attribute == name]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = write_folder(tmp_path_factory.mktemp("results"), seeds=2)
+    broken = write_trial(out, a_trial("move_to_goal", "empty", 4, 0))
+    (broken / RESULT_FILE).write_text("{")
+    return out
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path) -> str:
+    return write_report(folder).read_text("utf-8")
+
+
+def test_the_report_is_whole_in_itself(folder: Path, text: str) -> None:
+    page = Page(text)
+    assert page.open == []
+    assert not re.search(r"https?:|(?:href|src|url)[=(][\"']?//|@import|<script|<link|<iframe", text)
+    assert all(each.startswith(("data:", "#")) for tag, name, each in page.attributes if name == "href" and tag != "a")
+    assert page.of("src") == []
+    for link in (value for tag, name, value in page.attributes if tag == "a" and name == "href"):
+        assert link[1:] in page.of("id") if link.startswith("#") else (folder / link).exists(), link
+
+
+def test_ids_on_the_page_are_unique_and_all_used_ones_exist(text: str) -> None:
+    page = Page(text)
+    ids = page.of("id")
+    assert len(ids) == len(set(ids))
+    used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'<use[^>]* href="#([^"]+)"', text))
+    assert used <= set(ids)
+    assert used
+
+
+def test_light_dark_and_paper(text: str) -> None:
+    assert "prefers-color-scheme: dark" in text
+    assert "@media print" in text
+    assert "var(--ink" in text
+
+
+def test_every_trouble_is_named(folder: Path, text: str) -> None:
+    assert "law raised &lt;ValueError&gt;: no way &amp; no hope" in text
+    assert FAILURE not in text  # a reason is text, never markup
+    failed = next(each for each in read_records(folder) if each.record.outcome is None)
+    assert f'href="trials/{failed.path.name}/"' in text
+    assert "unreadable" in text
+    assert "trials failed" in text
+
+
+def test_the_same_trials_give_the_same_bytes(folder: Path, text: str) -> None:
+    assert write_report(folder).read_text("utf-8") == text
+
+
+def test_nothing_but_the_results_is_left(folder: Path, text: str) -> None:
+    assert text
+    assert sorted(each.name for each in folder.iterdir()) == ["index.sqlite", "report.html", "results.csv", "trials"]
+
+
+def test_plots_for_documentation(folder: Path, tmp_path: Path) -> None:
+    paths = write_plots(folder, tmp_path / "deep" / "docs")
+    names = {each.name for each in paths}
+    assert {"collisions.svg", "means.svg", "trajectories-concave.svg", "coverage-uniform.svg", "table.md"} <= names
+    for path in paths:
+        if path.suffix == ".svg":
+            assert ET.fromstring(path.read_text("utf-8")).tag.endswith("svg")
+            assert path.stat().st_size < 200_000
+            assert not re.search(r"<dc:date>|\d{4}-\d\d-\d\dT", path.read_text("utf-8"))
+    table = (tmp_path / "deep" / "docs" / "table.md").read_text("utf-8")
+    assert "| concave | move_to_goal | 4 |" in table
+    tables = [each.splitlines() for each in re.findall(r"(?:^\|.*\n)+", table, re.MULTILINE)]
+    assert len(tables) == 2
+    assert all(line.count("|") == lines[0].count("|") for lines in tables for line in lines)
+
+
+def test_a_report_of_failed_trials_alone(tmp_path: Path) -> None:
+    write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0), FAILURE)
+    text = write_report(tmp_path).read_text("utf-8")
+    assert "No trial has figures" in text
+    assert "no way &amp; no hope" in text
+
+
+def test_broken_recordings_cost_their_pictures_only(tmp_path: Path) -> None:
+    for seed in range(2):
+        path = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, seed))
+        (path / TRAJECTORY_FILE).write_bytes(b"PK\x03\x04 no archive")
+        (path / COVERAGE_FILE).write_bytes(b"")
+    text = write_report(tmp_path).read_text("utf-8")
+    assert "Collisions per trial" in text
+    assert "Trajectories and coverage" not in text
+
+
+def test_missing_trials_are_named(tmp_path: Path) -> None:
+    path = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
+    asked = {"name": "paper", "small": True, "seeds": "0-1", "trials": [path.name, "move_to_goal-lost"]}
+    (tmp_path / "experiment.json").write_bytes(msgspec.json.encode(asked))
+    text = write_report(tmp_path).read_text("utf-8")
+    assert "move_to_goal-lost" in text
+    assert "experiment run paper --small --seeds 0-1 --out" in text
+
+
+def test_conditions_have_figures_of_their_own(tmp_path: Path) -> None:
+    for engine in ("kinematic", "pybullet"):
+        write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0, engine))
+    assert [each.name for each in conditions(read_records(tmp_path))] == [
+        "kinematic engine, limits “paper”",
+        "pybullet engine, limits “paper”",
+    ]
+    ids = Page(write_report(tmp_path).read_text("utf-8")).of("id")
+    assert {"collisions-title", "collisions-2-title"} <= set(ids)
+    assert len(ids) == len(set(ids))
+
+
+def test_trials_that_began_outside_the_safe_set_are_counted_apart(tmp_path: Path) -> None:
+    for seed in range(2):
+        trial = a_trial("move_to_goal", "empty", 4, seed)
+        record = a_record(trial)
+        assert record.outcome
+        outcome = msgspec.structs.replace(record.outcome, safe_start=seed == 0)
+        write_trial(tmp_path, trial, record=msgspec.structs.replace(record, outcome=outcome))
+    (condition,) = conditions(read_records(tmp_path))
+    row = [entry.text for entry in cells_grid(condition).rows[0]]
+    assert row[3] == "1 (1 apart)"
+    assert row[4] == "4.0"  # of the one that counts; one trial has no interval
+
+
+def test_the_filter_s_table_says_fewer(folder: Path) -> None:
+    (condition,) = conditions(read_records(folder))
+    grid = filter_grid(condition)
+    assert grid is not None
+    assert len(grid.rows) == 4
+    for row in grid.rows:
+        assert row[5].text == "0.00"
+        assert row[5].tone == "good"
+        assert row[7].text.endswith("/ 0 / 0")
+
+
+def test_the_box_plot_shows_every_trial(tmp_path: Path) -> None:
+    write_folder(tmp_path, behaviours=("move_to_goal",), scenarios=("empty",), sizes=(4,), seeds=6)
+    (condition,) = conditions(read_records(tmp_path))
+    plot = collisions_plot(condition, "c")
+    assert plot is not None
+    # Points, one diamond, one mark in the legend, ticks: the points' marker is the one used most.
+    uses = re.findall(r'href="#(m\w+)"', plot.svg)
+    assert max(uses.count(each) for each in set(uses)) in (5, 6)  # five trials; the legend's mark is larger
+    assert means_plot(condition, "m") is not None
+
+
+def test_trajectories_are_of_the_median_seed(tmp_path: Path) -> None:
+    write_folder(tmp_path, behaviours=("move_to_goal",), scenarios=("empty",), sizes=(4, 32), seeds=3)
+    (condition,) = conditions(read_records(tmp_path))
+    plot = trajectories_plot(condition, "empty", "t")
+    assert plot is not None
+    # 4 robots; seeds 0 and 1 have 4 and 5 collisions, 2 failed: the lower median is seed 0.
+    assert "4 robots, seed 0" in plot.caption
+
+
+def test_labels() -> None:
+    assert bare("navigate_bc map=own") == "navigate map=own"
+    assert is_filtered("navigate_bc map=own")
+    assert not is_filtered("navigate map=a_bc")
+    assert interval(1.25, 0.5, 2.0, 1) == "1.2 [0.5, 2.0]"
+    assert interval(np.nan, 0.0, 1.0, 1) == "–"
+    assert [p_text(each) for each in (0.0001, 0.25)] == ["< 0.001", "0.250"]
+
+
+def test_of_many_conditions_only_so_many_arenas_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for engine in ("kinematic", "pybullet"):
+        write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0, engine))
+    monkeypatch.setattr("fullswarm.perf.results.report.MOST_ARENAS", 1)
+    ids = Page(write_report(tmp_path).read_text("utf-8")).of("id")
+    assert [each for each in ids if each.startswith(("trajectories", "coverage"))] == ["trajectories-empty-title"]
