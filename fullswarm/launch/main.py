@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
-from fullswarm.launch.experiment_cli import experiment_app
+from fullswarm.launch.evaluate.experiment_cli import experiment_app
+from fullswarm.launch.evaluate.results_cli import results_app
+from fullswarm.launch.evaluate.scenario_cli import scenario_app
+from fullswarm.launch.evaluate.watch import replay, watch
 from fullswarm.launch.hardware import hardware_app
-from fullswarm.launch.results_cli import results_app
-from fullswarm.launch.scenario_cli import scenario_app
-from fullswarm.launch.watch import replay, watch
 from fullswarm.operator.cli import operator_app, run_guarded
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.launch.experiment import Options, run
+from fullswarm.launch.evaluate.experiment import Options, run
 from fullswarm.perf.experiment.record import PROVENANCE_FILE, TRIALS
 from tests.unit.experiment_work import Trouble
 

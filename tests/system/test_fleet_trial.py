@@ -22,11 +22,11 @@ from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.keys import Keys
-from fullswarm.launch.fleet_setup import fit, starts_of
-from fullswarm.launch.fleet_trial import FleetRunner, run_fleet
+from fullswarm.launch.evaluate.fleet_setup import fit, starts_of
+from fullswarm.launch.evaluate.fleet_trial import FleetRunner, run_fleet
+from fullswarm.launch.evaluate.live_trial import on_unused_ports
+from fullswarm.launch.evaluate.trial import TrialFailed
 from fullswarm.launch.latching import STATE, latch_folder
-from fullswarm.launch.live_trial import on_unused_ports
-from fullswarm.launch.trial import TrialFailed
 from fullswarm.messages import EStop, PoseFix
 from fullswarm.perf.experiment import Trial, TrialResult, scenario_of
 from fullswarm.perf.experiment.record import PROVENANCE_FILE, RESULT_FILE, Provenance, Record, trial_id
@@ -215,6 +215,6 @@ def test_a_latched_estop_ends_the_experiment(
 
 
 def test_robots_in_the_wrong_place_do_not_start(simulated: SwarmConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fullswarm.launch.fleet_setup.NEAR_M", -1.0)
+    monkeypatch.setattr("fullswarm.launch.evaluate.fleet_setup.NEAR_M", -1.0)
     with pytest.raises(TrialFailed, match=r"a stands .* from its place; b stands"):
         FleetRunner(simulated, yes=True)(trial(2))

@@ -14,12 +14,12 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch.live_run import Asked, drive
-from fullswarm.launch.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.live_trial import measure_live, on_unused_ports, with_make
-from fullswarm.launch.trial import TrialFailed, configure, parameters
-from fullswarm.launch.trial_watch import Measurement
-from fullswarm.launch.witness import WorldWitness
+from fullswarm.launch.evaluate.live_run import Asked, drive
+from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
+from fullswarm.launch.evaluate.live_trial import measure_live, on_unused_ports, with_make
+from fullswarm.launch.evaluate.trial import TrialFailed, configure, parameters
+from fullswarm.launch.evaluate.trial_watch import Measurement
+from fullswarm.launch.evaluate.witness import WorldWitness
 from fullswarm.perf.experiment import scenario_of
 from tests.system.live_room import FAR, processes_of, trial
 
@@ -151,7 +151,7 @@ def test_what_happens_in_mid_trial_ends_it_and_is_named(
 
 
 ALONE = """
-from fullswarm.launch.live_trial import measure_live
+from fullswarm.launch.evaluate.live_trial import measure_live
 from tests.system.live_room import FAR, trial
 measure_live(trial(2, FAR))
 """

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fullswarm.launch.trial_watch import Measurement
+from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.perf.coverage import GridFrame
 from fullswarm.perf.experiment import Outcome, Trial, TrialResult
 from fullswarm.perf.experiment.record import Trajectory

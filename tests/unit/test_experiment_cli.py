@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.launch import experiment, experiment_trial
-from fullswarm.launch.experiment_cli import experiment_app
+from fullswarm.launch.evaluate import experiment, experiment_trial
+from fullswarm.launch.evaluate.experiment_cli import experiment_app
 
 
 def call(*words: str) -> tuple[int, str]:

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch import replay as module
-from fullswarm.launch import watch
-from fullswarm.launch.replay import Replay, find_trial, replay
+from fullswarm.launch.evaluate import replay as module
+from fullswarm.launch.evaluate import watch
+from fullswarm.launch.evaluate.replay import Replay, find_trial, replay
 from fullswarm.perf.experiment.record import TRAJECTORY_FILE, TRIALS
 from fullswarm.perf.pictures import Film
 from tests.unit.pictures_world import a_trial, two_robots, write_trial

@@ -13,9 +13,9 @@ import pytest
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.sim.world import World
-from fullswarm.launch.experiment import Options, run
-from fullswarm.launch.experiment_pool import Pool
-from fullswarm.launch.trial import Referee, in_safe_set, run_trial, widened
+from fullswarm.launch.evaluate.experiment import Options, run
+from fullswarm.launch.evaluate.experiment_pool import Pool
+from fullswarm.launch.evaluate.trial import Referee, in_safe_set, run_trial, widened
 from fullswarm.perf.experiment import Outcome, Trial, TrialResult, load_experiment, plan
 from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS
 from fullswarm.perf.results.folder import read_records

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch import watch as commands
-from fullswarm.launch.watch_folder import ExperimentFolder, progress_of
-from fullswarm.launch.watch_run import Watch, watch
-from fullswarm.launch.watch_view import headline, span, view
+from fullswarm.launch.evaluate import watch as commands
+from fullswarm.launch.evaluate.watch_folder import ExperimentFolder, progress_of
+from fullswarm.launch.evaluate.watch_run import Watch, watch
+from fullswarm.launch.evaluate.watch_view import headline, span, view
 from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS, trial_id
 from fullswarm.runtime import Runtime
 from tests.unit.pictures_world import a_trial, write_trial

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.fleet_setup import (
+from fullswarm.launch.evaluate.fleet_setup import (
     NEAR_M,
     NEAR_RAD,
     choose,
@@ -23,7 +23,7 @@ from fullswarm.launch.fleet_setup import (
     off,
     starts_of,
 )
-from fullswarm.launch.live_run import terms
+from fullswarm.launch.evaluate.live_run import terms
 from fullswarm.perf.experiment import Trial, load_experiment, plan, scenario_of
 from fullswarm.perf.scenarios import parse_scenario
 

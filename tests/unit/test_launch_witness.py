@@ -11,7 +11,7 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
-from fullswarm.launch.witness import HeardWitness, WorldWitness
+from fullswarm.launch.evaluate.witness import HeardWitness, WorldWitness
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.runtime import Mailbox
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.launch.results_cli import results_app
+from fullswarm.launch.evaluate.results_cli import results_app
 from fullswarm.perf.experiment.record import RESULT_FILE
 from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from fullswarm.launch.scenario_cli import scenario_app
-from fullswarm.launch.scenario_map import BOX, GOAL, ROBOT, START, text_map
+from fullswarm.launch.evaluate.scenario_cli import scenario_app
+from fullswarm.launch.evaluate.scenario_map import BOX, GOAL, ROBOT, START, text_map
 from fullswarm.perf.coverage_map import read_map
 from fullswarm.perf.scenarios import boxes_for, load_scenario, scenario_names
 

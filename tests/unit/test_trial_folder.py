@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch import experiment_trial
-from fullswarm.launch.trial_file import launch_text, load_trial, parse_trial
-from fullswarm.launch.trial_folder import Keeper, read_kept, read_record, sweep, write_files
+from fullswarm.launch.evaluate import experiment_trial
+from fullswarm.launch.evaluate.trial_file import launch_text, load_trial, parse_trial
+from fullswarm.launch.evaluate.trial_folder import Keeper, read_kept, read_record, sweep, write_files
 from fullswarm.perf.experiment import Trial, arena_of, load_experiment, plan
 from fullswarm.perf.experiment.record import (
     COVERAGE_FILE,

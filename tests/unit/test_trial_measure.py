@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fullswarm.launch.trial import measure, run_trial
+from fullswarm.launch.evaluate.trial import measure, run_trial
 from fullswarm.perf.experiment import Trial, load_experiment, plan, scenario_of
 
 WALL = ("robots=4,scenario=concave,engine=kinematic,behaviour=move_to_goal",)

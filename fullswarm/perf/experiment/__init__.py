@@ -1,7 +1,7 @@
 """Experiments: behaviours x scenarios x sizes x seeds x engines x limits, as data (paper IV). In: TOML. Out: a table.
 
 ``model.py`` reads the file, ``plan.py`` makes the trials of it, ``results.py`` joins what came of them. Running a
-trial needs robots and so belongs to ``fullswarm.launch.trial``.
+trial needs robots and so belongs to ``fullswarm.launch.evaluate.trial``.
 """
 
 from fullswarm.perf.experiment.model import Experiment, experiment_names, load_experiment, parse_experiment, parse_seeds

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
-from fullswarm.launch.experiment_pool import deaf_children
-from fullswarm.launch.trial import Measure, measure
-from fullswarm.launch.trial_folder import Files, files_of, not_kept, perform, record_of, write_files
+from fullswarm.launch.evaluate.experiment_pool import deaf_children
+from fullswarm.launch.evaluate.trial import Measure, measure
+from fullswarm.launch.evaluate.trial_folder import Files, files_of, not_kept, perform, record_of, write_files
 from fullswarm.perf.experiment import Trial, TrialResult
 from fullswarm.perf.experiment.record import trial_id
 

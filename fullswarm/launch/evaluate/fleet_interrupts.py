@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from types import FrameType, TracebackType
 
-from fullswarm.launch.live_swarm import LiveSwarm
+from fullswarm.launch.evaluate.live_swarm import LiveSwarm
 from fullswarm.operator import output
 from fullswarm.operator.estop import EStopOrder
 

@@ -16,7 +16,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array, Limits
 from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
-from fullswarm.launch.trial import Referee
+from fullswarm.launch.evaluate.trial import Referee
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.truth import Truth
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array
 from fullswarm.errors import FullswarmError
-from fullswarm.launch.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.trial import TrialFailed
-from fullswarm.launch.trial_watch import Measurement, finite, joined
-from fullswarm.launch.witness import Witness
+from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
+from fullswarm.launch.evaluate.trial import TrialFailed
+from fullswarm.launch.evaluate.trial_watch import Measurement, finite, joined
+from fullswarm.launch.evaluate.witness import Witness
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.perf.experiment.plan import Trial
 from fullswarm.perf.experiment.record import Trajectory

@@ -11,13 +11,13 @@ from typing import Protocol
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError
-from fullswarm.launch.experiment_folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder
-from fullswarm.launch.experiment_pool import Pool
-from fullswarm.launch.experiment_table import closing, table
-from fullswarm.launch.provenance import provenance
-from fullswarm.launch.trial import Measure, attempt, measure
-from fullswarm.launch.trial_file import launch_text
-from fullswarm.launch.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
+from fullswarm.launch.evaluate.experiment_folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder
+from fullswarm.launch.evaluate.experiment_pool import Pool
+from fullswarm.launch.evaluate.experiment_table import closing, table
+from fullswarm.launch.evaluate.provenance import provenance
+from fullswarm.launch.evaluate.trial import Measure, attempt, measure
+from fullswarm.launch.evaluate.trial_file import launch_text
+from fullswarm.launch.evaluate.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
 from fullswarm.operator import output
 from fullswarm.perf.experiment import Experiment, Trial, TrialResult, load_experiment, plan, summarise
 from fullswarm.perf.experiment.model import parse_seeds
@@ -60,7 +60,7 @@ class FleetTrials:
 
     def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
         """Yield the trials that the fleet can run."""
-        from fullswarm.launch.fleet_trial import run_fleet
+        from fullswarm.launch.evaluate.fleet_trial import run_fleet
 
         options = self.options
         return run_fleet(
@@ -213,12 +213,12 @@ def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> A
     if options.fleet is not None:
         return nullcontext(FleetTrials(options, options.fleet, experiment))
     if options.live:
-        from fullswarm.launch.live_trial import measure_live
+        from fullswarm.launch.evaluate.live_trial import measure_live
 
         run_one = partial(measure_live, emulate=options.emulate)
         kind, jobs = "live", 1  # in real time a machine has no room for two swarms
     if options.dask is not None:
-        from fullswarm.launch.experiment_dask import Cluster, Task
+        from fullswarm.launch.evaluate.experiment_dask import Cluster, Task
 
         task = Task(experiment, run_one, options.timeout_s)
         return Cluster(options.dask, jobs, task, options.folder, options.retries)

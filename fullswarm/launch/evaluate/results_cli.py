@@ -30,7 +30,7 @@ def list_cells(
     """List the cells of a results folder with counts."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.list_cells(folder, as_json)
 
@@ -47,7 +47,7 @@ def show(
     """Show all figures of one trial, or of a cell: means with intervals."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.show(folder, what, as_json)
 
@@ -67,7 +67,7 @@ def export(
     """Write all figures of all trials as a table; prints the file's name."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.export(folder, form, out, long)
 
@@ -89,7 +89,7 @@ def compare(
     """Compare trials in pairs of the same seed: differences B - A with intervals, effect sizes, tests."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.compare(words, by, cells, as_json)
 
@@ -108,7 +108,7 @@ def report(
     """Write report.html, one self-contained file, into the folder; prints its name."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.report(folder, open_it, plots)
 
@@ -120,7 +120,7 @@ def index(folder: Folder, as_json: AsJson = False, debug: Debug = False) -> None
     """Make the SQLite index anew from the trials' directories. Exit code 1: some cannot be read."""
 
     def command() -> int:
-        from fullswarm.launch import results
+        from fullswarm.launch.evaluate import results
 
         return results.index(folder, as_json)
 

@@ -50,7 +50,7 @@ def show(name: str, seed: int, robots: int, as_json: bool) -> int:
         }
         output.data_json({"scenario": scenario.model_dump(mode="json", exclude_none=True), "placed": placed})
         return 0
-    from fullswarm.launch.scenario_map import LEGEND, text_map
+    from fullswarm.launch.evaluate.scenario_map import LEGEND, text_map
 
     output.data(f"{scenario.name}: {scenario.description}".removesuffix(": "))
     output.data(f"{_size(scenario)} m, {len(boxes)} boxes, {robots} robots, seed {seed}")

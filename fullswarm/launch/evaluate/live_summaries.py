@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.launch.trial_watch import ROBOT_QUANTITY, finite
+from fullswarm.launch.evaluate.trial_watch import ROBOT_QUANTITY, finite
 from fullswarm.messages import CoverageMeasurement, Summary
 from fullswarm.perf.coverage import GridFrame, unpack_bits
 

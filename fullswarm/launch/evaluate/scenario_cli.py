@@ -29,7 +29,7 @@ def list_scenarios(as_json: Json = False, debug: Debug = False) -> None:
     """List the scenarios of the package."""
 
     def command() -> int:
-        from fullswarm.launch import scenario_tasks
+        from fullswarm.launch.evaluate import scenario_tasks
 
         return scenario_tasks.list_all(as_json)
 
@@ -41,7 +41,7 @@ def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False, 
     """Show a scenario from above, in text; with --json every box, start and goal."""
 
     def command() -> int:
-        from fullswarm.launch import scenario_tasks
+        from fullswarm.launch.evaluate import scenario_tasks
 
         return scenario_tasks.show(name, seed, robots, as_json)
 
@@ -63,7 +63,7 @@ def import_world(
     """Make a scenario of another simulator's world. Notes say what was left out or approximated."""
 
     def command() -> int:
-        from fullswarm.launch import scenario_tasks
+        from fullswarm.launch.evaluate import scenario_tasks
 
         return scenario_tasks.import_world(file, form, out, as_json)
 
@@ -86,7 +86,7 @@ def export(
     """Write a scenario for Gazebo (SDF 1.9), or as a map for ROS (PGM and YAML)."""
 
     def command() -> int:
-        from fullswarm.launch import scenario_tasks
+        from fullswarm.launch.evaluate import scenario_tasks
 
         return scenario_tasks.export(name, form, robots, seed, out, cell, driven)
 

@@ -20,8 +20,8 @@ from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Array, Limits
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import FullswarmError
+from fullswarm.launch.evaluate.trial_watch import BodyWatch, Measurement, SummaryWatch, finite, joined
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.launch.trial_watch import BodyWatch, Measurement, SummaryWatch, finite, joined
 from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.perf.calculators import CollisionCalculator

@@ -9,9 +9,9 @@ import msgspec
 from rich.table import Table
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch.trial import Measure, measure
-from fullswarm.launch.trial_file import load_trial
-from fullswarm.launch.trial_folder import perform, read_record, record_of, write_trial
+from fullswarm.launch.evaluate.trial import Measure, measure
+from fullswarm.launch.evaluate.trial_file import load_trial
+from fullswarm.launch.evaluate.trial_folder import perform, read_record, record_of, write_trial
 from fullswarm.operator import output
 from fullswarm.perf.experiment.record import Record, trial_id
 

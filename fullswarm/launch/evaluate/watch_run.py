@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.live import Live
 
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.launch.watch_folder import ExperimentFolder, Progress, progress_of
-from fullswarm.launch.watch_view import view
+from fullswarm.launch.evaluate.watch_folder import ExperimentFolder, Progress, progress_of
+from fullswarm.launch.evaluate.watch_view import view
 from fullswarm.operator import output
 from fullswarm.runtime import Runtime
 

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fullswarm.launch.watch_folder import PAUSE_S, Finished, Progress
+from fullswarm.launch.evaluate.watch_folder import PAUSE_S, Finished, Progress
 from fullswarm.perf.experiment import CellResult
 
 AROUND = 10

@@ -71,7 +71,7 @@ def run_experiment(
     """Run an experiment. Exit code 0: none failed, and none collided but where the file expects it; 1 otherwise."""
 
     def command() -> int:
-        from fullswarm.launch import experiment
+        from fullswarm.launch.evaluate import experiment
 
         options = experiment.Options(
             experiment=name,
@@ -109,7 +109,7 @@ def run_trial(
     """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
 
     def command() -> int:
-        from fullswarm.launch import experiment_trial
+        from fullswarm.launch.evaluate import experiment_trial
 
         return experiment_trial.run(file, folder, as_json)
 

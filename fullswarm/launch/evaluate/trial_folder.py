@@ -16,10 +16,10 @@ import numpy as np
 
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.errors import ConfigError
-from fullswarm.launch.provenance import provenance
-from fullswarm.launch.trial import Measure, attempt, measure
-from fullswarm.launch.trial_file import launch_text
-from fullswarm.launch.trial_watch import Measurement
+from fullswarm.launch.evaluate.provenance import provenance
+from fullswarm.launch.evaluate.trial import Measure, attempt, measure
+from fullswarm.launch.evaluate.trial_file import launch_text
+from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.perf.experiment.plan import Trial
 from fullswarm.perf.experiment.record import (
     COVERAGE_FILE,

@@ -13,11 +13,11 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.launch.live_summaries import LiveSummaries
+from fullswarm.launch.evaluate.live_summaries import LiveSummaries
+from fullswarm.launch.evaluate.trial import TrialFailed
 from fullswarm.launch.network import on_network
 from fullswarm.launch.nodes import process_id
 from fullswarm.launch.supervisor import USAGE, Supervisor
-from fullswarm.launch.trial import TrialFailed
 from fullswarm.launch.world import WorldNode
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, RobotRow

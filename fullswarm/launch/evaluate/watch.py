@@ -23,7 +23,7 @@ def watch(
     """Show how an experiment goes, until all its trials have ended or Ctrl-C, which leaves it running."""
 
     def command() -> int:
-        from fullswarm.launch import watch_run
+        from fullswarm.launch.evaluate import watch_run
 
         return watch_run.watch(watch_run.Watch(folder, once, as_json))
 
@@ -57,7 +57,7 @@ def replay(
     """Draw or film a trial: the world from above."""
 
     def command() -> int:
-        from fullswarm.launch import replay as replays
+        from fullswarm.launch.evaluate import replay as replays
         from fullswarm.perf.pictures import Film
 
         film = Film(speed=speed, fps=fps, from_s=from_s, until_s=until_s, width_px=width_px)

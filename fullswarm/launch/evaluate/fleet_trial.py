@@ -22,15 +22,15 @@ from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.keys import Keys
-from fullswarm.launch.fleet_interrupts import Interrupts
-from fullswarm.launch.fleet_setup import choose, fit, instructions, off, starts_of
-from fullswarm.launch.live_run import Asked, TrialStopped, drive, terms
-from fullswarm.launch.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.trial import TrialFailed, in_safe_set, parameters
-from fullswarm.launch.trial_folder import Keeper, perform
-from fullswarm.launch.trial_watch import Measurement
+from fullswarm.launch.evaluate.fleet_interrupts import Interrupts
+from fullswarm.launch.evaluate.fleet_setup import choose, fit, instructions, off, starts_of
+from fullswarm.launch.evaluate.live_run import Asked, TrialStopped, drive, terms
+from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
+from fullswarm.launch.evaluate.trial import TrialFailed, in_safe_set, parameters
+from fullswarm.launch.evaluate.trial_folder import Keeper, perform
+from fullswarm.launch.evaluate.trial_watch import Measurement
+from fullswarm.launch.evaluate.witness import HeardWitness, Witness, WorldWitness
 from fullswarm.launch.typed import Typed
-from fullswarm.launch.witness import HeardWitness, Witness, WorldWitness
 from fullswarm.messages import PoseFix
 from fullswarm.operator import output
 from fullswarm.perf.experiment.plan import Cell, Trial, scenario_of

@@ -11,11 +11,11 @@ from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.config.models import Emulated
 from fullswarm.drivers import emulated
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.launch.live_run import Asked, drive, terms
-from fullswarm.launch.live_swarm import LiveSwarm
-from fullswarm.launch.trial import configure, in_safe_set, parameters
-from fullswarm.launch.trial_watch import Measurement
-from fullswarm.launch.witness import WorldWitness
+from fullswarm.launch.evaluate.live_run import Asked, drive, terms
+from fullswarm.launch.evaluate.live_swarm import LiveSwarm
+from fullswarm.launch.evaluate.trial import configure, in_safe_set, parameters
+from fullswarm.launch.evaluate.trial_watch import Measurement
+from fullswarm.launch.evaluate.witness import WorldWitness
 from fullswarm.perf.experiment.plan import Trial, scenario_of
 
 EMULATED: tuple[str, ...] = get_args(Emulated)

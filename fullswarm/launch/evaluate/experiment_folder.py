@@ -18,7 +18,7 @@ import msgspec
 
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError
-from fullswarm.launch.trial_folder import read_kept, sweep
+from fullswarm.launch.evaluate.trial_folder import read_kept, sweep
 from fullswarm.perf.experiment import Experiment, Trial, TrialResult
 from fullswarm.perf.experiment.record import trial_id
 
