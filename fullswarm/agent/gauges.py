@@ -37,10 +37,10 @@ ARRIVED, DISTANCE, GAP, ASIDE, ANCHOR_X, ANCHOR_Y, MOVED = range(7)
 
 @kernel
 def gauge(
-    now_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, start: Index, other: Index, places: Array,
-    heard: Array, arrival_s: Array, state: Array,
+    now_s: float, dt_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, start: Index, other: Index,
+    places: Array, heard: Array, arrival_s: Array, state: Array,
 ) -> None:  # fmt: skip
-    """Look once; `PERIOD_S` after the last look.
+    """Look once, `dt_s` after the last look.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def gauge(
     """
     for i in range(pose.shape[0]):
         if until_s[i] > now_s:
-            state[i, ASIDE] += PERIOD_S
+            state[i, ASIDE] += dt_s
         x = float(pose[i, 0])
         y = float(pose[i, 1])
         if not math.isfinite(x + y):
@@ -88,6 +88,7 @@ class Gauges:
     def __init__(self, agent: AgentNode, arrive_radius_m: float | None) -> None:
         self._agent, self._arrive_radius_m = agent, arrive_radius_m
         count = len(agent.fleet.ids)
+        self._looked_s = math.inf
         self._tasks: list[Task | None] = [None] * count
         self._of: list[str] = [""] * count  # the request that gave the goal
         self._goals = np.full((count, 5), math.nan)
@@ -97,15 +98,17 @@ class Gauges:
         self._state[:, GAP] = math.inf
 
     def look(self, now_s: float) -> None:
-        """Take in how things are now; every `PERIOD_S`."""
+        """Take in how things are now: every `PERIOD_S`, and before they are told."""
         agent = self._agent
+        dt_s = min(max(now_s - self._looked_s, 0.0), PERIOD_S)
+        self._looked_s = now_s
         if self._tasks != agent.tasks.of:
             self._follow()
         start, other = agent.near
         neighbours = agent.neighbours
         gauge.run(
-            now_s, agent.pose, agent.radius, self._goals, agent.deadlocks.until_s, start, other, neighbours.places,
-            neighbours.heard, neighbours.arrival_s, self._state,
+            now_s, dt_s, agent.pose, agent.radius, self._goals, agent.deadlocks.until_s, start, other,
+            neighbours.places, neighbours.heard, neighbours.arrival_s, self._state,
         )  # fmt: skip
 
     def message(self, now_s: float, loop: LoopStats, traffic: CountingBus) -> RobotMeasurement:

@@ -343,11 +343,11 @@ class AgentNode:
         self._bus.publish(self._keys.health(self._identity.host), report)
 
     def publish_measurements(self, *, whole: bool = True) -> None:
-        """Publish what the calculators have counted until now; the grid of coverage not always unless `whole`."""
-        """Publish what the robots have measured of themselves until now."""
+        """Publish what the robots have measured of themselves; the grid of coverage not always unless `whole`."""
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self.reading is not None:
+            self.gauges.look(now_s)
             message = self.gauges.message(now_s, self._loop(), self._bus)
             self._bus.publish(self._keys.measurement("robots", host), message)
 

@@ -80,12 +80,12 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
     from fullswarm.launch.world import WorldNode
 
     kernels.compile_all()
-    return serve_on_bus(
-        config,
-        with_parent,
-        lambda bus, runtime: [WorldNode(bus, runtime, config, process_id("world"), insecure_network)],
-        WORLD,
-    )
+
+    def build(bus: Bus, runtime: Runtime) -> list[Node]:
+        node = WorldNode(bus, runtime, config, process_id("world"), insecure_network)
+        return [node, node.supervise(config.bounds_m, config.performance.coverage_cell_m)]
+
+    return serve_on_bus(config, with_parent, build, WORLD)
 
 
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:

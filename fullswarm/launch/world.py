@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers import emulated
@@ -17,6 +19,9 @@ from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.messages import Heartbeat, PoseFix
+from fullswarm.perf.coverage import Bounds
+from fullswarm.perf.supervisor import SupervisorCalculator
+from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Scheduler
 
 HEARTBEAT_S = 0.5
@@ -65,6 +70,7 @@ class WorldNode:
         except BaseException:
             self._end()
             raise
+        self._truth: Truth | None = None
         self._folder = emulated.port_folder(config) if skins else None
         self._steps = self._made = 0
         self._began_s = scheduler.now_s()
@@ -86,11 +92,27 @@ class WorldNode:
         else:
             self._made += due
 
+    def supervise(self, bounds_m: Bounds, cell_m: float) -> SupervisorCalculator:
+        """Measure the true bodies, too, beside what the robots measure of themselves (paper II.F.1).
+
+        Parameters
+        ----------
+        bounds_m, cell_m : of the coverage grid
+        """
+        world = self.world
+        nowhere = np.full((len(world.ids), 2), np.nan)
+        radius_m = np.full(len(world.ids), world.description.radius_m)
+        self._truth = Truth(world.ids, radius_m, nowhere, 0.0, bounds_m, cell_m)
+        return SupervisorCalculator(self._bus, self._keys, self._scheduler, self._truth, self._process)
+
     def _step(self) -> None:
         self.bodies.before_step()
         self._server.tick()
         self.bodies.after_step()
         self._steps += 1
+        if self._truth is not None:
+            world = self.world
+            self._truth.look(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
 
     def _beat(self) -> None:
         # In steps of the rate that the fleet file names, so that a reader of that file can tell the time.

@@ -19,7 +19,7 @@ from fullswarm.launch.evaluate.trial import Measure, attempt, measure
 from fullswarm.launch.evaluate.trial_file import launch_text
 from fullswarm.launch.evaluate.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
 from fullswarm.operator import output
-from fullswarm.perf.experiment import Experiment, Trial, TrialResult, load_experiment, plan, summarise
+from fullswarm.perf.experiment import Experiment, Trial, TrialResult, load_experiment, on_network, plan, summarise
 from fullswarm.perf.experiment.model import parse_seeds
 
 TELL_S = 5.0
@@ -40,6 +40,7 @@ class Options:
     folder: Path | None = None
     as_json: bool = False
     engine: str | None = None  # instead of all groups' engines
+    network: str | None = None  # instead of all groups' conditions of the network
     shard: str | None = None  # "1/4": the first of four parts
     retries: int = 1
     dask: str | None = None  # "local", or a scheduler's address
@@ -93,6 +94,8 @@ def run(options: Options, run_one: Measure = measure) -> int:
     """
     _check(options)
     experiment = load_experiment(options.experiment)
+    if options.network is not None:
+        experiment = on_network(experiment, options.network)
     everything = plan(experiment, _seeds(options.seeds), options.cells, options.small, options.engine)
     trials = shard_of(everything, options.shard)
     results = _kept(options, experiment, everything, trials)

@@ -34,6 +34,10 @@ def run_experiment(
     engine: Annotated[
         str | None, typer.Option(metavar="NAME", help="Instead of the file's: kinematic, pybullet, pybullet-wheels.")
     ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(metavar="SPEC", help="A bad network for all: loss=20%,delay=100ms±50."),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
     timeout_s: Annotated[
         float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
@@ -83,6 +87,7 @@ def run_experiment(
             folder=folder,
             as_json=as_json,
             engine=engine,
+            network=network,
             shard=shard,
             retries=retries,
             dask=dask,

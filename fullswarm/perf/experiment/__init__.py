@@ -5,7 +5,7 @@ trial needs robots and so belongs to ``fullswarm.launch.evaluate.trial``.
 """
 
 from fullswarm.perf.experiment.model import Experiment, experiment_names, load_experiment, parse_experiment, parse_seeds
-from fullswarm.perf.experiment.plan import Cell, Trial, arena_of, plan, scenario_of, world_of
+from fullswarm.perf.experiment.plan import Cell, Trial, arena_of, on_network, plan, scenario_of, world_of
 from fullswarm.perf.experiment.results import CellResult, Outcome, Report, TrialResult, summarise
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "arena_of",
     "experiment_names",
     "load_experiment",
+    "on_network",
     "parse_experiment",
     "parse_seeds",
     "plan",

@@ -8,6 +8,7 @@ from functools import cache
 from itertools import product
 from typing import get_args
 
+from fullswarm.bus.network import parse_network
 from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.perf.experiment.model import Engine, Experiment, Group, Parameter, Small, parse_seeds
@@ -113,6 +114,20 @@ def plan(
     if not trials:
         raise ConfigError(f"no cell of '{experiment.name}' fits", where=f"--cells {','.join(filters)}")
     return trials
+
+
+def on_network(experiment: Experiment, conditions: str) -> Experiment:
+    """Return the experiment with these conditions of the network in all its groups; empty: a good one.
+
+    Raises
+    ------
+    ConfigError
+        They are wrong.
+    """
+    if conditions:
+        parse_network(conditions, where="--network")
+    groups = tuple(group.model_copy(update={"network": conditions}) for group in experiment.groups)
+    return experiment.model_copy(update={"groups": groups})
 
 
 def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
