@@ -6,11 +6,13 @@ import json
 import webbrowser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fullswarm.launch.evaluate.results_cli import results_app
-from fullswarm.perf.experiment.record import RESULT_FILE
+from fullswarm.perf.coverage_map import FREE, OCCUPIED, occupied_cells, read_map
+from fullswarm.perf.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
 from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
 
 run = CliRunner()
@@ -132,3 +134,20 @@ def test_index(tmp_path: Path) -> None:
 @pytest.mark.parametrize("verb", ["list", "show", "export", "report", "index"])
 def test_a_folder_without_results(tmp_path: Path, verb: str) -> None:
     assert "not a results folder" in complaint(verb, tmp_path, *(["x"] if verb == "show" else []))
+
+
+def test_a_map_of_what_was_covered(folder: Path, tmp_path: Path) -> None:
+    done = next(each for each in sorted((folder / TRIALS).iterdir()) if (each / COVERAGE_FILE).exists())
+    names = said("map", folder, "--trial", done.name, "--out", tmp_path / "hall").split()
+    assert names == [str(tmp_path / "hall.pgm"), str(tmp_path / "hall.yaml")]
+    grid, covered = read_map(tmp_path / "hall.yaml"), np.load(done / COVERAGE_FILE)["covered"].astype(bool)
+    boxes = occupied_cells(
+        grid.frame, tuple(tuple(row) for row in Trajectory.load(done / TRAJECTORY_FILE).boxes.tolist())
+    )
+    assert ((grid.pixels == FREE) == (covered & ~boxes)).all()
+    assert ((grid.pixels == OCCUPIED) == boxes).all()
+    failed = next(each for each in (folder / TRIALS).iterdir() if not (each / COVERAGE_FILE).exists())
+    assert "no coverage grid" in complaint("map", failed)
+    (tmp_path / TRIALS / "x").mkdir(parents=True)
+    (tmp_path / TRIALS / "x" / COVERAGE_FILE).write_bytes(b"PK")
+    assert "not a coverage grid" in complaint("map", tmp_path, "--trial", "x")

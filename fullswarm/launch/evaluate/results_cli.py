@@ -74,6 +74,25 @@ def export(
     _run(debug, command)
 
 
+@results_app.command("map")
+def coverage(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
+    trial: Annotated[str, typer.Option("--trial", metavar="ID", help="Which one: how its id begins.")] = "",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Where to; else coverage.pgm in the trial's folder.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Write what a trial's robots have covered as a map: PGM and YAML, as ROS's map_server reads them."""
+
+    def command() -> int:
+        from fullswarm.launch.evaluate import results_map
+
+        return results_map.write(folder, trial, out)
+
+    _run(debug, command)
+
+
 @results_app.command()
 def compare(
     words: Annotated[
