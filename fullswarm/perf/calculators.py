@@ -165,6 +165,21 @@ class CoverageCalculator:
             position, self.radii_m, self.marked, self.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m
         )
 
+    def message(self, host: str, robots: tuple[str, ...], now_s: float) -> CoverageMeasurement:
+        """Return the measurement of a host's robots, cumulative since the start."""
+        frame = self.frame
+        return CoverageMeasurement(
+            host=host,
+            robots=robots,
+            origin_x_m=frame.origin_x_m,
+            origin_y_m=frame.origin_y_m,
+            cell_m=frame.cell_m,
+            rows=frame.rows,
+            columns=frame.columns,
+            cells=self.packed(),
+            stamp_s=now_s,
+        )
+
     def packed(self) -> bytes:
         """Return the grid as it goes over the bus; packed again only when cells were added."""
         if self._packed_at != self.covered:
@@ -274,7 +289,7 @@ class Calculators:
 
         Unless `whole` the grid goes along every second time only: it is larger than all else together.
         """
-        ids, frame = self.ids, self.coverage.frame
+        ids = self.ids
         distance_m, events = tuple(self.work.distance_m.tolist()), tuple(self.collision.events.tolist())
         bus.publish(
             keys.measurement("work", host),
@@ -287,17 +302,4 @@ class Calculators:
         self._with_grid = whole or not self._with_grid
         if not self._with_grid:
             return
-        bus.publish(
-            keys.measurement("coverage", host),
-            CoverageMeasurement(
-                host=host,
-                robots=ids,
-                origin_x_m=frame.origin_x_m,
-                origin_y_m=frame.origin_y_m,
-                cell_m=frame.cell_m,
-                rows=frame.rows,
-                columns=frame.columns,
-                cells=self.coverage.packed(),
-                stamp_s=now_s,
-            ),
-        )
+        bus.publish(keys.measurement("coverage", host), self.coverage.message(host, ids, now_s))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import TRUTH, CollisionMeasurement, CoverageMeasurement, RobotMeasurement, WorkMeasurement
+from fullswarm.messages import TRUTH, CollisionMeasurement, RobotMeasurement, WorkMeasurement
 from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Scheduler
 
@@ -31,7 +31,7 @@ class SupervisorCalculator:
 
     def publish(self) -> None:
         """Publish everything now."""
-        truth, now_s, keys, frame = self._truth, self._scheduler.now_s(), self._keys, self._truth.coverage.frame
+        truth, now_s, keys = self._truth, self._scheduler.now_s(), self._keys
         ids = truth.ids
         work = WorkMeasurement(host=TRUTH, robots=ids, distance_m=tuple(truth.distance_m.tolist()), stamp_s=now_s)
         self._bus.publish(keys.measurement("work", TRUTH), work)
@@ -39,18 +39,7 @@ class SupervisorCalculator:
             events = tuple(truth.events.tolist())
             hits = CollisionMeasurement(host=TRUTH, robots=ids, events=events, stamp_s=now_s)
             self._bus.publish(keys.measurement("collisions", TRUTH), hits)
-        covered = CoverageMeasurement(
-            host=TRUTH,
-            robots=ids,
-            origin_x_m=frame.origin_x_m,
-            origin_y_m=frame.origin_y_m,
-            cell_m=frame.cell_m,
-            rows=frame.rows,
-            columns=frame.columns,
-            cells=truth.coverage.packed(),
-            stamp_s=now_s,
-        )
-        self._bus.publish(keys.measurement("coverage", TRUTH), covered)
+        self._bus.publish(keys.measurement("coverage", TRUTH), truth.coverage.message(TRUTH, ids, now_s))
         columns = {name: tuple(column.tolist()) for name, column in truth.columns().items()}
         numbers = RobotMeasurement(host=TRUTH, process=self._process, robots=ids, columns=columns, stamp_s=now_s)
         self._bus.publish(keys.measurement("robots", TRUTH), numbers)
