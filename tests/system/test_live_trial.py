@@ -29,9 +29,9 @@ LIMIT_S = 20.0
 
 @pytest.fixture(autouse=True)
 def nobody_is_left() -> Iterator[None]:
-    assert not processes_of(os.getpid())
+    before = processes_of(os.getpid())  # other tests' may be there, a resource tracker for one
     yield
-    assert not processes_of(os.getpid())
+    assert processes_of(os.getpid()).keys() <= before.keys()
 
 
 def check(found: Measurement, robots: int) -> None:
