@@ -15,11 +15,12 @@ from collections.abc import Callable
 
 import zenoh
 
+from fullswarm.bus.codec import encode
 from fullswarm.bus.session import client_config, untyped
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, encode
+from fullswarm.messages import Command
 from fullswarm.runtime import Runtime
 
 PERIOD_S = 0.01

@@ -8,9 +8,10 @@ from typing import Any
 
 import zenoh
 
+from fullswarm.bus.codec import decode
 from fullswarm.bus.session import reason_of, untyped
 from fullswarm.errors import ConfigError, MessageError
-from fullswarm.messages import Message, decode
+from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
 

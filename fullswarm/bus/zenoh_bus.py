@@ -14,11 +14,12 @@ import structlog
 import zenoh
 
 from fullswarm.bus.base import Subscription, matches
+from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of
 from fullswarm.bus.inbox import Inbox
 from fullswarm.bus.session import HubLink, reason_of, untyped
 from fullswarm.errors import MessageError
-from fullswarm.messages import Message, encode
+from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
 M = TypeVar("M", bound=Message)

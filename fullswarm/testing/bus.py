@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from fullswarm.bus import LocalBus, Subscription
+from fullswarm.bus.codec import decode, encode
 from fullswarm.errors import MessageError
-from fullswarm.messages import Message, decode, encode
+from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
 M = TypeVar("M", bound=Message)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fullswarm.agent.node import AgentNode, Identity
 from fullswarm.bus import LocalBus
+from fullswarm.bus.codec import decode, encode
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.sim.fleet import SimFleet
@@ -24,8 +25,6 @@ from fullswarm.messages import (
     Heartbeat,
     Message,
     StopRequest,
-    decode,
-    encode,
 )
 from fullswarm.runtime import Mailbox, Runtime
 

@@ -11,6 +11,7 @@ import pytest
 
 from fullswarm.agent.node import AgentNode, Identity
 from fullswarm.bus import LocalBus
+from fullswarm.bus.codec import decode, encode
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet import OneRobot
@@ -23,8 +24,6 @@ from fullswarm.messages import (
     PoseFix,
     RobotHealth,
     RobotStates,
-    decode,
-    encode,
 )
 from fullswarm.runtime import Mailbox, Runtime
 

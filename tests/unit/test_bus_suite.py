@@ -14,13 +14,14 @@ import zenoh
 
 from fullswarm import config
 from fullswarm.bus import Bus, LocalBus
+from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
 from fullswarm.bus.session import client_config, untyped
 from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, Heartbeat, StopRequest, encode
+from fullswarm.messages import Command, Heartbeat, StopRequest
 from fullswarm.runtime import Mailbox
 
 DEADLINE_S = 5.0

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm import messages
+from fullswarm.bus.codec import decode, encode
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.keys import Keys, cell_of, cells_within
-from fullswarm.messages import BehaviourRequest, Command, Message, decode, encode
+from fullswarm.messages import BehaviourRequest, Command, Message
 
 words = st.text(max_size=20)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
