@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
@@ -147,6 +147,8 @@ setting = st.one_of(st.booleans(), st.integers(-5, 5), st.floats(-1e6, 1e6, widt
 
 
 @settings(max_examples=25, deadline=None)
+@example({"map": 0}, None)
+@example({"map": False}, None)  # equal to the one before, but not the same
 @given(st.dictionaries(st.sampled_from(["map", "gain", "x-y"]), setting), st.one_of(st.none(), st.floats(0.1, 1e4)))
 def test_every_trial_survives_its_file(parameters: dict[str, bool | int | float | str], limit_s: float | None) -> None:
     pairs = tuple(parameters.items())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tomllib
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +47,6 @@ class _Document(msgspec.Struct, forbid_unknown_fields=True):
     stop: Table = {}
 
 
-@lru_cache(maxsize=8)
 def launch_text(trial: Trial, experiment: str) -> str:
     """Return the file of a trial; `ConfigError` when its scenario cannot be read."""
     cell = asdict(trial.cell)
