@@ -18,7 +18,7 @@ test: $(VENV)/.dev     ## all tests that belong to a change
 	$(BIN)/pytest -q -m "not slow" tests/emulated tests/system $(ARGS)
 
 test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
-	$(BIN)/pytest -q tests $(ARGS)
+	HYPOTHESIS_PROFILE=searching $(BIN)/pytest -q tests $(ARGS)
 
 check: $(VENV)/.dev    ## lint, types, layers
 	$(BIN)/ruff check .

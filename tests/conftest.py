@@ -1,14 +1,18 @@
 """What holds for all tests."""
 
+import os
 from collections.abc import Iterator
 
 import pytest
 import structlog
 from hypothesis import HealthCheck, settings
 
-# Machines are noisy: how long an example took says nothing about the code.
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+# Machines are noisy: how long an example took says nothing about the code. `make test` tries the same examples each
+# time, so that it tells of the change at hand; `make test-all` looks for new ones.
+USUAL = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("repeatable", USUAL, derandomize=True)
+settings.register_profile("searching", USUAL)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
 @pytest.fixture(autouse=True)

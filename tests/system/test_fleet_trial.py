@@ -135,6 +135,7 @@ class Camera:
         self._bus.close()
 
 
+@pytest.mark.slow
 def test_with_motion_capture_nobody_has_to_press_enter(
     creates: SwarmConfig, capsys: pytest.CaptureFixture[str]
 ) -> None:

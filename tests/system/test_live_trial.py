@@ -73,6 +73,7 @@ def test_a_live_trial_measures_what_happened(robots: int, emulate: str | None) -
     check(found, robots)
 
 
+@pytest.mark.slow
 def test_a_condition_of_the_trial_ends_it() -> None:
     found = measure_live(trial(2, FAR, stop=(("max_execution_s", 1.5),)))
     assert found.end_reason == "max_execution_s"
