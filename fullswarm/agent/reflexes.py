@@ -124,7 +124,7 @@ def fence(
                 off = math.fabs(wrap(heading - normal))
                 # Outside, turning must stay free, or nobody could turn round and drive back.
                 outward = math.cos(max(0.0, off - turned) if room > 0.0 else off)
-                if outward <= 0.0:
+                if outward <= 1e-9:  # along the edge, but for rounding
                     continue
                 way_m = max(0.0, room) / outward
                 top = accel * (math.sqrt(delay_s * delay_s + 2.0 * way_m / accel) - delay_s)

@@ -255,3 +255,14 @@ def test_a_row_of_its_own_for_every_robot() -> None:
     reflexes.look(reading, np.array([[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]]))
     assert reflexes.flat.tolist() == [True, False]
     assert reflexes.no_pose.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.5 * math.pi])
+def test_who_stands_in_a_corner_may_drive_along_the_edges(heading_rad: float) -> None:
+    """The cosine of a right angle is no zero: without care a robot exactly on an edge could not leave along it."""
+    made = Reflexes(1, (0.0, 0.0, 20.0, 20.0), Thresholds())
+    pose, along, out = np.array([[0.0, 0.0, heading_rad]]), np.array([[0.4, 0.0]]), np.array([[-0.4, 0.0]])
+    made.watch_fence(pose, along, along, np.array([1.0]))
+    assert made.ceiling[0] > 0.4
+    made.watch_fence(pose, out, out, np.array([1.0]))
+    assert made.floor[0] == 0.0
