@@ -32,9 +32,10 @@ from scipy import sparse
 
 from fullswarm import kernels
 from fullswarm.agent.safety import barrier
-from fullswarm.agent.safety.filter import SafetyFilter, plain
+from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.core.centralised import joint_filter
-from fullswarm.core.centralised.joint_filter import Arena, JointFilter
+from fullswarm.core.centralised.joint_filter import JointFilter
+from fullswarm.core.centralised.joint_layout import Arena
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
 
 Array = NDArray[np.float64]
@@ -191,9 +192,10 @@ def single(neighbours: int, count: int) -> Single:
         other = by_cvxopt(scene)
         if other is not None:
             timed(other, interior)
-        rows: list[Any] = [plain(scene.normals), plain(scene.limits)]
+        nx, ny = scene.normals.T.tolist()
+        limits = scene.limits.tolist()
         x, y = scene.wish.tolist()
-        found = timed(partial(barrier.project, x, y, rows[0], rows[1], len(rows[1])), solve)
+        found = timed(partial(barrier.project, x, y, nx, ny, limits, len(limits)), solve)
         solved = answer.info.status == "solved"
         unsolved += not solved
         different += solved and bool(np.abs(np.array(found) - answer.x).max() > SAME)
@@ -256,31 +258,33 @@ def trace(robots: int, ticks: int) -> list[tuple[Array, Array]]:
 
 
 def joint(robots: int, ticks: int) -> Joint:
-    """Run the joint filter over a trace; then, with what it asked of OSQP in each tick, OSQP alone."""
+    """Run the joint filter over a trace in turns with a bare OSQP that is asked the same in each tick."""
     side_m = 20.0 * math.sqrt(robots / 32)
     arena, radii = Arena(np.zeros(2), np.full(2, side_m), SPEED, GAIN, MARGIN_M), np.full(robots, RADIUS_M)
     steps, ours, bare = trace(robots, ticks), list[float](), list[float]()
-    own, watched, alone, pairs = JointFilter(), JointFilter(), osqp.OSQP(), 0
+    watched, questions, pairs = JointFilter(), list[tuple[Any, ...] | dict[str, Array]](), 0
     watched.solver_type = Watched
-    setups = 0
     for positions, wished in steps:
-        took: list[float] = []
-        timed(partial(own.filter, wished, positions, radii, arena), took)
         _, near = watched.filter(wished, positions, radii, arena)
         pairs = max(pairs, len(near.first))
-        if watched.setups != setups:  # the pattern changed: neither counts, both begin anew
-            setups, alone = watched.setups, osqp.OSQP()
-            alone.setup(*Watched.matrices, **joint_filter.SETTINGS)
+        questions.append(Watched.asked or Watched.matrices)
+    own, alone = JointFilter(), osqp.OSQP()
+    for turn, ((positions, wished), question) in enumerate(zip(steps, questions, strict=True)):
+        mine = partial(own.filter, wished, positions, radii, arena)
+        if isinstance(question, tuple):  # the pattern changed: neither counts, both begin anew
+            mine()
+            alone = osqp.OSQP()
+            alone.setup(*question, **joint_filter.SETTINGS)
             alone.solve(raise_error=False)
             continue
-        asked = Watched.asked or {}
 
-        def again(asked: dict[str, Array] = asked, solver: Any = alone) -> None:
+        def again(asked: dict[str, Array] = question, solver: Any = alone) -> None:
             solver.update(**asked)
             solver.solve(raise_error=False)
 
-        timed(again, bare)
-        ours += took
+        both: list[tuple[Callable[[], Any], list[float]]] = [(mine, ours), (again, bare)]
+        for call, into in both if turn % 2 else both[::-1]:
+            timed(call, into)
     return Joint(robots, pairs, 1e-3 * statistics.median(ours), 1e-3 * statistics.median(bare))
 
 
@@ -322,7 +326,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     singles = [single(neighbours, options.scenes) for neighbours in (10, 31)]
-    joints = [joint(robots, 60) for robots in map(int, options.robots.split(","))]
+    joints = [joint(robots, 200) for robots in map(int, options.robots.split(","))]
     kernels.compile_all()
     for each in singles:
         each.batch_us = compiled(each.neighbours, BATCH) / BATCH

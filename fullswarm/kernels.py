@@ -25,12 +25,13 @@ _compiled = False
 class Kernel(Generic[P, R]):
     """A function that numba can compile; calls go to the compiled form once there is one.
 
-    A kernel may call other kernels: name them as globals of its module. Arguments are numbers and arrays.
+    A kernel may call other kernels: name them as globals of its module, above it. Arguments are numbers and arrays.
     """
 
     def __init__(self, function: Callable[P, R]) -> None:
-        self.plain = function
-        self.run: Callable[P, R] = function
+        # Calls from kernel to kernel go to the plain forms at once: by way of `__call__` each takes four times as long.
+        self.plain: Callable[P, R] = _linked(function, "plain")
+        self.run: Callable[P, R] = self.plain
         self.__doc__ = function.__doc__
         self.__name__ = getattr(function, "__name__", "kernel")
         self.__wrapped__ = function
@@ -48,18 +49,23 @@ class Kernel(Generic[P, R]):
             return
         import numba
 
-        source = self.plain
-        if not isinstance(source, types.FunctionType):
-            return
-        names = dict(source.__globals__)
-        for name in source.__code__.co_names:
-            other = names.get(name)
-            if isinstance(other, Kernel):
-                other.compile()
-                names[name] = other.run
-        rebound = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__)
-        rebound.__module__, rebound.__qualname__ = source.__module__, source.__qualname__
-        self.run = numba.njit(cache=True, error_model="numpy")(rebound)
+        for other in _called(self.__wrapped__).values():
+            other.compile()
+        self.run = numba.njit(cache=True, error_model="numpy")(_linked(self.__wrapped__, "run"))
+
+
+def _called(source: Any) -> dict[str, Kernel[Any, Any]]:
+    """Return the kernels that a function names."""
+    named = {name: source.__globals__.get(name) for name in source.__code__.co_names}
+    return {name: other for name, other in named.items() if isinstance(other, Kernel)}
+
+
+def _linked(source: Any, form: str) -> Any:
+    """Return a function with the `plain` or the `run` form of each kernel that it names in the kernel's place."""
+    names = source.__globals__ | {name: getattr(other, form) for name, other in _called(source).items()}
+    linked = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__)
+    linked.__module__, linked.__qualname__ = source.__module__, source.__qualname__
+    return linked
 
 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:

@@ -43,6 +43,10 @@ class Cores:
         """Tell whether any core was."""
         return now_s - self._newest_s <= self._silence_s
 
+    def age_s(self, now_s: float) -> float:
+        """Return how long ago any core was heard, in seconds; infinity when none ever was."""
+        return now_s - self._newest_s
+
 
 class Fence:
     """What one robot refuses.

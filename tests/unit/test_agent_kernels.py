@@ -59,7 +59,7 @@ def test_projection_equals_osqp(seed: int, count: int) -> None:
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     limits = np.maximum(rng.uniform(-0.3, 1.0, count), 0.0)
     wish = rng.uniform(-1.0, 1.0, 2)
-    x, y = barrier.project(wish[0], wish[1], normals, limits, count)
+    x, y = barrier.project(wish[0], wish[1], normals[:, 0], normals[:, 1], limits, count)
     assert (normals @ [x, y] <= limits + 1e-9).all()
     solver = osqp.OSQP()
     solver.setup(
@@ -121,23 +121,22 @@ def _guard(seed: int, run: object) -> np.ndarray:
     places = np.ascontiguousarray(pose[:, :2])
     start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
     pairs.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
-    twists, zeros = np.zeros((count, 2)), np.zeros(count)
+    twists, deviation, zeros = np.zeros((count, 2)), np.zeros((count, 4)), np.zeros(count)
     assert callable(run)
     run(
-        0.02, 0.02, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose, np.zeros((count, 2)), zeros,
-        np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0], (count, 1)), 1.0, 3.0, np.full(count, 2.0), np.full(count, 0.03),
-        3.0, start, other, places, heard, zeros, zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]),
-        np.array([0.0, 0.0, 5.0, 5.0]), twists,
-        np.zeros((count, 2)), np.zeros(count, np.int64), np.empty((barrier.MAX_ROWS, 2)),
-        np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS), np.empty(barrier.MAX_ROWS),
+        0.0, 0.02, 0.02, 1.0, 3.0, 3.0, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose,
+        np.zeros((count, 2)), zeros, np.full(count, 2.0), np.full(count, 0.03), start, other, places, heard, zeros,
+        zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), twists,
+        np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0], (count, 1)), np.array([0.0, 0.0, 5.0, 5.0]), deviation,
+        np.zeros(count, np.int64), *np.empty((5, barrier.MAX_ROWS)),
     )  # fmt: skip
-    return twists
+    return np.hstack([twists, deviation])
 
 
 @given(seeds)
 @settings(max_examples=30, deadline=None)
 def test_filtered_twists_close_no_gap_faster_than_allowed(seed: int) -> None:
-    twists = _guard(seed, guard)
+    twists = _guard(seed, guard)[:, :2]
     rng = np.random.default_rng(seed)
     pose = np.concatenate([rng.uniform(0.5, 4.5, (6, 2)), rng.uniform(-3, 3, (6, 1))], axis=1)
     velocity = twists[:, :1] * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,12 +11,13 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from fullswarm.core.centralised import formation, teleop, voronoi
-from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
+from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
+from fullswarm.core.centralised.joint_layout import Arena
 from fullswarm.core.centralised.law import Array, Memory
 from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, RobotStates
 from fullswarm.store import Store
-from tests.unit.core_swarm import KEYS, Swarm
+from tests.unit.core_swarm import KEYS, Swarm, fresh
 
 TURN = np.array([3.0, 4.25])
 
@@ -249,11 +249,7 @@ class Drivers:
                 self.swarm.bus.publish(KEYS.state("all", robot), states)
 
 
-@pytest.fixture
-def swarm() -> Iterator[Swarm]:
-    made = Swarm()
-    yield made
-    made.close()
+swarm = pytest.fixture(fresh)
 
 
 TARGETS: list[float | list[float]] = [[8.0, 8.0], [2.0, 2.0], [2.0, 5.0]]

@@ -68,8 +68,10 @@ def box_gap(x: float, y: float, obstacles: Array, row: int) -> tuple[float, floa
 
 
 @kernel
-def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: int) -> tuple[float, float]:
-    """Find the velocity nearest to the wish with ``normals[k]·u <= limits[k]`` for all k < count.
+def project(
+    wish_x: float, wish_y: float, normal_x: Array, normal_y: Array, limits: Array, count: int
+) -> tuple[float, float]:
+    """Find the velocity nearest to the wish with ``normal[k]·u <= limits[k]`` for all k < count.
 
     All limits are >= 0, so zero is always allowed and the answer is never faster than the wish. Half-planes are
     taken one after the other; where the answer so far violates one, the new answer lies on its border: a problem
@@ -78,22 +80,27 @@ def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: 
     x = wish_x
     y = wish_y
     for k in range(count):
-        nx = normals[k, 0]
-        ny = normals[k, 1]
-        if nx * x + ny * y <= limits[k] + 1e-12:
+        nx = normal_x[k]
+        ny = normal_y[k]
+        limit = limits[k]
+        if nx * x + ny * y <= limit + 1e-12:
             continue
         along = -ny * wish_x + nx * wish_y
         low = -math.inf
         high = math.inf
-        base_x = limits[k] * nx
-        base_y = limits[k] * ny
+        base_x = limit * nx
+        base_y = limit * ny
         for j in range(k):
-            slope = -ny * normals[j, 0] + nx * normals[j, 1]
-            room = limits[j] - (normals[j, 0] * base_x + normals[j, 1] * base_y)
+            other_x = normal_x[j]
+            other_y = normal_y[j]
+            slope = -ny * other_x + nx * other_y
+            room = limits[j] - (other_x * base_x + other_y * base_y)
             if slope > 1e-12:
-                high = min(high, room / slope)
+                most = room / slope
+                high = most if most < high else high
             elif slope < -1e-12:
-                low = max(low, room / slope)
+                least = room / slope
+                low = least if least > low else low
             elif room < -1e-12:
                 return 0.0, 0.0
         if low > high + 1e-9:
@@ -109,7 +116,7 @@ def project(wish_x: float, wish_y: float, normals: Array, limits: Array, count: 
 def half_planes(
     x: float, y: float, reach_m: float, clearance_m: float, unsure_m: float, gain: float, speed_limit: float,
     start: int, end: int, other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array,
-    bounds_m: Array, normals: Array, limits: Array, blur: Array, room: Array,
+    bounds_m: Array, normal_x: Array, normal_y: Array, limits: Array, blur: Array, room: Array,
 ) -> int:  # fmt: skip
     """Collect one robot's constraints; return how many there are, -1 when the robot must not move at all.
 
@@ -120,14 +127,15 @@ def half_planes(
     ----------
     clearance_m, unsure_m : radius plus margin; how far the robot may be from (x, y)
     places, spread_m, blur_m : see :func:`fullswarm.agent.pairs.predict`
-    normals, limits : out, ``normals[k]·u <= limits[k]``, limits >= 0
+    normal_x, normal_y, limits : out, ``normal[k]·u <= limits[k]``, limits >= 0
     blur : out, by how much the true direction may differ from the normal
     room : out, m that the robot may use up towards there, >= 0: inside the clearance it may stand or leave
     """
     count = 0
     clearance_m += unsure_m
     binding_m = speed_limit / gain
-    blur_share = 2.0 * binding_m / clearance_m
+    twice_m = 2.0 * binding_m
+    blur_share = twice_m / clearance_m
     for edge in range(start, end):
         row = other[edge]
         dx = places[row, 0] - x
@@ -135,7 +143,7 @@ def half_planes(
         squared = dx * dx + dy * dy
         far_off = blur_m[row] + unsure_m
         closest_m = clearance_m + heard[row, 5] + spread_m[row]
-        reach = closest_m + 2.0 * binding_m + blur_share * far_off
+        reach = closest_m + twice_m + blur_share * far_off
         if squared > reach * reach:
             continue
         distance = math.sqrt(squared)
@@ -145,10 +153,11 @@ def half_planes(
         if share * distance < binding_m * (distance + far_off):
             if count == MAX_ROWS:
                 return -1
-            normals[count, 0] = dx / distance
-            normals[count, 1] = dy / distance
-            room[count] = max(0.0, share)
-            limits[count] = gain * room[count]
+            left_m = share if share > 0.0 else 0.0
+            normal_x[count] = dx / distance
+            normal_y[count] = dy / distance
+            room[count] = left_m
+            limits[count] = gain * left_m
             blur[count] = far_off / distance
             count += 1
     for row in range(obstacles.shape[0]):
@@ -159,8 +168,8 @@ def half_planes(
         if gap < reach_m and gap - clearance_m < binding_m:
             if count == MAX_ROWS:
                 return -1
-            normals[count, 0] = nx
-            normals[count, 1] = ny
+            normal_x[count] = nx
+            normal_y[count] = ny
             room[count] = max(0.0, gap - clearance_m)
             limits[count] = gain * room[count]
             blur[count] = 0.0
@@ -175,8 +184,8 @@ def half_planes(
         if to_edge < binding_m:
             if count == MAX_ROWS:
                 return -1
-            normals[count, 0] = sign if horizontal else 0.0
-            normals[count, 1] = 0.0 if horizontal else sign
+            normal_x[count] = sign if horizontal else 0.0
+            normal_y[count] = 0.0 if horizontal else sign
             room[count] = max(0.0, to_edge)
             limits[count] = gain * room[count]
             blur[count] = 0.0
@@ -186,16 +195,19 @@ def half_planes(
 
 @kernel
 def interval(
-    heading: float, low: float, high: float, normals: Array, limits: Array, blur: Array, count: int
-) -> tuple[float, float]:
-    """Narrow the interval of speeds along `heading` to what the half-planes allow; zero stays in it."""
-    cos_heading = math.cos(heading)
-    sin_heading = math.sin(heading)
+    ahead_x: float, ahead_y: float, low: float, high: float, normal_x: Array, normal_y: Array, limits: Array,
+    blur: Array, count: int,
+) -> tuple[float, float]:  # fmt: skip
+    """Narrow the interval of speeds along (ahead_x, ahead_y) to what the half-planes allow; zero stays in it."""
     for k in range(count):
-        slope = normals[k, 0] * cos_heading + normals[k, 1] * sin_heading
+        slope = normal_x[k] * ahead_x + normal_y[k] * ahead_y
         # The other may be a little to the side of where it is believed to be: the worse direction counts.
-        if slope + blur[k] > 1e-9:
-            high = min(high, limits[k] / (slope + blur[k]))
-        if slope - blur[k] < -1e-9:
-            low = max(low, limits[k] / (slope - blur[k]))
+        ahead = slope + blur[k]
+        if ahead > 1e-9:
+            most = limits[k] / ahead
+            high = min(high, most)
+        behind = slope - blur[k]
+        if behind < -1e-9:
+            least = limits[k] / behind
+            low = max(low, least)
     return low, high

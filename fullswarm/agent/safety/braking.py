@@ -60,7 +60,7 @@ def fastest(angle: float, now: float, most: float, period_s: float) -> float:
 
 @kernel
 def free_fan(
-    heading: float, distance: float, normals: Array, room: Array, blur: Array, count: int
+    heading: float, distance: float, normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int
 ) -> tuple[float, float]:
     """Return by how much the robot may turn to the left and to the right while it goes `distance` and stops.
 
@@ -79,17 +79,17 @@ def free_fan(
     for k in range(count):
         if distance * (1.0 + blur[k]) <= room[k] + SLACK_M:
             continue
+        nx = normal_x[k]
+        ny = normal_y[k]
         steepest = (room[k] + SLACK_M) / distance - blur[k]
         cos_heading = math.cos(heading)
         sin_heading = math.sin(heading)
-        if steepest < -1.0 or normals[k, 0] * cos_heading + normals[k, 1] * sin_heading > steepest:
+        slope = nx * cos_heading + ny * sin_heading
+        if steepest < -1.0 or slope > steepest:
             return -1.0, -1.0
         # Headings nearer to the normal than `near` are forbidden.
         near = math.acos(min(steepest, 1.0))
-        side = math.atan2(
-            cos_heading * normals[k, 1] - sin_heading * normals[k, 0],
-            cos_heading * normals[k, 0] + sin_heading * normals[k, 1],
-        )
+        side = math.atan2(cos_heading * ny - sin_heading * nx, slope)
         other_side = 2.0 * math.pi - math.fabs(side)
         left = min(left, (side if side >= 0.0 else other_side) - near)
         right = min(right, (-side if side < 0.0 else other_side) - near)
@@ -99,10 +99,10 @@ def free_fan(
 @kernel
 def fitting_turn(
     heading: float, distance: float, turn: float, turn_now: float, turn_accel: float, period_s: float,
-    normals: Array, room: Array, blur: Array, count: int,
+    normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int,
 ) -> tuple[float, bool]:  # fmt: skip
     """Return the turn rate nearest to `turn` that :func:`free_fan` leaves, and whether there is one at all."""
-    left, right = free_fan(heading, distance, normals, room, blur, count)
+    left, right = free_fan(heading, distance, normal_x, normal_y, room, blur, count)
     if left < 0.0:
         return turn, False
     fastest_left = math.inf
@@ -119,7 +119,7 @@ def fitting_turn(
 @kernel
 def stoppable(
     heading: float, speed: float, turn: float, speed_now: float, turn_now: float, accel: float, turn_accel: float,
-    period_s: float, normals: Array, room: Array, blur: Array, count: int,
+    period_s: float, normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int,
 ) -> tuple[float, float, bool]:  # fmt: skip
     """Return the speed and turn rate for the next period, and False when not even braking fits into the room.
 
@@ -136,7 +136,7 @@ def stoppable(
         return speed, turn, True
     ahead = heading if then > 0.0 or (then == 0.0 and speed_now > 0.0) else heading + math.pi
     fitting, fits = fitting_turn(
-        ahead, distance, turn_then, turn_now, turn_accel, period_s, normals, room, blur, count
+        ahead, distance, turn_then, turn_now, turn_accel, period_s, normal_x, normal_y, room, blur, count
     )  # fmt: skip
     if fits and fitting == turn_then:
         return speed, turn, True
@@ -146,7 +146,7 @@ def stoppable(
         return 0.0, turn, True
     ahead = heading if speed_now > 0.0 else heading + math.pi
     fitting, fits = fitting_turn(
-        ahead, distance, turn_then, turn_now, turn_accel, period_s, normals, room, blur, count
+        ahead, distance, turn_then, turn_now, turn_accel, period_s, normal_x, normal_y, room, blur, count
     )  # fmt: skip
     reachable = clamp(fitting, turn_now - turn_step, turn_now + turn_step)
     if fits and math.fabs(reachable - fitting) < 1e-3:

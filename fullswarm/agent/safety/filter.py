@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import structlog
@@ -40,28 +40,28 @@ FEW = 5
 
 @kernel
 def guard(
-    dt_s: float, period_s: float, wished: Array, filtered: Flags, pose: Array, motion: Array, age_s: Array,
-    make: Array, speed_gain: float, turn_gain_per_s: float, gain: Array, margin_m: Array, reach_m: float, start: Index,
-    other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array, bounds_m: Array,
-    twists: Array, deviation: Array, verdict: Index, normals: Array, limits: Array,
-    blur: Array, room: Array,
+    now_s: float, dt_s: float, period_s: float, speed_gain: float, turn_gain_per_s: float, reach_m: float,
+    wished: Array, filtered: Flags, pose: Array, motion: Array, stamp_s: Array, gain: Array, margin_m: Array,
+    start: Index, other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array,
+    twists: Array, make: Array, bounds_m: Array, deviation: Array, verdict: Index, normal_x: Array, normal_y: Array,
+    limits: Array, blur: Array, room: Array,
 ) -> int:  # fmt: skip
     """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
     Parameters
     ----------
     dt_s, period_s : since the last call; how long the answer is in force
+    reach_m : obstacles farther than this are not sensed
     wished : (n, 2) m/s, world frame; NaN: no such wish, the robot's twist in `twists` is the wish
     filtered : (n,) behind the filter or straight through the paper's map
-    pose, motion, age_s : (n, 3), (n, 2) m/s and rad/s, (n,): as measured, and how old that is
-    make : (n, 6) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration
+    pose, motion, stamp_s : (n, 3), (n, 2) m/s and rad/s, (n,): as measured, and when
     gain, margin_m : (n,) γ in 1/s and the gap to keep
-    reach_m : obstacles farther than this are not sensed
     start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.pairs`)
     obstacles, bounds_m : (k, 6) rounded boxes; (4,) x_min, y_min, x_max, y_max
     twists : (n, 2) in and out, m/s and rad/s
-    deviation, verdict : (n, 2), (n,) out, see :class:`SafetyFilter`
-    normals, limits, blur, room : room for one robot's constraints
+    make : (n, 6) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration
+    deviation, verdict : (n, 4), (n,) out, see :class:`SafetyFilter`; the vector is old where there is no deviation
+    normal_x, normal_y, limits, blur, room : room for one robot's constraints
 
     Returns
     -------
@@ -88,30 +88,38 @@ def guard(
                 verdict[i] = 0
                 deviation[i, 0] = 0.0
             continue
+        x = pose[i, 0]
+        y = pose[i, 1]
         heading = pose[i, 2]
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
         accel = make[i, 4]
+        age = now_s - stamp_s[i]
         count = 0
         why = 0
-        if not math.isfinite(pose[i, 0] + pose[i, 1] + heading + speed_now + turn_now + age_s[i]):
+        if not math.isfinite(x + y + heading + speed_now + turn_now + age):
             why = 2
         else:
             # Where it has got to since it was measured: it may have sped up or turned, too.
-            age = max(age_s[i], 0.0)
+            age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
             count = half_planes(
-                pose[i, 0], pose[i, 1], reach_m, make[i, 0] + margin_m[i], unsure_m, gain[i], top, start[i],
-                start[i + 1], other, places, heard, spread_m, blur_m, obstacles, bounds_m, normals, limits, blur, room,
+                x, y, reach_m, make[i, 0] + margin_m[i], unsure_m, gain[i], top, start[i],
+                start[i + 1], other, places, heard, spread_m, blur_m, obstacles, bounds_m, normal_x, normal_y, limits,
+                blur, room,
             )  # fmt: skip
             if count < 0:
                 why = 3
         if why != 0:
             off = math.hypot(ux, uy) if planar else math.fabs(twists[i, 0])
+            deviation[i, 2] = -ux if planar else -twists[i, 0] * math.cos(heading)
+            deviation[i, 3] = -uy if planar else -twists[i, 0] * math.sin(heading)
             twists[i, 0] = 0.0
             twists[i, 1] = 0.0
         else:
             off = 0.0
+            ahead_x = math.cos(heading) if count > 0 else 0.0
+            ahead_y = math.sin(heading) if count > 0 else 0.0
             wish_speed = twists[i, 0]
             speed = wish_speed
             turn = twists[i, 1]
@@ -123,27 +131,31 @@ def guard(
                 wish_x = ux
                 wish_y = uy
                 if count > 0:
-                    ux, uy = project(ux, uy, normals, limits, count)
+                    ux, uy = project(ux, uy, normal_x, normal_y, limits, count)
                     off = math.hypot(ux - wish_x, uy - wish_y)
+                    deviation[i, 2] = ux - wish_x
+                    deviation[i, 3] = uy - wish_y
                 speed, turn = unicycle(ux, uy, heading, speed_gain, turn_gain_per_s)
                 wish_speed = speed
                 if off > 0.0:  # what the unicycle map makes of the wish, without its arctangents
-                    wish_speed = speed_gain * (wish_x * math.cos(heading) + wish_y * math.sin(heading))
+                    wish_speed = speed_gain * (wish_x * ahead_x + wish_y * ahead_y)
             wish_speed = clamp(wish_speed, low, top)
             turn = clamp(turn, -turn_limit, turn_limit)
             if count == 0:
                 speed = wish_speed
             else:
-                low, high = interval(heading, low, top, normals, limits, blur, count)
+                low, high = interval(ahead_x, ahead_y, low, top, normal_x, normal_y, limits, blur, count)
                 speed, turn, fits = stoppable(
                     heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, make[i, 5], period_s,
-                    normals, room, blur, count,
+                    normal_x, normal_y, room, blur, count,
                 )  # fmt: skip
-                if not fits:
-                    why = 4
+                why = 0 if fits else 4
                 step = accel * period_s
-                slower = math.fabs(towards(speed_now, wish_speed, step) - towards(speed_now, speed, step))
-                off = max(off, slower)
+                faster = towards(speed_now, speed, step) - towards(speed_now, wish_speed, step)
+                if math.fabs(faster) > off:
+                    off = math.fabs(faster)
+                    deviation[i, 2] = faster * ahead_x
+                    deviation[i, 3] = faster * ahead_y
             if why == 0 and off > 1e-6:
                 why = 1
             twists[i, 0] = speed
@@ -156,11 +168,6 @@ def guard(
     return news
 
 
-def plain(array: Any) -> Any:
-    """Return a view that gives Python's own numbers: in plain Python a kernel counts twice as fast with them."""
-    return memoryview(array)
-
-
 class SafetyFilter:
     """The filter of n robots.
 
@@ -169,7 +176,10 @@ class SafetyFilter:
     deviation_m_s : (n,) how far the velocity let through is from the wished one now: the greater of what the
         projection changed and what was taken off the speed along the heading
     deviation_m : (n,) the same added up over time since the start
+    change_m_s : (n, 2) which way: let through minus wished, world frame; old where `deviation_m_s` is zero
     verdict : (n,) FREE, LIMITED, or why it brakes: a key of `EXPLAIN`
+    seen : the neighbours and obstacles of the last tick, as they were given
+    reach_m, bounds_m : how far obstacles are sensed; (4,) the arena
     """
 
     def __init__(
@@ -178,23 +188,28 @@ class SafetyFilter:
     ) -> None:  # fmt: skip
         count = len(descriptions)
         self._ids = ids
-        self._gains, self._period_s, self._reach_m = gains, period_s, reach_m
+        self._gains, self._period_s, self.reach_m = gains, period_s, reach_m
         self._last_s = math.inf
         self._told_s: dict[int, float] = {}
-        deviation = np.zeros((count, 2))
-        self.deviation_m_s, self.deviation_m = deviation[:, 0], deviation[:, 1]
+        self.seen: tuple[tuple[Index, Index], tuple[Array, Array, Array, Array], Array]
+        deviation = np.zeros((count, 4))
+        self.deviation_m_s, self.deviation_m, self.change_m_s = deviation[:, 0], deviation[:, 1], deviation[:, 2:]
         self.verdict = np.zeros(count, np.int64)
-        self._make = np.column_stack(
+        make = np.column_stack(
             (
                 [each.radius_m for each in descriptions], speed_limit, np.where(reverse, -speed_limit, 0.0), turn_limit,
                 [each.limits.accel_m_s2 for each in descriptions],
                 [each.limits.turn_accel_rad_s2 for each in descriptions],
             )
         )  # fmt: skip
-        scratch = np.empty((MAX_ROWS, 2)), np.empty(MAX_ROWS), np.empty(MAX_ROWS), np.empty(MAX_ROWS)
-        self._out: tuple[Any, ...] = (deviation, self.verdict, *scratch)
-        self._bounds_m = bounds_m
-        self._plain = (plain(self._make), plain(bounds_m), tuple(map(plain, self._out)))
+        scratch = np.empty((5, MAX_ROWS))
+        self.bounds_m = bounds_m
+        shared: tuple[Any, ...] = (make, bounds_m, deviation, self.verdict)
+        self._own: tuple[Any, ...] = (*shared, *scratch)
+        # Views give Python's own numbers, and lists do so faster still: a kernel in plain Python takes half the time.
+        self._plain: tuple[Any, ...] = (*(memoryview(each) for each in shared), *scratch.tolist())
+        self._given: tuple[Any, ...] = ()
+        self._views: list[Any] = []
 
     def apply(
         self, now_s: float, wished: Array, filtered: Flags, pose: Array, motion: Array, stamp_s: Array,
@@ -211,17 +226,12 @@ class SafetyFilter:
         """
         dt_s = clamp(now_s - self._last_s, 0.0, LONGEST_S)
         self._last_s = now_s
-        given: tuple[Any, ...] = (wished, filtered, pose, motion, now_s - stamp_s)
-        settings: tuple[Any, ...] = (gain, margin_m)
-        neighbours: tuple[Any, ...] = (*near, *heard, obstacles)
-        make, bounds_m, out = self._make, self._bounds_m, self._out
-        if guard.run is guard.plain:
-            make, bounds_m, out = self._plain
-            given, settings = tuple(map(plain, given)), tuple(map(plain, settings))
-            neighbours, twists = tuple(map(plain, neighbours)), plain(twists)
-        columns = (*given, make, *self._gains, *settings, self._reach_m, *neighbours, bounds_m, twists, *out)
-        run: Any = guard.run
-        if run(dt_s, self._period_s, *columns):
+        self.seen = near, heard, obstacles
+        given: Any = (wished, filtered, pose, motion, stamp_s, gain, margin_m, *near, *heard, obstacles, twists)
+        own, run = self._own, cast(Any, guard.run)
+        if run is guard.plain:
+            given, own = self._viewed(given), self._plain
+        if run(now_s, dt_s, self._period_s, *self._gains, self.reach_m, *given, *own):
             self._tell(now_s)
 
     def note(self, row: int) -> str:
@@ -236,6 +246,17 @@ class SafetyFilter:
             notes[row] = self.note(row)
         total: list[float] = self.deviation_m.tolist()
         return now, total, notes
+
+    def _viewed(self, given: tuple[Any, ...]) -> list[Any]:
+        """Return views of the arrays given; most are the same in each tick, and a new view costs more than a look."""
+        if not self._given:
+            self._views = [memoryview(array) for array in given]
+        else:
+            for place, array in enumerate(given):
+                if array is not self._given[place]:
+                    self._views[place] = memoryview(array)
+        self._given = given
+        return self._views
 
     def _tell(self, now_s: float) -> None:
         """Log who brakes and why, each reason not again before `QUIET_S` have passed: in a crowd it is often so."""

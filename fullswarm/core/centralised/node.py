@@ -12,7 +12,8 @@ import structlog
 
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
-from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
+from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
+from fullswarm.core.centralised.joint_layout import Arena
 from fullswarm.core.centralised.law import Array, Index, Law, Memory, law, number
 from fullswarm.errors import FullswarmError
 from fullswarm.geometry import clamp, unicycle
