@@ -9,12 +9,17 @@ ALL = (
     ("benchmarks.lockstep",),
     ("benchmarks.bus", "--seconds", "5"),
     ("benchmarks.latency",),
+    ("benchmarks.joystick",),
+    ("benchmarks.console", "--seconds", "3"),
+    ("benchmarks.console_page", "--seconds", "8"),
     ("benchmarks.swarm",),
     ("benchmarks.estop",),
     ("benchmarks.filter",),
     ("benchmarks.create",),
     ("benchmarks.mavlink",),
     ("benchmarks.can_bus",),
+    ("benchmarks.agent_start",),
+    ("benchmarks.release",),
 )
 
 

@@ -13,39 +13,46 @@ import argparse
 import json
 import random
 import socket
-import struct
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import zenoh
 
+from benchmarks.beside_hop import (
+    HOP,
+    HOP_KEY,
+    PADDING,
+    STAMP,
+    TWIST,
+    Figures,
+    Logged,
+    compared,
+    patient_config,
+    ratio,
+    rows,
+    spread,
+    swarm_processes,
+)
 from fullswarm.bus import Bus
 from fullswarm.bus.session import client_config
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes, processes
-from fullswarm.launch.demo import on_free_ports
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.messages import BehaviourRequest, ControlRequest
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime
 
-STAMP = struct.Struct("<Bdd")  # which, value, seconds
-HOP, TWIST, DECIDED = 0, 1, 2
-HOP_KEY = "benchmark/hop"
+DECIDED = 2
+OURS = "request to twist"
 RATE_HZ = 20.0
 SETTLE_S = 1.0
 """A core that connects after the robot hears of it with the robot's next report; requests before that wait."""
-PADDING = bytes(160)
-"""Makes the bare message as long as an encoded request."""
 
 
 class StampingDriver:
@@ -113,20 +120,18 @@ def serve_hop(endpoint: str, port: int) -> None:
         _, value, _ = STAMP.unpack_from(sample.payload.to_bytes())
         out.sendto(STAMP.pack(HOP, value, now_s), ("127.0.0.1", port))
 
-    settings = client_config(endpoint, multicast=False)
-    settings.insert_json5("connect/timeout_ms", "-1")  # the hub may still be starting
-    with zenoh.open(settings) as session:
+    with zenoh.open(patient_config(endpoint)) as session:
         session.declare_subscriber(HOP_KEY, zenoh.handlers.Callback(received, indirect=False))
         sys.stdin.read()
 
 
-def measure(seconds: float) -> dict[str, dict[str, float]]:
+def measure(seconds: float) -> Figures:
     """Run everything; return p50, p99 and count in µs for the hop, the request and their ratio."""
     config = on_free_ports(SwarmConfig.model_validate({"robot": [{"id": "r1", "driver": "null://r1"}]}))
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind(("127.0.0.1", 0))
     port = listener.getsockname()[1]
-    arrived: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}}
+    arrived: Logged = {HOP: {}, TWIST: {}}
 
     def collect() -> None:
         while True:
@@ -137,39 +142,20 @@ def measure(seconds: float) -> dict[str, dict[str, float]]:
 
     collector = threading.Thread(target=collect, daemon=True)
     collector.start()
-    with tempfile.TemporaryDirectory() as folder:
-        fleet = Path(folder) / "fleet.toml"
-        write_swarm(config, fleet)
-        own = [sys.executable, "-m", "benchmarks.latency"]
-        tool = [sys.executable, "-m", "fullswarm"]
-        commands = [
-            [*tool, "hub", "--listen", config.hub.endpoint],
-            [*tool, "core", "--fleet", str(fleet)],
-            [*own, "--agent", str(fleet), "--port", str(port)],
-            [*own, "--hop", config.hub.endpoint, "--port", str(port)],
-        ]
-        children = [subprocess.Popen(command, stdin=subprocess.PIPE) for command in commands]
-        try:
-            sent = _send(config, seconds)
-        finally:
-            for child in reversed(children):
-                child.terminate()
-            for child in children:
-                child.wait()
-                if child.stdin:
-                    child.stdin.close()
+    with swarm_processes(config, port):
+        sent = _send(config, seconds)
     socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(STAMP.pack(9, 0, 0), ("127.0.0.1", port))
     collector.join()
     listener.close()
     return _evaluate(sent, arrived)
 
 
-def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
+def _send(config: SwarmConfig, seconds: float) -> Logged:
     mailbox = Mailbox()
     runtime = Runtime(MonotonicClock(), mailbox)
     bus, keys = ZenohBus(mailbox, hub=config.hub.endpoint), Keys(config.swarm)
     view = FleetView(bus, keys, runtime, ("r1",))
-    sent: dict[int, dict[float, float]] = {HOP: {}, TWIST: {}, DECIDED: {}}
+    sent: Logged = {HOP: {}, TWIST: {}, DECIDED: {}}
 
     def decided(request: ControlRequest) -> None:
         if request.enable:
@@ -218,27 +204,12 @@ def _send(config: SwarmConfig, seconds: float) -> dict[int, dict[float, float]]:
     return sent
 
 
-def _evaluate(
-    sent: dict[int, dict[float, float]], arrived: dict[int, dict[float, float]]
-) -> dict[str, dict[str, float]]:
-    figures: dict[str, dict[str, float]] = {}
-    for which, name in ((HOP, "bare hop"), (TWIST, "request to twist")):
-        times_s = [arrived[which][value] - at_s for value, at_s in sent[which].items() if value in arrived[which]]
-        late = np.array(times_s[len(times_s) // 10 :]) * 1e6  # the first tenth warms up
-        figures[name] = {
-            "p50_us": float(np.percentile(late, 50)),
-            "p99_us": float(np.percentile(late, 99)),
-            "arrived": len(times_s),
-            "sent": len(sent[which]),
-        }
+def _evaluate(sent: Logged, arrived: Logged) -> Figures:
     legs_s = [(sent[DECIDED][v] - at, arrived[TWIST][v] - sent[DECIDED][v]) for v, at in sent[TWIST].items()
               if v in sent[DECIDED] and v in arrived[TWIST]]  # fmt: skip
-    for leg, name in enumerate(("publish to decided", "decided to twist")):
-        late = np.array([each[leg] for each in legs_s[len(legs_s) // 10 :]]) * 1e6
-        figures[name] = {"p50_us": float(np.percentile(late, 50)), "p99_us": float(np.percentile(late, 99))}
-    hop, ours = figures["bare hop"], figures["request to twist"]
-    figures["ratio"] = {name: ours[name] / hop[name] for name in ("p50_us", "p99_us")}
-    return figures
+    names = ("publish to decided", "decided to twist")
+    legs = {name: spread([each[leg] for each in legs_s]) for leg, name in enumerate(names)}
+    return compared(sent, arrived, OURS) | legs
 
 
 def main() -> None:
@@ -259,14 +230,11 @@ def main() -> None:
         if options.json:
             print(json.dumps(figures, indent=2))
             return
-        for name in ("bare hop", "request to twist"):
-            row = figures[name]
-            print(f"{name:18} p50 {row['p50_us']:7.0f} µs   p99 {row['p99_us']:7.0f} µs   {row['arrived']:.0f} of "
-                  f"{row['sent']:.0f} arrived")  # fmt: skip
+        for line in rows(figures, OURS):
+            print(line)
         for name in ("publish to decided", "decided to twist"):
             print(f"  {name:18} p50 {figures[name]['p50_us']:5.0f} µs   p99 {figures[name]['p99_us']:7.0f} µs")
-        ratio = figures["ratio"]
-        print(f"ratio              p50 {ratio['p50_us']:7.2f}      p99 {ratio['p99_us']:7.2f}      (target 3)")
+        print(f"{ratio(figures)}      (target 3)")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,14 @@ key                                                     message                w
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → everybody
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
+``<swarm>/lease/request``                               LeaseRequest           operator → core
+``<swarm>/lease/holders``                               Leases                 core → everybody
+``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            anybody → agents, core
 ``<swarm>/estop``                                       EStop                  anybody → agents, core
 ``<swarm>/estop/receipt/<id>``                          EStopReceipt           agent → everybody
+``<swarm>/robot/<id>/ping``                             Ping                   anybody → agent
+``<swarm>/robot/<id>/pong``                             Ping                   agent → anybody
 ``<swarm>/measurement/<metric>/<host>``                 …Measurement           calculator → summarizer
 ``<swarm>/summary/<metric>``                            Summary                summarizer → performance node
 ``<swarm>/params/<layer>/request``                      ParamRequest           anybody → a layer's database
@@ -32,7 +37,7 @@ import math
 from dataclasses import dataclass
 
 from fullswarm.errors import ConfigError
-from fullswarm.messages import ROBOT_ID
+from fullswarm.words import ROBOT_ID
 
 ANY = "*"
 
@@ -100,6 +105,20 @@ class Keys:
         return f"{self.swarm}/heartbeat/{node}"
 
     @property
+    def lease_request(self) -> str:
+        """Who wants to drive which robots."""
+        return f"{self.swarm}/lease/request"
+
+    @property
+    def leases(self) -> str:
+        """Who drives which robots."""
+        return f"{self.swarm}/lease/holders"
+
+    def intervention(self, host: str = ANY) -> str:
+        """What the safety filter changes."""
+        return f"{self.swarm}/intervention/{host}"
+
+    @property
     def stop(self) -> str:
         """Stand still."""
         return f"{self.swarm}/stop"
@@ -112,6 +131,14 @@ class Keys:
     def estop_receipt(self, robot: str = ANY) -> str:
         """Who has stopped."""
         return f"{self.swarm}/estop/receipt/{robot}"
+
+    def ping(self, robot: str = ANY) -> str:
+        """Asks a robot whether it is there."""
+        return f"{self.swarm}/robot/{robot}/ping"
+
+    def pong(self, robot: str = ANY) -> str:
+        """It is."""
+        return f"{self.swarm}/robot/{robot}/pong"
 
     def measurement(self, metric: str = ANY, host: str = ANY) -> str:
         """Results of the calculators."""

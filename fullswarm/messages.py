@@ -1,22 +1,17 @@
 """Every message on the wire: typed, versioned, immutable. SI units, radians, ENU; stamps are monotonic seconds.
 
-Each struct carries its name and version in the field ``kind`` (``"Command/1"``). A reader refuses an unknown
-version or field instead of guessing. Stamps are read off the sender's monotonic clock: they order the messages
-of one sender; ages are measured by the receiver from the moment of arrival.
+Each struct carries its name and version in the field ``kind`` (``"Command/1"``). A reader refuses an unknown version
+or field instead of guessing. Stamps order the messages of one sender; the receiver measures ages from the arrival.
 """
 
 from __future__ import annotations
 
-import re
 from typing import Literal
 
 import msgspec
 
 Value = bool | int | float | str | list[float | list[float]]
 """A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points."""
-
-STOPPED_BY = "it was stopped by"
-"""How the reason of a robot begins that stands because somebody asked for that: no cause for alarm."""
 
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
 
@@ -30,14 +25,16 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 # ---------------------------------------------------------------- operator <-> core
-class BehaviourRequest(Message, frozen=True, kw_only=True):
+class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/2"):
     """An operator asks for a behaviour (paper II.B). Sent again until answered; `id` makes it exactly-once."""
 
     id: str
     behaviour: str
-    robots: tuple[str, ...] = ()  # empty: the whole swarm
+    robots: tuple[str, ...] = ()  # empty: the whole swarm; "@name": a group of the core's database
     parameters: dict[str, Value] = {}
-    source: str = ""  # who asks: "cli@host:pid"
+    source: str = ""  # which process asks: "cli@host:pid"; its stamps order its requests
+    operator: str = ""  # in whose name, for leases: "anna@lab1"
+    take: bool = False  # take the robots over from who holds them
     stamp_s: float = 0.0
 
 
@@ -63,6 +60,32 @@ class StopRequest(Message, frozen=True, kw_only=True):
     source: str = ""
 
 
+class LeaseRequest(Message, frozen=True, kw_only=True):
+    """An operator takes, keeps or gives back the authority over robots. Said again each second while it is held."""
+
+    operator: str
+    robots: tuple[str, ...]
+    hold: bool  # False: give back what `operator` holds of them
+    take: bool = False  # also from who holds them now
+
+
+class Lease(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Who drives a robot; part of Leases."""
+
+    robot: str
+    operator: str
+    age_s: float  # since it was granted
+    taken_from: str = ""  # who held it before and did not give it back
+
+
+class Leases(Message, frozen=True, kw_only=True):
+    """All leases there are, on change and each second. A robot without one obeys every operator."""
+
+    leases: tuple[Lease, ...]
+    core: str = ""  # which core process
+    sequence: int = 0
+
+
 class EStop(Message, frozen=True, kw_only=True):
     """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act."""
 
@@ -81,6 +104,13 @@ class EStopReceipt(Message, frozen=True, kw_only=True):
     engaged: bool
     rolled_m: float = 0.0  # from the order's arrival until standing
     standing: bool = False
+
+
+class Ping(Message, frozen=True, kw_only=True):
+    """Sent back by the robot's agent at once, as its pong; nothing else comes of it."""
+
+    id: str
+    robot: str
 
 
 # ---------------------------------------------------------------- core -> agents
@@ -197,6 +227,20 @@ class RobotStates(Message, frozen=True, kw_only=True):
     speed_m_s: tuple[float, ...]
     turn_rad_s: tuple[float, ...]
     radius_m: tuple[float, ...]
+
+
+class Interventions(Message, frozen=True, kw_only=True):
+    """What the safety filter changes now, 5 Hz while it changes anything, then once empty. Columns of equal length.
+
+    Velocity let through minus velocity wished, world frame; `reasons` says what it keeps clear of.
+    """
+
+    host: str
+    robots: tuple[str, ...] = ()
+    x_m_s: tuple[float, ...] = ()
+    y_m_s: tuple[float, ...] = ()
+    reasons: tuple[str, ...] = ()
+    stamp_s: float = 0.0
 
 
 class SeenObstacles(Message, frozen=True, kw_only=True):
@@ -352,11 +396,3 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 
     layer: str
     entry: ParamEntry
-
-
-# ---------------------------------------------------------------- names
-TRUTH = "truth"
-"""The host of a supervisory process that measures the true bodies (paper II.F.1); no robot may be called so."""
-
-ROBOT_ID = re.compile(r"[A-Za-z0-9_-]{1,64}\Z")
-"""What a robot id, a swarm name or a behaviour name may look like: one plain chunk of a key."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.metadata
+import importlib.util
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 from urllib.parse import urlsplit
@@ -90,6 +92,24 @@ def driver_schemes() -> tuple[str, ...]:
 def law_names() -> tuple[str, ...]:
     """Return the names of all laws on board, plug-ins included."""
     return (*LAWS, *_entry_point_names(BEHAVIOUR_GROUP, LAWS))
+
+
+def record_files() -> tuple[Path, ...]:
+    """Return the record files of outside behaviours: ``<law>.toml`` beside the law's module, if there is one.
+
+    Finding them imports no law, so that a computer without a law's libraries can still be the core.
+    """
+    files = []
+    for name in _entry_point_names(BEHAVIOUR_GROUP, LAWS):
+        module = (_entry_point(BEHAVIOUR_GROUP, name) or "").partition(":")[0]
+        try:
+            spec = importlib.util.find_spec(module)
+        except (ImportError, ValueError):
+            continue  # half uninstalled: its robot says so when it is asked for
+        file = Path(spec.origin).with_suffix(".toml") if spec and spec.origin else None
+        if file is not None and file.is_file():
+            files.append(file)
+    return tuple(dict.fromkeys(files))
 
 
 def _entry_point(group: str, name: str) -> str | None:

@@ -26,6 +26,9 @@ LATE_S = 0.001
 LONGEST_WAIT_S = 0.25
 """The kernel may hand a signal to a thread of the bus; Python then acts on it only when this thread wakes up."""
 
+AT_ONCE = 256
+"""Messages that one call of :meth:`Runtime.serve_due` delivers at most."""
+
 Handler = Callable[[Any], None]
 
 
@@ -38,6 +41,8 @@ class Mailbox:
     """
 
     def __init__(self) -> None:
+        self.on_put: Callable[[], None] | None = None
+        """Called after each :meth:`put`, on the thread that puts: wakes a loop that waits for something else, too."""
         self._queue: queue.SimpleQueue[tuple[Handler, Any]] = queue.SimpleQueue()
         self._waiting = 0
         self._count = threading.RLock()  # reentrant: a signal handler may put while its own thread puts
@@ -50,6 +55,8 @@ class Mailbox:
         with self._count:
             self._waiting += 1
         self._queue.put((handler, message))
+        if self.on_put is not None:
+            self.on_put()
 
     def run_now(self, handler: Handler, message: Any) -> bool:
         """Run `handler` on this thread if the runtime is waiting and nothing is queued; else return False.
@@ -71,10 +78,10 @@ class Mailbox:
     def _empty(self) -> bool:
         return self._waiting == 0
 
-    def drain(self) -> int:
-        """Deliver all that is there, and what that causes; return how many."""
+    def drain(self, most: int | None = None) -> int:
+        """Deliver all that is there, and what that causes, but not more than `most`; return how many."""
         count = 0
-        while not self._queue.empty():
+        while count != most and not self._queue.empty():
             self._handle(*self._queue.get_nowait())
             count += 1
         return count
@@ -227,6 +234,21 @@ class Runtime:
             self._run_simulated(end_s)
         else:
             self._run_live(end_s)
+
+    def serve_due(self) -> float:
+        """Deliver what has come, fire what is due, and return: for a thread that another loop runs on.
+
+        Returns
+        -------
+        float
+            Seconds until it wants to be called again; sooner when :attr:`Mailbox.on_put` says so. 0: there is more.
+        """
+        # Messages first, but a flood of them must neither starve a deadline nor the other loop.
+        more = self.mailbox.drain(most=AT_ONCE) == AT_ONCE
+        self._fire_due()
+        if more:
+            return 0.0
+        return max(0.0, self._timers[0][0] - self.now_s()) if self._timers else LONGEST_WAIT_S
 
     def _run_simulated(self, end_s: float) -> None:
         clock, mailbox, timers = self.clock, self.mailbox, self._timers

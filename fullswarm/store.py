@@ -1,4 +1,4 @@
-"""A layer's local database (paper II.A): key → JSON value with its author, its time and its whole history.
+"""A layer's local database (paper II.A): key → JSON value with its author, its time and its newest changes.
 
 One SQLite file per layer, or memory. A value that an operator set stays until an operator changes it: seeding
 from the TOML files, at every start, replaces only what the seed itself wrote. The file is in WAL mode, each change
@@ -21,6 +21,9 @@ Stored = Value | dict[str, object] | None
 
 SEED = "seed"
 BUSY_S = 1.0
+CHANGES_KEPT = 100
+"""Of each key. What a core wants of its robots changes with every request: a year of that must not fill the disk, nor
+be read at each start."""
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS history (
@@ -29,6 +32,11 @@ CREATE TABLE IF NOT EXISTS history (
 CREATE INDEX IF NOT EXISTS history_by_key ON history (key, change);
 CREATE TABLE IF NOT EXISTS entry (
     key TEXT PRIMARY KEY, value TEXT NOT NULL, author TEXT NOT NULL, changed REAL NOT NULL) WITHOUT ROWID;
+"""
+
+_FORGET = """
+DELETE FROM history WHERE key = ? AND change <= (
+    SELECT change FROM history WHERE key = ? ORDER BY change DESC LIMIT 1 OFFSET ?);
 """
 
 
@@ -90,14 +98,17 @@ class Store:
         return tuple(row for row in rows if row.value is not None)
 
     def history(self, key: str) -> tuple[ParamEntry, ...]:
-        """Return every change of `key`, oldest first; ``prefix*`` stands for all keys that begin so."""
-        if key.endswith("*"):
-            where, args = "substr(key, 1, ?) = ?", (len(key) - 1, key[:-1])
-        else:
-            where, args = "? AND key = ?", (1, key)
-        # `where` is one of the two literals above.
-        sql = f"SELECT key, value, author, changed FROM history WHERE {where} ORDER BY change"  # noqa: S608
-        return self._query(sql, *args)
+        """Return the newest changes of `key`, oldest first; ``prefix*`` stands for all keys that begin so.
+
+        A key's changes before its last `CHANGES_KEPT` are forgotten.
+        """
+        if not key.endswith("*"):
+            return self._query("SELECT key, value, author, changed FROM history WHERE key = ? ORDER BY change", key)
+        return self._query(
+            "SELECT key, value, author, changed FROM history WHERE substr(key, 1, ?) = ? ORDER BY change",
+            len(key) - 1,
+            key[:-1],
+        )
 
     def set(self, key: str, value: Stored, author: str) -> ParamEntry:
         """Write one value; None takes it away. Returns the new entry."""
@@ -118,6 +129,7 @@ class Store:
             try:
                 self._db.executemany("INSERT INTO history (key, value, author, changed) VALUES (?, ?, ?, ?)", rows)
                 self._db.executemany("INSERT OR REPLACE INTO entry VALUES (?, ?, ?, ?)", rows)
+                self._db.executemany(_FORGET, [(row[0], row[0], CHANGES_KEPT) for row in rows])
             except sqlite3.Error:
                 self._db.execute("ROLLBACK")
                 raise

@@ -104,7 +104,7 @@ class Gauges:
         self._looked_s = now_s
         if self._tasks != agent.tasks.of:
             self._follow()
-        start, other = agent.near
+        start, other = agent.wishes.near(now_s)
         neighbours = agent.neighbours
         gauge.run(
             now_s, dt_s, agent.pose, agent.radius, self._goals, agent.deadlocks.until_s, start, other,

@@ -17,8 +17,9 @@ from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import STOPPED_BY, Command, ControlAck, ControlRequest, EStop, Heartbeat, StopRequest
+from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
 from fullswarm.runtime import Scheduler
+from fullswarm.words import ESTOP_WAS, STOPPED_BY
 
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
@@ -51,15 +52,24 @@ class Inbox:
             bus.subscribe(keys.stop, StopRequest, self._on_stop),
             bus.subscribe(keys.estop, EStop, self._on_estop),
             bus.subscribe(keys.heartbeat("core"), Heartbeat, self._on_heartbeat, latest=True),
+            bus.subscribe(keys.ping(whose), Ping, self._on_ping),
         ]
 
     def core_alive(self, now_s: float) -> bool:
         """Tell whether a core's heartbeat was heard within the configured silence."""
         return self._cores.any_alive(now_s)
 
+    def core_age_s(self, now_s: float) -> float:
+        """Return how long ago a core's heartbeat was heard, in seconds; infinity when none ever was."""
+        return self._cores.age_s(now_s)
+
     def _on_heartbeat(self, beat: Heartbeat) -> None:
         if self._cores.hear(beat.process, self._scheduler.now_s()):
             self._tell_of_stops()
+
+    def _on_ping(self, ping: Ping) -> None:
+        if ping.robot in self._row:
+            self._bus.publish(self._keys.pong(ping.robot), ping)
 
     def _tell_of_stops(self) -> None:
         """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
@@ -199,7 +209,7 @@ class Inbox:
             # not be started by it. Releasing a robot that is not latched stops nobody.
             if order.engaged or self._agent.controller.estop[row]:
                 what = "engaged" if order.engaged else "released"
-                self._halt(row, order.id or "estop", f"its e-stop was {what} by {order.source or 'an operator'}")
+                self._halt(row, order.id or "estop", f"{ESTOP_WAS} {what} by {order.source or 'an operator'}")
         self.estops.carry_out(order, rows, self._scheduler.now_s())
 
     def _halt(self, row: int, order_id: str, why: str) -> None:

@@ -35,6 +35,7 @@ class Neighbours:
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see `pairs.predict`. A robot that
         fell silent stays in them until it is heard again or is out of earshot
     silent : how many of those there are
+    names : (m,) whose row it is
     accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
     halt_s : after how long a silent robot stands, at the latest
     """
@@ -48,6 +49,7 @@ class Neighbours:
         self._newest: dict[str, tuple[int, float]] = {}
         self._now_s, self._stale = 0.0, True
         self.count = 0
+        self.names: list[str] = []
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.heard = np.zeros((0, 6))
@@ -177,6 +179,7 @@ class Neighbours:
         for robot in robots:
             if robot not in self._row_of:
                 self._row_of[robot] = self.count
+                self.names.append(robot)
                 self.count += 1
                 if robot in self._own:
                     self.own_row[self._own.index(robot)] = self._row_of[robot]

@@ -12,23 +12,25 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
-from fullswarm.agent import reports
+from fullswarm.agent import interventions, reports
 from fullswarm.agent.atlas import Atlas, map_of
+from fullswarm.agent.driver_watch import DriverWatch
 from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.gauges import Gauges
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.reflexes import Reflexes, Thresholds
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
+from fullswarm.agent.robot_controller import RobotController
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.tasks import Group, Tasks
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.tasks import Tasks
+from fullswarm.agent.view import Array
+from fullswarm.agent.wishes import Wishes
 from fullswarm.bus.base import Bus
 from fullswarm.bus.counting import CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Fleet, FleetReading, Lifecycle
+from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.keys import Keys
 from fullswarm.messages import RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators
@@ -97,8 +99,7 @@ class AgentNode:
             self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, self._bounds_array,
             (settings.speed_gain, settings.turn_gain_per_s),
         )  # fmt: skip
-        # Robots that sense no obstacles have their map instead.
-        self._sees_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
+        self.interventions = interventions.Reporter(bus, self._keys, scheduler, self)
         self.deadlocks = Deadlocks(fleet.ids)
         self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
         self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
@@ -114,22 +115,16 @@ class AgentNode:
         )
         self.gauges = Gauges(self, config.performance.arrive_radius_m)
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self._drivers = DriverWatch(fleet, self.controller, self.inbox)
+        self.wishes = Wishes(self, settings, self._bounds)
         self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
-        self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
-        self._planar = np.full((count, 2), math.nan)
-        self._driver_ready = np.zeros(count, bool)
-        self._driver_state = Lifecycle.CLOSED
-        self._been_ready = self._engaged = False
         self._applied = np.zeros((count, 2))
         self.pose = start.copy()
         self.twist = np.zeros((count, 2))
         self.reading: FleetReading | None = None
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
-        self._law_errors: set[str] = set()
-        self.law_error = [""] * count
         self.ended = [""] * count
-        self._sequence = 0
-        self._dirty = False
+        self._sequence, self._dirty = 0, False
         fleet.open()
         self._timers = [
             scheduler.every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
@@ -137,6 +132,7 @@ class AgentNode:
             scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
             scheduler.every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+            scheduler.every(interventions.PERIOD_S, self.interventions.tell),
             scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
         ]
 
@@ -190,114 +186,18 @@ class AgentNode:
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         groups = self.tasks.groups()
-        self._near = self._alone
-        if groups or self.tasks.any_filtered:
-            self._wish(groups, now_s, reading)
+        self.wishes.gather(groups, now_s, reading)
         self.reflexes.watch_fence(self.pose, self.twist, self.controller.wished, self._accel)
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
-            self.inbox.core_alive(now_s), self._bus.connected(), self._ready(),
+            self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look(),
             now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
             self.reflexes,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)
-        if self.controller.changed or not self._driver_ready[0]:
+        if self.controller.changed or not self._drivers.ready[0]:
             self._dirty |= self.controller.changed
-            self._end_unsafe_tasks()
-
-    def _end_unsafe_tasks(self) -> None:
-        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
-        reasons = self.controller.reason
-        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
-        for row in np.flatnonzero(ending).tolist():
-            if reasons[row] != Reason.DRIVER:
-                self.inbox.spend(row, EXPLAIN[reasons[row]])
-            elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
-                # Before it was ever ready it has not stopped from anything: a base may be switched on late.
-                self.inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
-
-    def _ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        fleet = self._fleet
-        if len(fleet.ids) == 1:
-            state = fleet.lifecycle(0)
-            self._driver_ready[0] = state in (Lifecycle.READY, Lifecycle.ACTIVE)
-            self._been_ready |= state in (Lifecycle.READY, Lifecycle.ACTIVE)
-            self._watch_engaged(state)
-        else:
-            self._driver_ready[:] = True
-        return self._driver_ready
-
-    def _watch_engaged(self, state: Lifecycle) -> None:
-        """Notice a driver that fell from ACTIVE to READY although nobody let go of it: a fault that came and went."""
-        wished = bool(self.controller.drive_on[0])
-        if self._engaged and wished and state is Lifecycle.READY:
-            self.inbox.spend(0, self._fleet.fault(0) or "the robot stopped driving by itself")
-        # Engaged by the present wish: a driver still standing down from an earlier one will be READY on purpose.
-        fresh = self._engaged or self._driver_state is Lifecycle.READY
-        self._engaged = wished and state is Lifecycle.ACTIVE and fresh
-        self._driver_state = state
-
-    def _wish(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
-        """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
-        settings, pose, neighbours = self._config, self.pose, self.neighbours
-        position = np.ascontiguousarray(pose[:, :2])
-        neighbours.look(now_s)
-
-        self._planar.fill(math.nan)
-        planar = False
-        for group in groups:
-            reach_m = group.hearing_m or settings.sensing_radius_m
-            view = View(
-                position, pose[:, 2], self._radius, partial(neighbours.within, position, reach_m),
-                neighbours.predicted, neighbours.heard, self._bounds, self.atlas.known,
-            )  # fmt: skip
-            whole = len(group.rows) == len(position)
-            planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
-        tasks = self.tasks
-        if not planar and not tasks.any_filtered:
-            return
-        if tasks.any_filtered:
-            # A stick is not turned aside: whoever holds it sees the robot.
-            self.deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self.controller.speed_limit)
-        reach_m = settings.sensing_radius_m
-        self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self._sees_obstacles else self.atlas.given
-        self.filter.apply(
-            now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
-            tasks.margin_m, near, neighbours.believed, obstacles, self.controller.wished,
-        )  # fmt: skip
-
-    def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
-        """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
-
-        Returns
-        -------
-        bool
-            It wishes planar velocities, which have yet to be mapped to twists.
-        """
-        try:
-            wished = group.call(view, group.params)
-            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else np.add.reduce(wished, None)):
-                raise ValueError("the law's answer is not finite")
-        except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
-            self._law_failed(group, error)
-            return False
-        controller = self.controller
-        rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
-        (self._planar if group.planar else controller.wished)[rows] = wished
-        controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
-        controller.law_failed[rows] = False
-        return group.planar
-
-    def _law_failed(self, group: Group, error: Exception) -> None:
-        text = f"law '{group.law}': {type(error).__name__}: {error}"
-        self.controller.law_failed[group.rows] = True
-        for row in group.rows:
-            self.law_error[row] = text
-        if text not in self._law_errors:
-            self._law_errors.add(text)
-            log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)
+            self._drivers.end_unsafe_tasks()
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
@@ -352,14 +252,6 @@ class AgentNode:
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
-    def near(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Who is in sensing range of each robot: ``Neighbours.around``, of the last tick if it was asked then."""
-        if self._near is self._alone and len(self._fleet.ids):
-            self.neighbours.look(self._scheduler.now_s())
-            return self.neighbours.around(np.ascontiguousarray(self.pose[:, :2]), self._config.sensing_radius_m)
-        return self._near
-
-    @property
     def setpoints(self) -> Array:
         """What the drivers applied in the last tick, (n, 2) m/s and rad/s."""
         return self._applied
@@ -378,7 +270,7 @@ class AgentNode:
     @property
     def driver_ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which drivers were READY or ACTIVE at the last tick, (n,)."""
-        return self._driver_ready
+        return self._drivers.ready
 
     def close(self) -> None:
         """Stop all wheels, tell the last of the story, close the drivers."""

@@ -132,7 +132,7 @@ def health(agent: AgentNode, loop: LoopStats, version: str, now_s: float) -> Hea
 
 def _why(agent: AgentNode, row: int, reason: int) -> str:
     if reason == Reason.LAW:
-        return agent.law_error[row]
+        return agent.wishes.law_error[row]
     return agent.ended[row] if reason == Reason.IDLE else EXPLAIN[reason]
 
 

@@ -17,6 +17,7 @@ from fullswarm.agent.reflexes import Reflexes
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
+from fullswarm.words import LAPSED
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -52,7 +53,7 @@ EXPLAIN: dict[int, str] = {
     Reason.LAW: "the law failed",
     Reason.HUB: "the hub is lost",
     Reason.CORE: "the core's heartbeat is silent",
-    Reason.LAPSED: "the operator's intent has run out",
+    Reason.LAPSED: LAPSED,
     Reason.STALE: "no fresh command",
     Reason.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
     Reason.CLOCK: "this computer stood still; what it knows is too old",

@@ -136,7 +136,11 @@ class HubLink:
         if self._closing.is_set():
             raise Unreachable("this bus is closed", where=self.hub)
         if not self._is_up.wait(timeout_s):
-            raise Unreachable("no hub answers", where=self.hub, hint="start one with `fullswarm hub`")
+            raise Unreachable(
+                "no hub answers",
+                where=self.hub,
+                hint="start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub",
+            )
 
     def close(self) -> None:
         """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field, ValidationError
 from fullswarm.config.explain import dotted, explain
 from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
 from fullswarm.config.positions import KeyPath, line_numbers
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, did_you_mean
 
 Table = dict[str, Any]
 S = TypeVar("S", bound=BaseModel)
@@ -77,7 +77,8 @@ def _parse(name: str, text: str) -> Table:
     except tomllib.TOMLDecodeError as error:
         what, at = str(error), _SYNTAX_AT.search(str(error))
         line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
-        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', what)}") from None
+        hint = "is a quote not closed in that line?" if "Illegal character '\\n'" in what else ""
+        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', what)}", hint=hint) from None
     except RecursionError:
         raise ConfigError(f"{name}:1: not valid TOML: nested too deeply") from None
 
@@ -105,7 +106,9 @@ class _Document:
             return
         path = self._write(parts, value)
         if path is None:
-            self._problems.append((0, f"{label}: there is no such place in {self._name}"))
+            robots = [str(each.get("id")) for each in self._data.get("robot", ()) if isinstance(each, dict)]
+            known = f" ({did_you_mean(parts[1], robots)})" if parts[0] == "robot" and len(parts) > 1 else ""
+            self._problems.append((0, f"{label}: there is no such place in {self._name}{known}"))
         else:
             self._overridden[path] = label
 
@@ -136,6 +139,8 @@ class _Document:
         if fleet and fleet.count > 1 and "://" in fleet.driver and not re.search(r"\{(id|n)\}", fleet.driver):
             self._complain(("fleet", "driver"), "is the same for every robot: put {id} or {n} into it")
         self._find_duplicates(data.get("robot"), {each.id: "[fleet]" for each in shorthand})
+        if config is not None and (fleet is not None or fleet_table is None):
+            self._find_strangers(config, [each.id for each in (*shorthand, *config.robot)])
         if self._problems or config is None:
             lines = dict.fromkeys(text for _, text in sorted(self._problems, key=lambda problem: problem[0]))
             raise ConfigError("\n".join(lines))
@@ -161,6 +166,14 @@ class _Document:
             else:
                 line = self._lines.get(("robot", index))
                 taken[name] = f"the robot in line {line}" if line else f"robot[{index}]"
+
+    def _find_strangers(self, config: SwarmConfig, robots: list[str]) -> None:
+        """Complain of groups that name robots which the file has not; one without robots leaves them to join."""
+        for group, members in config.groups.items() if robots else ():
+            for index, robot in enumerate(members):
+                if robot not in robots:
+                    guess = did_you_mean(robot, robots)
+                    self._complain(("groups", group, index), f"no robot '{robot}' in this file, {guess}")
 
     def _complain(self, path: KeyPath, what: str) -> None:
         """Note `what`, at the override that set the value or at the nearest line of the file."""

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.bus.network import parse_network
 from fullswarm.errors import ConfigError
-from fullswarm.messages import ROBOT_ID, TRUTH
+from fullswarm.words import ROBOT_ID, TRUTH
 
 DEFAULT_WORLD = "127.0.0.1:7450"
 ALL_TO_ALL_ROBOTS = 16
@@ -27,6 +27,10 @@ def _robot_id(text: str) -> str:
 
 def _swarm_name(text: str) -> str:
     return _name(text, "swarm")
+
+
+def _group_name(text: str) -> str:
+    return _name(text, "group")
 
 
 def _name(text: str, owner: str) -> str:
@@ -44,6 +48,7 @@ def _conditions(text: str) -> str:
 
 
 RobotId = Annotated[str, AfterValidator(_robot_id)]
+GroupName = Annotated[str, AfterValidator(_group_name)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
 Conditions = Annotated[str, AfterValidator(_conditions)]
 Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
@@ -163,6 +168,9 @@ class RobotConfig(Section):
     driver: str = ""  # URL; empty: sim://<id>
     emulate: Emulated | None = None  # the world gives it a body and a port; its real driver talks to that
     pose: tuple[float, float, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
+    host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
+    ssh_user: str = "fullswarm-admin"
+    ssh_port: int = Field(22, ge=1, le=65535)
 
     @property
     def url(self) -> str:
@@ -186,6 +194,7 @@ class SwarmConfig(Section):
     performance: PerformanceConfig = PerformanceConfig()
     network: NetworkConfig = NetworkConfig()
     robot: tuple[RobotConfig, ...] = ()
+    groups: dict[GroupName, tuple[RobotId, ...]] = {}  # @name stands for these robots wherever robots are named
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:

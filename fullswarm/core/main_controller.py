@@ -12,6 +12,8 @@ from typing import NamedTuple
 from fullswarm.bus import Bus
 from fullswarm.core.centralised import missing_packages
 from fullswarm.core.desired import Order
+from fullswarm.core.groups import Groups
+from fullswarm.core.leases import Authority
 from fullswarm.core.records import Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
@@ -24,6 +26,7 @@ from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, Requ
 from fullswarm.runtime import Scheduler
 
 STOP = "stop"
+UNNAMED = "somebody without a name"
 OVERTAKEN_S = 5.0
 """So long after a request an older one of the same operator is a straggler; later, his clock was started anew."""
 
@@ -54,8 +57,10 @@ class MainController:
         board: StatusBoard,
         handler: RequestHandler,
         remapper: Remapper,
+        groups: Groups,
+        authority: Authority,
     ) -> None:
-        self._scheduler = scheduler
+        self._scheduler, self._groups, self._authority = scheduler, groups, authority
         self._library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
         self._newest: dict[str, Asked] = {}
@@ -92,6 +97,11 @@ class MainController:
         record = self._library.get(request.behaviour)
         robots = self._addressed(request.robots)
         parameters = self._library.resolve(record, request.parameters, robots)
+        if record.centralised and (absent := missing_packages()):
+            extra = 'pip install "fullswarm[core]"'
+            raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
+        if record.name != STOP:  # a stop needs no authority, whichever way it comes
+            self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
         reason, robots = self._overtaken(request, robots)
         if not robots:
             status = RequestStatus(
@@ -101,10 +111,6 @@ class MainController:
             return
         orders = {robot: _order(request.id, record, parameters[robot]) for robot in robots}
         if record.centralised:
-            absent = missing_packages()
-            if absent:
-                extra = 'pip install "fullswarm[core]"'
-                raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
             self._remapper.start(
                 CentralisedRequest(
                     request_id=request.id,
@@ -143,12 +149,14 @@ class MainController:
         known = self._roster.known()
         if not known:
             raise RequestRefused("no robot is present", hint="start an agent, or name the robots in the fleet file")
-        strangers = [robot for robot in robots if robot not in known]
+        meant = self._groups.expand(robots)
+        strangers = [robot for robot in meant if robot not in known]
         if strangers:
             names = ", ".join(f"'{robot}'" for robot in strangers)
             plural = "s" if len(strangers) > 1 else ""
-            raise RequestRefused(f"unknown robot{plural} {names}", hint=did_you_mean(strangers[0], known))
-        return tuple(dict.fromkeys(robots)) or known
+            origin = "" if strangers[0] in robots else " in a group"
+            raise RequestRefused(f"unknown robot{plural} {names}{origin}", hint=did_you_mean(strangers[0], known))
+        return tuple(dict.fromkeys(meant)) or known
 
     def _refuse(self, request: BehaviourRequest, reason: str) -> None:
         status = RequestStatus(

@@ -7,14 +7,16 @@ from typing import Protocol
 
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
+from fullswarm.core.leases import Authority
 from fullswarm.core.main_controller import MainController, adopted_order
 from fullswarm.core.params import ParamServer
 from fullswarm.core.records import PREFIX, Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.roster import Roster
-from fullswarm.core.settings import Settings
+from fullswarm.core.settings import GROUP, Settings
 from fullswarm.core.status import StatusBoard
 from fullswarm.keys import Keys
 from fullswarm.messages import Heartbeat
@@ -75,12 +77,16 @@ class CoreNode:
             adopted=lambda request_id, behaviour: adopted_order(self.library, self.remapper, request_id, behaviour),
         )
         self.remapper.restore(self.handler.holders)
-        controller = MainController(bus, keys, scheduler, self.library, self.roster, board, self.handler, self.remapper)
+        groups, roster = Groups(store), self.roster
+        authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
+        controller = MainController(
+            bus, keys, scheduler, self.library, roster, board, self.handler, self.remapper, groups, authority
+        )
         self.extra = tuple(extra)
-        checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check}
+        checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
         self._parts: tuple[Closing, ...] = (
-            controller, self.handler, board, self.remapper, latches, self.roster, params, *reversed(self.extra),
+            controller, authority, self.handler, board, self.remapper, latches, roster, params, *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

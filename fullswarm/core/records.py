@@ -198,7 +198,9 @@ def resolve(
     if record.formation and not problems:
         each = _targets(record, complete, robots, problems)
     if problems:
-        raise RequestRefused("; ".join(problems), hint=f"parameters of {record.name}: {_usage(record)}")
+        raise RequestRefused(
+            "; ".join(problems), hint=f"parameters of {record.name}: {', '.join(record.parameters) or 'none'}"
+        )
     return each
 
 
@@ -237,7 +239,7 @@ def _targets(
         problems.append(f"centre is missing: {record.parameters['centre'].wanted()}")
         return {}
     if len(targets) != len(robots):
-        problems.append(f"{len(targets)} targets for {len(robots)} robots: give one per robot")
+        problems.append(f"{_count(len(targets), 'target')} for {_count(len(robots), 'robot')}: give one per robot")
         return {}
     if record.formation == "assigned":
         both: dict[str, Value] = {**left, "targets": list(targets)}
@@ -245,5 +247,5 @@ def _targets(
     return {robot: {**left, "target": list(target)} for robot, target in zip(robots, targets, strict=True)}
 
 
-def _usage(record: Record) -> str:
-    return ", ".join(f"{name}: {each.wanted()}" for name, each in record.parameters.items()) or "none"
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"

@@ -11,7 +11,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from fullswarm.config import Section
 from fullswarm.errors import ConfigError
-from fullswarm.messages import ROBOT_ID, Value
+from fullswarm.messages import Value
+from fullswarm.words import ROBOT_ID
 
 Kind = Literal["number", "integer", "flag", "word", "point", "points"]
 Raw = bool | int | float | str | list[Any]

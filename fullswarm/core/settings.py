@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from fullswarm.config import PerformanceConfig, SwarmConfig
-from fullswarm.core.records import load_records
+from fullswarm.core.outside import all_records
 from fullswarm.core.roster import SILENCE_S
 from fullswarm.core.schema import Parameter
 from fullswarm.errors import ConfigError
@@ -23,7 +23,9 @@ SILENCE = "presence_silence_s"
 PERFORMANCE = "performance/"
 SPEED, TURN = "agent/speed_limit_m_s", "agent/turn_limit_rad_s"
 MARGIN, GAIN = "agent/safety_margin_m", "agent/barrier_gain_per_s"
-BOUNDS = "world/bounds"
+BOUNDS, BOXES = "world/bounds", "world/boxes"
+SENSING = "agent/sensing_radius_m"
+GROUP = "group/"
 
 _LIMITS = {
     INTERVAL: Parameter(type="number", unit="s", min=0.0, max=10.0),
@@ -40,7 +42,7 @@ def seeds(config: SwarmConfig) -> dict[str, Stored]:
     """Return what the fleet file and ``behaviours.toml`` say, by key of the database."""
     world, agent = config.world, config.agent
     x_low, y_low, x_high, y_high = config.bounds_m
-    values: dict[str, Stored] = {f"behaviour/{name}": record for name, record in load_records().items()}
+    values: dict[str, Stored] = {f"behaviour/{name}": record for name, record in all_records().items()}
     values |= {
         INTERVAL: config.core.schedule_interval_s,
         SILENCE: SILENCE_S,
@@ -49,7 +51,10 @@ def seeds(config: SwarmConfig) -> dict[str, Stored]:
         MARGIN: agent.safety_margin_m,
         GAIN: agent.barrier_gain_per_s,
         BOUNDS: [[x_low, y_low], [x_high, y_high]],
+        BOXES: {"boxes": [list(box) for box in world.boxes] if world else []},
+        SENSING: agent.sensing_radius_m,
     }
+    values |= {GROUP + name: {"robots": list(robots)} for name, robots in config.groups.items()}
     return values | {PERFORMANCE + name: value for name, value in config.performance.model_dump().items()}
 
 

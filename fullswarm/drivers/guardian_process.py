@@ -136,7 +136,7 @@ class Guardian:
             self._stop(time.monotonic())
             self._write()
             poll.poll(5.0 if self._outbox else 0.0)
-            time.sleep(0.002)
+            time.sleep(0.002)  # the port takes more at once, and nothing tells when its own buffer has drained
 
     def _waiting(self) -> bool:
         """Tell whether bytes are still in the port's own buffer."""

@@ -5,21 +5,50 @@ Nothing moves and nothing is changed. The machine's own checks are in :mod:`.mac
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import typer
+
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
-from fullswarm.errors import FullswarmError, Unreachable
-from fullswarm.launch import machine
-from fullswarm.launch.machine import Check
-from fullswarm.operator import output
+from fullswarm.errors import ConfigError, FullswarmError, Unreachable
+from fullswarm.launch import gamepad, machine
+from fullswarm.operator import checks
+from fullswarm.operator.checks import Check
 
 HUB_S = 1.5
 LOW_BATTERY = 0.2
 _EXTRA_OF = {"sim": "sim", "mavlink": "mavlink", "can": "can"}
+
+
+def preflight(fleet: Path | None, robot: str, *, press: bool, yes: bool, as_json: bool) -> int:
+    """Print the checks of one robot and its computer; see :mod:`fullswarm.deploy.preflight`.
+
+    Parameters
+    ----------
+    press, yes
+        Its e-stop may be pressed for a moment; without a question.
+
+    Raises
+    ------
+    ConfigError
+        No fleet file, a wrong one, or one without this robot.
+    """
+    from fullswarm.deploy import preflight
+
+    if fleet is None:
+        hint = "fullswarm doctor --robot r1 --fleet lab.toml, or FULLSWARM_FLEET"
+        raise ConfigError("the fleet file says where a robot is: name it", where="--robot", hint=hint)
+    agree = (lambda _: True) if yes else _ask
+    return preflight.run(load_swarm(fleet, ()), robot, agree if press else None, as_json=as_json)
+
+
+def _ask(question: str) -> bool | None:
+    """Ask at the terminal; None: there is none."""
+    return typer.confirm(question, err=True) if sys.stdin.isatty() else None
 
 
 def run(fleet: Path | None, *, as_json: bool) -> int:
@@ -31,23 +60,7 @@ def run(fleet: Path | None, *, as_json: bool) -> int:
         The fleet file is wrong.
     """
     config = None if fleet is None else load_swarm(fleet, ())
-    checks = []
-    for check in _checks(config):
-        checks.append(check)
-        if not as_json:
-            output.data(_line(check))
-    failed = sum(each.status == "failure" for each in checks)
-    if as_json:
-        output.data_json({"ok": not failed, "checks": [asdict(each) for each in checks]})
-    else:
-        warned = sum(each.status == "warning" for each in checks)
-        output.progress(f"{len(checks)} checks: {failed} failures, {warned} warnings")
-    return 1 if failed else 0
-
-
-def _line(check: Check) -> str:
-    text = f"{check.status:8} {check.name}: {check.what}"
-    return f"{text}\n{'':8} mend it: {check.mend}" if check.mend else text
+    return 1 if checks.show(_checks(config), as_json=as_json) else 0
 
 
 def _checks(config: SwarmConfig | None) -> Iterator[Check]:
@@ -57,6 +70,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     yield from machine.extras(_needed_extras(config))
     yield from machine.serial_ports()
     yield machine.interferer()
+    yield from gamepad.checks()
     yield from machine.resources()
     yield machine.network_time()
     if config is not None:

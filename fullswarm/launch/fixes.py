@@ -20,8 +20,9 @@ from fullswarm.config import DEFAULT_HUB, HubConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.launch.mocap import UNITS, Format, Refused, Sighting
-from fullswarm.messages import ROBOT_ID, HealthReport, PoseFix
+from fullswarm.messages import HealthReport, PoseFix
 from fullswarm.runtime import Mailbox, Runtime, Scheduler
+from fullswarm.words import ROBOT_ID
 
 if TYPE_CHECKING:
     from fullswarm.launch.nodes import Node

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from fullswarm.operator import cli
+from fullswarm.operator import cli, completion
 from fullswarm.operator.cli import Debug, Hub, Json, Swarm, run_guarded
 
 hardware_app = typer.Typer()
@@ -91,15 +91,34 @@ def bring_up(
 @hardware_app.command(rich_help_panel=PANEL)
 def doctor(
     fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Also its hub and robots.")] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT", help="This robot and its computer instead.", autocompletion=completion.fleet_robots
+        ),
+    ] = None,
+    fleet_option: Annotated[
+        Path | None,
+        typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="Where --robot is to be found."),
+    ] = None,
+    press: Annotated[
+        bool, typer.Option("--estop/--no-estop", help="With --robot: offer to press its e-stop for a moment.")
+    ] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="Press it without a question. Nothing moves by it.")] = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Check this machine, and a fleet's hub and robots; says what mends it. Exit code 1: something is broken."""
+    """Check this machine, and a fleet's hub and robots, or one --robot before it drives; says what mends it.
+
+    Exit code 1: something is broken; 3: nothing of the --robot answers.
+    """
 
     def command() -> int:
-        from fullswarm.launch.doctor import run
+        from fullswarm.launch import doctor
 
-        return run(fleet, as_json=as_json)
+        if robot is not None:
+            return doctor.preflight(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
+        return doctor.run(fleet, as_json=as_json)
 
     _run(debug, command)
 

@@ -20,7 +20,6 @@ from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.node import CoreNode
 from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.row_fleet import RowFleet
 from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
@@ -92,7 +91,7 @@ class Lockstep:
         """One table of what is heard cannot serve robots that hear different things."""
         found = []
         for row, robot in enumerate(self.config.robots):
-            fleet = RowFleet(self.world, row, self.runtime.now_s, self.config.agent.sensing_radius_m)
+            fleet = SimFleet(self.world, self.runtime.now_s, self.config.agent.sensing_radius_m, row=row)
             identity = Identity(robot, f"{robot}-0")
             bus = self.bus_of(robot)
             found.append(nodes.agent(bus, self.runtime, self.config, fleet, identity, self.runtime.stats))

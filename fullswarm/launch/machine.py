@@ -13,13 +13,11 @@ import stat
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from fullswarm import __version__
+from fullswarm.operator.checks import Check, Status
 
-Status = Literal["ok", "warning", "failure"]
 OLDEST_PYTHON = (3, 11)
 EXTRAS = {  # extra: modules it must bring
     "core": ("osqp", "scipy", "shapely"),
@@ -27,6 +25,7 @@ EXTRAS = {  # extra: modules it must bring
     "mavlink": ("pymavlink",),
     "can": ("can", "msgpack"),
     "estimation": ("filterpy",),
+    "joystick": ("sdl2",),
 }
 LEAST_DISK, LITTLE_DISK = 100e6, 1e9
 HIGH_LOAD = 0.9
@@ -38,16 +37,6 @@ INTERFERERS = {
     "ModemManager": "it talks to new serial ports: sudo systemctl disable --now ModemManager",
     "brltty": "it takes USB serial ports for Braille displays: sudo apt remove brltty",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the report; `mend` is a command or an advice, empty when nothing is to be done."""
-
-    name: str
-    status: Status
-    what: str
-    mend: str = ""
 
 
 def python() -> Check:

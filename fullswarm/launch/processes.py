@@ -60,6 +60,7 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     from fullswarm.drivers.guardian import guarded_url
     from fullswarm.launch import nodes
     from fullswarm.launch.latching import latch_folder
+    from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
     url = guarded_url(driver_url(config, entry))
@@ -67,9 +68,10 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))
-        node = nodes.agent(bus, runtime, config, fleet, identity, runtime.stats)
+        board = OnBoard.from_environment(runtime, config.agent)
+        node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
         node.inbox.estops.remember(LatchFolder(latch_folder(config, entry)))
-        return [node]
+        return [node, board.watch(node)] if board else [node]
 
     return serve_on_bus(config, with_parent, build, robot)
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
+from fullswarm.bus.senders import OPERATOR, sender_of
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
-from fullswarm.messages import Heartbeat, RequestStatus, Value
-from fullswarm.operator.client import Operator
+from fullswarm.messages import BehaviourRequest, EStop, Heartbeat, LeaseRequest, RequestStatus, StopRequest, Value
+from fullswarm.operator.client import Asked, Operator
 from fullswarm.operator.view import FleetView, RobotRow
-from fullswarm.runtime import Scheduler
+from fullswarm.runtime import Scheduler, Timer
 
 LOOK_S = 0.05
 STOP_S = 1.0
@@ -96,6 +97,11 @@ class Show:
     ----------
     seconds : length of the whole show
     operator : asks; its ids are the caller's choice, so that a lockstep run repeats to the byte
+    yields : whether it leaves the robots to the first other operator who asks for anything
+
+    Attributes
+    ----------
+    yielded_to : who that was; empty: nobody yet
     """
 
     bus: Bus
@@ -104,16 +110,24 @@ class Show:
     operator: Operator
     seconds: float
     acts: tuple[Act, ...] = ACTS
+    yields: bool = False
     sent: list[Sent] = field(default_factory=list)
     view: FleetView = field(init=False)
     done: bool = False
-    began_s: float = 0.0
-    _world: list[tuple[float, int]] = field(default_factory=list)
+    yielded_to: str = ""
+    _asked: Asked | None = None
+    _timers: list[Timer] = field(default_factory=list)
+    _world: tuple[Heartbeat, Heartbeat] | None = None  # the first of the show and the newest
 
     def __post_init__(self) -> None:
         keys = Keys(self.config.swarm)
         self.view = FleetView(self.bus, keys, self.scheduler, self.config.robots)
         self.bus.subscribe(keys.heartbeat("world"), Heartbeat, self._on_world, latest=True)
+        if self.yields:
+            self.bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request)
+            self.bus.subscribe(keys.lease_request, LeaseRequest, self._on_lease)
+            self.bus.subscribe(keys.stop, StopRequest, self._on_stop)
+            self.bus.subscribe(keys.estop, EStop, self._on_stop)
 
     def ready(self) -> bool:
         """Tell whether all robots have been heard, are READY and the core is alive."""
@@ -124,14 +138,18 @@ class Show:
 
     def start(self) -> None:
         """Set the times of all acts, from now."""
-        self.began_s = self.scheduler.now_s()
+        self._world = None
         time_s = 0.0
         for act in self.acts:
-            self.scheduler.after(time_s, lambda act=act: self._ask(act))  # type: ignore[misc]  # bound per turn
+            self._at(time_s, lambda act=act: self._ask(act))  # type: ignore[misc]  # bound per turn
             time_s += act.share * (self.seconds - STOP_S)
-            self.scheduler.after(time_s - LOOK_S, self._look)
-        self.scheduler.after(time_s, self._stop)
+            self._at(time_s - LOOK_S, self._look)
+        self._at(time_s, self._stop)
         self.scheduler.after(self.seconds, self._end)
+
+    def _at(self, time_s: float, call: Callable[[], None]) -> None:
+        if not self.yielded_to:
+            self._timers.append(self.scheduler.after(time_s, call))
 
     def _ask(self, act: Act) -> None:
         now_s = self.scheduler.now_s()
@@ -144,7 +162,8 @@ class Show:
 
         sent = Sent(act, "", now_s)
         self.sent.append(sent)
-        sent.request_id = self.operator.request(act.behaviour, (), act.parameters, on_status).request.id
+        self._asked = self.operator.request(act.behaviour, (), act.parameters, on_status)
+        sent.request_id = self._asked.request.id
 
     def _look(self) -> None:
         """Note who has arrived where the present act sends them."""
@@ -157,16 +176,41 @@ class Show:
     def _end(self) -> None:
         self.done = True
 
+    # ------------------------------------------------------------------ other operators
+    def _on_request(self, request: BehaviourRequest) -> None:
+        if request.source != self.operator.source:
+            self._yield(request.operator or request.source)
+
+    def _on_lease(self, request: LeaseRequest) -> None:
+        if request.hold and request.operator != self.operator.name:
+            self._yield(request.operator)
+
+    def _on_stop(self, order: StopRequest | EStop) -> None:
+        if order.source != self.operator.source and sender_of(order) == OPERATOR:
+            self._yield(order.source)
+
+    def _yield(self, operator: str) -> None:
+        """Drop what is left of the show, its stop too: the robots are somebody else's now."""
+        if self.done or self.yielded_to:
+            return
+        self.yielded_to = operator or "another operator"
+        for timer in self._timers:
+            timer.cancel()
+        if self._asked is not None and self._asked.status is None:
+            self.operator.forget(self._asked)  # sent again it would come after what was asked now
+
+    # ------------------------------------------------------------------ results
     def _on_world(self, beat: Heartbeat) -> None:
-        self._world.append((beat.stamp_s, beat.sequence))
+        same = self._world is not None and self._world[0].process == beat.process
+        self._world = (self._world[0] if self._world and same else beat, beat)
 
     def real_time_factor(self) -> float | None:
         """Return simulated seconds per real second, from the world's own heartbeats; None without them."""
-        beats = [beat for beat in self._world if beat[0] >= self.began_s]
-        if len(beats) < 2 or beats[-1][0] <= beats[0][0]:
+        if self._world is None:
             return None
-        steps, seconds = beats[-1][1] - beats[0][1], beats[-1][0] - beats[0][0]
-        return steps / self.config.world_or_default.rate_hz / seconds
+        first, last = self._world
+        steps, seconds = last.sequence - first.sequence, last.stamp_s - first.stamp_s
+        return steps / self.config.world_or_default.rate_hz / seconds if seconds > 0 else None
 
     def summary(self, metric: str, value: str) -> float | None:
         """Return one value of a summarizer; None when it was never heard."""

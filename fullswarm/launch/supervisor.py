@@ -29,16 +29,23 @@ STEADY_S = 10.0
 """A process that ran so long is started again as soon as one that dies for the first time."""
 END_S = 2.0
 """How long a process may take to end before it is killed; ours take well under a second."""
+CONSOLE = "console"
 USAGE = 2
 """Exit code of a process that will not come up however often it is started: its settings are wrong."""
 
 
 @dataclass(slots=True)
 class Child:
-    """One process of the swarm."""
+    """One process of the swarm.
+
+    Parameters
+    ----------
+    guest : not one of the swarm's own: it may fail without ending the supervisor, and its stdout is kept apart
+    """
 
     name: str
     arguments: tuple[str, ...]
+    guest: bool = False
     process: subprocess.Popen[bytes] | None = None
     starts: int = 0
     started_s: float = 0.0
@@ -78,16 +85,28 @@ class Supervisor:
         write_swarm(self.config, fleet)
         network = ("--insecure-network",) if self.insecure_network else ()
         file = ("--fleet", str(fleet))
-        self._add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
-        self._add("core", "core", *file)
-        self._add("centralised", "centralised", *file)
+        self.add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
+        self.add("core", "core", *file)
+        self.add("centralised", "centralised", *file)
         if self.world and any(each.simulated for each in self.config.robot):
-            self._add("world", "sim", *file, *network)
+            self.add("world", "sim", *file, *network)
         for robot in self.config.robots:
-            self._add(robot, "agent", robot, *file)
+            self.add(robot, "agent", robot, *file)
         for child in self.children.values():
             self._spawn(child)
         self.scheduler.every(WATCH_S, self._watch)
+
+    def add(self, name: str, *arguments: str, guest: bool = False) -> None:
+        """Have another process of the ``fullswarm`` command beside the swarm's own; before :meth:`start`.
+
+        Raises
+        ------
+        ConfigError
+            A process is called so already.
+        """
+        if name in self.children:
+            raise ConfigError(f"a robot cannot be called '{name}': a process of the swarm is", where="robot.id")
+        self.children[name] = Child(name, arguments, guest)
 
     def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
         """Send a signal to a child: what a crash, a power cut or an operator does."""
@@ -106,6 +125,10 @@ class Supervisor:
         process = self.children[name].process
         return process is not None and process.poll() is None
 
+    def output(self, name: str) -> Path:
+        """Return the file with what a guest wrote to stdout, which is for data; its log has the rest."""
+        return self.folder / f"{name}.out"
+
     def log_tail(self, name: str, lines: int = 5) -> str:
         """Return the end of what a child wrote to stderr."""
         path = self.folder / f"{name}.log"
@@ -113,7 +136,7 @@ class Supervisor:
 
     def close(self) -> None:
         """End all: robots first, so that each stops its own wheels while the rest is still there."""
-        support = ("world", "centralised", "core", "hub")
+        support = (CONSOLE, "world", "centralised", "core", "hub")
         robots = [each for each in self.children.values() if each.name not in support]
         rest = [self.children[name] for name in support if name in self.children]
         for group in (robots, rest):
@@ -123,18 +146,14 @@ class Supervisor:
             for child in group:
                 _reap(child)
 
-    def _add(self, name: str, *arguments: str) -> None:
-        if name in self.children:
-            raise ConfigError(f"a robot cannot be called '{name}': a process of the swarm is", where="robot.id")
-        self.children[name] = Child(name, arguments)
-
     def _spawn(self, child: Child) -> None:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
-        with (self.folder / f"{child.name}.log").open("ab") as sink:
+        log_file = self.folder / f"{child.name}.log"
+        with log_file.open("ab") as sink, (self.output(child.name) if child.guest else log_file).open("ab") as data:
             child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)
                 [sys.executable, "-m", "fullswarm", *child.arguments, "--with-parent"],
                 stdin=subprocess.DEVNULL,
-                stdout=sink,
+                stdout=data,
                 stderr=sink,
                 env=environment,
                 start_new_session=True,  # Ctrl-C goes to the supervisor alone, which ends them in order
@@ -152,7 +171,7 @@ class Supervisor:
                 continue
             if code == USAGE or not self.restart:
                 child.given_up = self.log_tail(child.name) or f"ended with code {code}"
-                if code == USAGE:
+                if code == USAGE and not child.guest:
                     raise ConfigError(child.given_up.removeprefix("error: "), where=child.name)
             elif child.again_s == 0.0:
                 if now_s - child.started_s > STEADY_S:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from fullswarm.bus.endpoint import check_endpoint
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
+from fullswarm.operator.output import progress
 from fullswarm.runtime import Runtime
 
 SETTLED_S = 1.0
@@ -28,8 +29,18 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     return f"{robots} of swarm '{config.swarm}'; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
-def run(config: SwarmConfig, insecure_network: bool, network: str | None = None) -> int:
-    """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM."""
+def run(config: SwarmConfig, insecure_network: bool, network: str | None = None, *, console: bool = False) -> int:
+    """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM.
+
+    Raises
+    ------
+    ConfigError
+        The fleet file names no robot, or something wrong.
+    MissingExtra
+        The web console is wanted, but not installed.
+    """
+    if console and (problem := missing_extra()):
+        raise MissingExtra(problem, hint=INSTALL)
     if not config.robot:
         raise ConfigError("names no robot", where="the fleet file", hint="add [[robot]] tables or a [fleet] count")
     check_endpoint(config.hub.endpoint, insecure_network)
@@ -38,8 +49,10 @@ def run(config: SwarmConfig, insecure_network: bool, network: str | None = None)
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network)
     try:
+        if console:
+            WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress)
         supervisor.start()
-        runtime.after(SETTLED_S, lambda: print(_hint(config, supervisor.folder), file=sys.stderr))  # noqa: T201
+        runtime.after(SETTLED_S, lambda: progress(_hint(config, supervisor.folder)))
         runtime.run()
     finally:
         supervisor.close()

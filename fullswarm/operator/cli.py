@@ -1,57 +1,56 @@
-"""The operator's shell commands. ``launch`` hangs `operator_app` into the program ``fullswarm``.
+"""The operator's shell commands that ask for behaviours and watch. ``launch`` hangs `operator_app` into ``fullswarm``.
 
 Only typer is imported here: whatever needs the bus is imported when a command runs, so that help stays quick.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from fullswarm.operator import completion
 from fullswarm.operator.guard import run_guarded
+from fullswarm.operator.leases_cli import leases_app
+from fullswarm.operator.options import (
+    ALL,
+    Debug,
+    Hub,
+    Json,
+    Operator,
+    Robots,
+    Swarm,
+    Take,
+    Timeout,
+    run,
+    target_of,
+)
+from fullswarm.operator.params_cli import params_app
 
-if TYPE_CHECKING:
-    from fullswarm.operator.session import Target
-
-__all__ = ["operator_app", "params_app", "run_guarded"]
+__all__ = ["Debug", "Hub", "Json", "Swarm", "operator_app", "params_app", "run_guarded"]
 
 operator_app = typer.Typer(no_args_is_help=True, help="Ask a swarm for behaviours and watch it.")
-params_app = typer.Typer(no_args_is_help=True, help="Read, set and watch a layer's local database.")
 operator_app.add_typer(params_app, name="params")
+operator_app.add_typer(leases_app, name="leases")
 
-_ALL = "none: the whole swarm"
-Hub = Annotated[
-    str | None,
-    typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub; none: tcp/127.0.0.1:7447."),
+RobotArguments = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[ROBOT]...", help=f"Robot ids; {ALL}.", autocompletion=completion.robot_ids),
 ]
-Swarm = Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Robots = Annotated[list[str] | None, typer.Option(metavar="A,B", help=f"Robot ids; {_ALL}.")]
-RobotArguments = Annotated[list[str] | None, typer.Argument(metavar="[ROBOT]...", help=f"Robot ids; {_ALL}.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="A parameter: 1.5, true, 5,5 (a point), [[0, 0], [1, 1]], or a word."
+        "--set",
+        metavar="KEY=VALUE",
+        help="A parameter: 1.5, true, 5,5 (a point), [[0, 0], [1, 1]], or a word.",
+        autocompletion=completion.parameters,
     ),
 ]
-Timeout = Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=3600, help="How long to wait.")]
-Layer = Annotated[str, typer.Option(metavar="NAME", help="Whose database.")]
-Behaviour = Annotated[str, typer.Argument(help="Its name; `fullswarm behaviours` lists them.")]
+Behaviour = Annotated[
+    str, typer.Argument(help="Its name; `fullswarm behaviours` lists them.", autocompletion=completion.behaviours)
+]
 Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's full rate, -1 to 1.")]
-
-
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    raise typer.Exit(run_guarded(command, debug))
-
-
-def _target(hub: str | None, swarm: str) -> Target:
-    from fullswarm.operator.session import Target
-
-    return Target(hub, swarm)
 
 
 @operator_app.command()
@@ -60,8 +59,10 @@ def request(
     robots: Robots = None,
     settings: Settings = None,
     wait: Annotated[bool, typer.Option("--wait", help="Until all robots present have confirmed.")] = False,
+    take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
+    operator: Operator = "",
     hub: Hub = None,
     swarm: Swarm = "swarm",
     debug: Debug = False,
@@ -74,16 +75,17 @@ def request(
 
         parameters = parse_parameters(settings or ())
         return orders.request(
-            _target(hub, swarm),
+            target_of(hub, swarm, operator),
             behaviour,
             robots or (),
             parameters,
             wait=wait,
             timeout_s=timeout,
             as_json=as_json,
+            take=take,
         )
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
@@ -93,9 +95,9 @@ def stop(robots: RobotArguments = None, hub: Hub = None, swarm: Swarm = "swarm",
     def command() -> int:
         from fullswarm.operator import orders
 
-        return orders.stop(_target(hub, swarm), robots or ())
+        return orders.stop(target_of(hub, swarm), robots or ())
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
@@ -127,7 +129,7 @@ def estop(
         from fullswarm.operator import estop_command
 
         return estop_command.estop(
-            _target(hub, swarm),
+            target_of(hub, swarm),
             robots or (),
             engaged=not clear,
             reason=reason,
@@ -136,7 +138,7 @@ def estop(
             as_json=as_json,
         )
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
@@ -145,7 +147,9 @@ def drive(
     angular: Stick = 0.0,
     robots: Robots = None,
     seconds: Annotated[float | None, typer.Option(min=0.05, help="End after this; none: on Ctrl-C.")] = None,
+    take: Take = False,
     timeout: Timeout = 3.0,
+    operator: Operator = "",
     hub: Hub = None,
     swarm: Swarm = "swarm",
     debug: Debug = False,
@@ -155,9 +159,10 @@ def drive(
     def command() -> int:
         from fullswarm.operator import orders
 
-        return orders.drive(_target(hub, swarm), linear, angular, robots or (), seconds, timeout)
+        target = target_of(hub, swarm, operator)
+        return orders.drive(target, linear, angular, robots or (), seconds, timeout, take=take)
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
@@ -168,6 +173,7 @@ def mock(
     robots: Robots = None,
     settings: Settings = None,
     timeout: Timeout = 5.0,
+    operator: Operator = "",
     hub: Hub = None,
     swarm: Swarm = "swarm",
     debug: Debug = False,
@@ -179,34 +185,42 @@ def mock(
         from fullswarm.operator.values import parse_parameters
 
         parameters = parse_parameters(settings or ())
-        target = _target(hub, swarm)
+        target = target_of(hub, swarm, operator)
         return orders.mock(target, behaviour, robots or (), parameters, rate_hz=rate, count=count, timeout_s=timeout)
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
-def status(as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False) -> None:
-    """Show the swarm once."""
+def status(
+    robots: Robots = None, as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False
+) -> None:
+    """Show the swarm, or some robots of it, once; first those that need somebody."""
 
     def command() -> int:
         from fullswarm.operator import reads
 
-        return reads.status(_target(hub, swarm), as_json=as_json)
+        return reads.status(target_of(hub, swarm), robots or (), as_json=as_json)
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
-def watch(hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False) -> None:
-    """Show the swarm live, until Ctrl-C."""
+def watch(
+    robots: Robots = None,
+    as_json: Annotated[bool, typer.Option("--json", help="A line of JSON at each refresh, four each second.")] = False,
+    hub: Hub = None,
+    swarm: Swarm = "swarm",
+    debug: Debug = False,
+) -> None:
+    """Show the swarm, or some robots of it, live until Ctrl-C; first those that need somebody."""
 
     def command() -> int:
         from fullswarm.operator import reads
 
-        return reads.watch(_target(hub, swarm))
+        return reads.watch(target_of(hub, swarm), robots or (), as_json=as_json)
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
@@ -216,14 +230,16 @@ def robots(as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug
     def command() -> int:
         from fullswarm.operator import reads
 
-        return reads.robots(_target(hub, swarm), as_json=as_json)
+        return reads.robots(target_of(hub, swarm), as_json=as_json)
 
-    _run(debug, command)
+    run(debug, command)
 
 
 @operator_app.command()
 def behaviours(
-    name: Annotated[str | None, typer.Argument(help="Show this one's parameters.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Show this one's parameters.", autocompletion=completion.behaviours)
+    ] = None,
     timeout: Timeout = 3.0,
     as_json: Json = False,
     hub: Hub = None,
@@ -235,91 +251,6 @@ def behaviours(
     def command() -> int:
         from fullswarm.operator import reads
 
-        return reads.behaviours(_target(hub, swarm), name, timeout_s=timeout, as_json=as_json)
+        return reads.behaviours(target_of(hub, swarm), name, timeout_s=timeout, as_json=as_json)
 
-    _run(debug, command)
-
-
-Key = Annotated[str, typer.Argument(help="The key; may end in * to mean all that begin so.")]
-
-
-@params_app.command("get")
-def params_get(
-    key: Key = "*",
-    layer: Layer = "core",
-    timeout: Timeout = 3.0,
-    as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
-    """Print values with who set them, and when."""
-
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.params_get(_target(hub, swarm), layer, key, timeout_s=timeout, as_json=as_json)
-
-    _run(debug, command)
-
-
-@params_app.command("set", context_settings={"ignore_unknown_options": True})  # -3 is a value
-def params_set(
-    key: Annotated[str, typer.Argument(help="The key.")],
-    value: Annotated[str, typer.Argument(help="1.5, true, a word, or JSON; null takes the value away.")],
-    layer: Layer = "core",
-    timeout: Timeout = 3.0,
-    as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
-    """Write a value; the layer uses it at once."""
-
-    def command() -> int:
-        from fullswarm.operator import reads
-        from fullswarm.operator.values import parse_stored
-
-        stored = parse_stored(value, where=key)
-        return reads.params_set(_target(hub, swarm), layer, key, stored, timeout_s=timeout, as_json=as_json)
-
-    _run(debug, command)
-
-
-@params_app.command("history")
-def params_history(
-    key: Key,
-    layer: Layer = "core",
-    timeout: Timeout = 3.0,
-    as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
-    """Print every change of a key, oldest first."""
-
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.params_history(_target(hub, swarm), layer, key, timeout_s=timeout, as_json=as_json)
-
-    _run(debug, command)
-
-
-@params_app.command("watch")
-def params_watch(
-    key: Key = "*",
-    layer: Layer = "core",
-    as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
-    """Print changes as they happen, until Ctrl-C."""
-
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.params_watch(_target(hub, swarm), layer, key, as_json=as_json)
-
-    _run(debug, command)
+    run(debug, command)

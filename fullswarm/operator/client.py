@@ -67,12 +67,28 @@ class Burst:
 
 
 class Operator:
-    """One operator's line to a swarm. All calls return at once; answers come through the callbacks."""
+    """One operator's line to a swarm. All calls return at once; answers come through the callbacks.
+
+    Parameters
+    ----------
+    source
+        Which process asks; unlike any other's.
+    name
+        In whose name it asks, for leases; none: `source`.
+    """
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, source: str, *, new_id: Callable[[], str] = short_id
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        source: str,
+        *,
+        name: str = "",
+        new_id: Callable[[], str] = short_id,
     ) -> None:
         self._bus, self._keys, self._scheduler, self.source = bus, keys, scheduler, source
+        self.name = name or source
         self._new_id = new_id
         self._asked: dict[str, Asked] = {}
         self._orders: dict[str, EStopOrder] = {}
@@ -89,11 +105,13 @@ class Operator:
         on_status: StatusHandler | None = None,
         *,
         resend: bool = True,
+        take: bool = False,
     ) -> Asked:
         """Ask for `behaviour`; send again every 0.2 s until the core has answered that id once.
 
         No `robots` means the whole swarm. `on_status` hears every status of the request until a final one.
-        With ``resend=False`` it is sent once, for streams whose next message replaces this one.
+        With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
+        the robots are taken over from an operator who holds them.
         """
         request = BehaviourRequest(
             id=self._new_id(),
@@ -101,6 +119,8 @@ class Operator:
             robots=tuple(robots),
             parameters=dict(parameters or {}),
             source=self.source,
+            operator=self.name,
+            take=take,
             stamp_s=self._scheduler.now_s(),
         )
         asked = Asked(request, on_status)

@@ -7,24 +7,36 @@ from collections.abc import Iterable, Mapping, Sequence
 import msgspec
 
 from fullswarm.errors import ConfigError, RequestRefused, Unreachable
-from fullswarm.messages import ROBOT_ID, RequestStatus, Value
+from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator import output, session
+from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target
-from fullswarm.operator.teleop import Teleop
+from fullswarm.operator.teleop import BEHAVIOUR, Teleop
+from fullswarm.words import ROBOT_ID
 
 
-def robot_ids(names: Iterable[str]) -> tuple[str, ...]:
+def robot_ids(names: Iterable[str], *, groups: bool = False) -> tuple[str, ...]:
     """Return the ids in ``a,b c`` and the like, each once; none means all.
+
+    Parameters
+    ----------
+    groups
+        Take ``@name`` too: for what goes through the core, which knows who is in a group.
 
     Raises
     ------
     ConfigError
-        A name that no robot can have.
+        A name that no robot can have, or a group where robots are asked directly.
     """
     ids = [part.strip() for name in names for part in name.split(",")]
     for each in ids:
-        if not ROBOT_ID.match(each):
+        if each.startswith(GROUP) and not groups:
+            raise ConfigError(
+                f"'{each}' is a group, and this goes straight to the robots, which know no groups",
+                hint="name the robots, or none to mean all of them",
+            )
+        if not ROBOT_ID.match(each.removeprefix(GROUP)):
             raise ConfigError(f"'{each}' cannot name a robot", where="--robots", hint="e.g. --robots r1,r2")
     return tuple(dict.fromkeys(ids))
 
@@ -38,8 +50,10 @@ def request(
     wait: bool,
     timeout_s: float,
     as_json: bool,
+    take: bool = False,
 ) -> int:
     """Ask for a behaviour and print who accepted it; with `wait` until all present robots have confirmed."""
+    ids = robot_ids(robots, groups=True)
     newest: RequestStatus | None = None
     told = ""
     with session.connect(target) as line:
@@ -54,7 +68,7 @@ def request(
             if not wait or settled(status):
                 line.finish()
 
-        line.operator.request(behaviour, robot_ids(robots), parameters, receive)
+        line.operator.request(behaviour, ids, parameters, receive, take=take)
         line.run(timeout_s)
         if newest is None:
             raise line.no_core(timeout_s)
@@ -125,36 +139,48 @@ def stop(target: Target, robots: Sequence[str]) -> int:
 
 
 def drive(
-    target: Target, linear: float, angular: float, robots: Iterable[str], seconds: float | None, timeout_s: float
+    target: Target,
+    linear: float,
+    angular: float,
+    robots: Iterable[str],
+    seconds: float | None,
+    timeout_s: float,
+    *,
+    take: bool = False,
 ) -> int:
-    """Stream the intent to drive for `seconds` or until Ctrl-C, then zero."""
+    """Stream the intent to drive for `seconds` or until Ctrl-C, then zero. Robots named are held meanwhile."""
     refused: RequestStatus | None = None
     answered = False
+    ids = robot_ids(robots, groups=True)
     with session.connect(target) as line:
 
         def receive(status: RequestStatus) -> None:
             nonlocal refused, answered
-            answered = True
-            if status.phase == "refused":
+            answered, teleop.take = True, False  # taken once; whoever takes it back shall have it
+            if status.phase == "refused" and refused is None:
                 refused = status
-                teleop.release(line.finish)
+                end()
 
         def check() -> None:
             if not answered:
-                teleop.release(line.finish)
+                end()
 
         def end() -> None:
             teleop.release(line.finish)
 
-        teleop = Teleop(line.operator, line.runtime, robot_ids(robots), on_status=receive)
+        holder = LeaseHolder(line.bus, line.keys, line.runtime, line.operator.name)
+        teleop = Teleop(line.operator, line.runtime, ids, on_status=receive)
         line.on_interrupt = end
-        teleop.hold(linear, angular)
+        holder.hold(ids, take=take)
+        teleop.take = take  # a frame may overtake the word of the holder
+        teleop.hold(BEHAVIOUR, {"linear": linear, "angular": angular})
         line.runtime.after(timeout_s, check)
         if seconds is not None:
             line.runtime.after(seconds, end)
         else:
             output.progress("driving; Ctrl-C stops")
         line.run()
+        holder.close()
         if refused is not None:
             raise refusal(refused)
         if not answered:
@@ -173,12 +199,13 @@ def mock(
     timeout_s: float,
 ) -> int:
     """Send the same request again and again, print what became of each."""
+    ids = robot_ids(robots, groups=True)
     with session.connect(target) as line:
         publisher = MockPublisher(
             line.operator,
             line.runtime,
             behaviour,
-            robot_ids(robots),
+            ids,
             parameters,
             rate_hz=rate_hz,
             count=count,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import Any, Literal
 
@@ -13,9 +13,11 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import ConfigError, Unreachable, did_you_mean
 from fullswarm.messages import ParamEntry, ParamReply
 from fullswarm.operator import output, session
+from fullswarm.operator.leases import GROUP
+from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.params import ParamClient, Stored
 from fullswarm.operator.render import fleet_table
 from fullswarm.operator.session import Session, Target
@@ -24,12 +26,15 @@ from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 COLLECT_S = 1.0
 """Two periods of the health reports."""
 REFRESH_S = 0.25
+CORE = "core"
 RECORDS = "behaviour/"
+GROUPS = "group/"
+GROUPS_S = 3.0
 
 
-def status(target: Target, *, as_json: bool) -> int:
-    """Listen for a second, then print the swarm once."""
-    seen = _look(target)
+def status(target: Target, robots: Iterable[str] = (), *, as_json: bool) -> int:
+    """Listen for a second, then print the swarm, or those `robots` of it, once."""
+    seen = _look(target, named(target, robots))
     if as_json:
         output.data_json(seen.as_dict())
     else:
@@ -50,32 +55,84 @@ def robots(target: Target, *, as_json: bool) -> int:
     return 0
 
 
-def watch(target: Target) -> int:
-    """Show the swarm until Ctrl-C, then leave its last state on the screen."""
+def watch(target: Target, robots: Iterable[str] = (), *, as_json: bool) -> int:
+    """Show the swarm until Ctrl-C, then leave its last state on the screen; or a line of JSON at each refresh."""
+    ids = named(target, robots)
+    if as_json:
+        return _watch_json(target, ids)
     console = Console(highlight=False)
     with session.connect(target) as line:
-        view = FleetView(line.bus, line.keys, line.runtime)
+        view = FleetView(line.bus, line.keys, line.runtime, ids)
         line.on_interrupt = line.finish
         # rich's own refreshing would need a thread; the runtime's timer does.
         with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
 
             def refresh() -> None:
-                seen = view.snapshot()
-                # Title, header, summaries, request, missing, silent.
-                table = fleet_table(seen, max_rows=max(3, console.size.height - 9))
+                seen = _of(view, ids)
+                # Of the screen's height the title and the header take two lines, what stands below a third.
+                below = max(3, console.size.height // 3)
+                table = fleet_table(seen, max(3, console.size.height - 2 - below), below)
                 live.update(table, refresh=True)
 
             line.runtime.every(REFRESH_S, refresh, first_s=0.0)
             line.run()
-        output.data_table(fleet_table(view.snapshot()))
+        output.data_table(fleet_table(_of(view, ids)))
     return 0
 
 
-def _look(target: Target) -> Snapshot:
+def named(target: Target, robots: Iterable[str]) -> tuple[str, ...]:
+    """Return the ids that `robots` stand for; the core knows who is in a group. None: the whole swarm.
+
+    Raises
+    ------
+    ConfigError
+        There is no such group, or a name that no robot can have.
+    Unreachable
+        A group is named and no core answers.
+    """
+    ids = robot_ids(robots, groups=True)
+    if not any(each.startswith(GROUP) for each in ids):
+        return ids
+    entries = _ask(target, "core", "get", f"{GROUPS}*", GROUPS_S)
+    groups = {entry.key.removeprefix(GROUPS): entry.value for entry in entries if isinstance(entry.value, dict)}
+    found: dict[str, None] = {}
+    for each in ids:
+        name = each.removeprefix(GROUP)
+        if name == each:
+            found[each] = None
+        elif name in groups:
+            found |= dict.fromkeys(_members(groups[name]))
+        else:
+            raise ConfigError(
+                f"no group '{each}'", where="--robots", hint=did_you_mean(each, [GROUP + name for name in groups])
+            )
+    return tuple(found)
+
+
+def _members(group: dict[str, Any]) -> list[str]:
+    robots = group.get("robots")
+    return [str(robot) for robot in robots] if isinstance(robots, list) else []
+
+
+def _watch_json(target: Target, ids: tuple[str, ...]) -> int:
     with session.connect(target) as line:
-        view = FleetView(line.bus, line.keys, line.runtime)
+        view = FleetView(line.bus, line.keys, line.runtime, ids)
+        line.on_interrupt = line.finish
+        line.runtime.every(REFRESH_S, lambda: output.data(json.dumps(_of(view, ids).as_dict(), ensure_ascii=False)))
+        line.run()
+    return 0
+
+
+def _of(view: FleetView, ids: tuple[str, ...]) -> Snapshot:
+    seen = view.snapshot()
+    return seen.only(ids) if ids else seen
+
+
+def _look(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
+    with session.connect(target) as line:
+        view = FleetView(line.bus, line.keys, line.runtime, ids)
         line.run(COLLECT_S)
-        return view.snapshot()
+        return _of(view, ids)
 
 
 def _robot_cells(row: RobotRow) -> tuple[str, ...]:
@@ -146,7 +203,7 @@ def params_set(target: Target, layer: str, key: str, value: Stored, *, timeout_s
 
 
 def params_history(target: Target, layer: str, key: str, *, timeout_s: float, as_json: bool) -> int:
-    """Print every change of a key, oldest first."""
+    """Print the newest changes of a key, oldest first; 100 of each are kept."""
     _print_entries(_ask(target, layer, "history", key, timeout_s), as_json)
     return 0
 
@@ -180,6 +237,10 @@ def _print_entries(entries: Sequence[ParamEntry], as_json: bool) -> None:
             output.data(entry_line(entry))
 
 
+def _no_layer(layer: str, hub: str) -> Unreachable:
+    return Unreachable(f"no layer '{layer}' answers", where=hub, hint=f"the one with a database is '{CORE}'")
+
+
 def _client(line: Session, layer: str) -> ParamClient:
     return ParamClient(line.bus, line.keys, line.runtime, line.source, layer=layer)
 
@@ -203,7 +264,8 @@ def _ask(
         _client(line, layer).ask(op, key, receive, value)
         line.run(timeout_s)
         if answer is None:
-            raise line.no_core(timeout_s)
+            raise line.no_core(timeout_s) if layer == CORE else _no_layer(layer, line.hub)
     if not answer.ok:
-        raise ConfigError(answer.reason or "refused without a reason", where=key)
+        reason = answer.reason or "refused without a reason"
+        raise ConfigError(reason, where="" if reason.startswith((key, f"'{key}'")) else key)
     return answer.entries

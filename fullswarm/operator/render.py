@@ -7,23 +7,35 @@ import math
 from rich.markup import escape
 from rich.table import Table
 
-from fullswarm.messages import STOPPED_BY, Summary
+from fullswarm.messages import Summary
+from fullswarm.operator.known import natural
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
+from fullswarm.words import ESTOP_WAS, LAPSED, STOPPED_BY
 
 _UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
-_HIDDEN = frozenset({"cells", "robots"})
+STANDS_M_S = 0.005
+NO_ALARM = (STOPPED_BY, ESTOP_WAS, LAPSED)
+"""Reasons for which a robot without a behaviour just stands."""
+_NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
+_LEAST = frozenset({"head °", "age s"})
+"""What makes room for who holds the robots."""
+_HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
 """Values of a summary that the same line or the table already says in another way."""
+_TRUTH = "truth_"
+"""The same once more as a supervisory process saw it: for results and --json."""
+_FIRST = ("work", "coverage", "collisions")
 
 
-def fleet_table(snapshot: Snapshot, max_rows: int | None = None) -> Table:
+def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int | None = None) -> Table:
     """Return the swarm as a table: a row per robot, the header above, what concerns all of them below.
 
-    With more robots than `max_rows` those that need attention come first and the rest is counted.
+    Those that need attention come first; with more robots than `max_rows` the rest is counted.
+    Below stand at most `max_lines` lines.
     """
     table = Table(
         title=_title(snapshot),
-        caption="\n".join(footer_lines(snapshot)),
+        caption="\n".join(footer_lines(snapshot)[:max_lines]),
         title_justify="left",
         caption_justify="left",
         title_style="bold",
@@ -34,16 +46,19 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None) -> Table:
         expand=True,  # the lines above and below are wrapped to the table's width
     )
     table.add_column("robot", overflow="fold", max_width=14)
-    table.add_column("behaviour", overflow="fold", max_width=18)
+    table.add_column("behaviour", overflow="fold", max_width=len("voronoi_coverage_bc"))
     # Widths that most numbers fit, so that a live table does not jump.
-    for name, width in (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4)):
-        table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    for name, width in _NUMBERS:
+        if not (snapshot.leases and name in _LEAST):
+            table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    if snapshot.leases:
+        table.add_column("held by", overflow="fold", max_width=10)
     table.add_column("state", overflow="fold", min_width=16, ratio=1)
-    rows = snapshot.robots
+    rows = sorted(snapshot.robots, key=lambda row: (not row_state(row)[1], natural(row.robot)))
     if max_rows is not None and len(rows) > max_rows:
-        rows = tuple(sorted(rows, key=lambda row: (not row_state(row)[1], row.robot)))[: max(1, max_rows - 1)]
+        rows = rows[: max(1, max_rows - 1)]
     for row in rows:
-        table.add_row(*_cells(row))
+        table.add_row(*_cells(row, snapshot.holders if snapshot.leases else None))
     if len(rows) < len(snapshot.robots):
         table.add_row("…", f"{len(snapshot.robots) - len(rows)} more")
     return table
@@ -60,8 +75,10 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
         latched = "E-STOP, " if health.estop else ""
         return f"{latched}FAULT: {health.fault or 'no reason given'}", True
     if health.estop:
-        return "E-STOP" if not health.moving else "E-STOP, still rolling", True
-    if health.stop_reason and not (health.stop_reason.startswith(STOPPED_BY) and not health.behaviour):
+        # Health comes twice a second, states twenty times: who stands already must not be said to roll.
+        rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
+        return "E-STOP, still rolling" if rolls else "E-STOP", True
+    if health.stop_reason and (health.behaviour or not health.stop_reason.startswith(NO_ALARM)):
         return f"STOPPED: {health.stop_reason}", True
     doing = "moving" if health.moving else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
@@ -74,16 +91,18 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:
-    """Return what concerns the whole swarm: summaries, the newest request, who is missing or silent."""
-    lines = [f"{each.metric}: {_values(each)}" for each in snapshot.summaries]
-    if snapshot.request is not None:
-        request = snapshot.request
-        reason = f", {request.reason}" if request.reason else ""
-        lines.append(f"request {request.request_id}: {request.behaviour} {request.phase}{reason}")
+    """Return what concerns the whole swarm: who is missing or silent, the newest request, summaries."""
+    lines = []
     if snapshot.missing:
         lines.append(f"MISSING, never heard: {_names(snapshot.missing)}")
     if snapshot.silent:
         lines.append(f"SILENT, heard before: {_names(snapshot.silent)}")
+    if snapshot.request is not None:
+        request = snapshot.request
+        reason = f", {request.reason}" if request.reason else ""
+        lines.append(f"request {request.request_id}: {request.behaviour} {request.phase}{reason}")
+    summaries = sorted(snapshot.summaries, key=lambda each: (each.metric not in _FIRST, each.metric))
+    lines += [f"{each.metric}: {text}" for each in summaries if (text := _values(each))]
     return [escape(line) for line in lines]
 
 
@@ -101,21 +120,24 @@ def _title(snapshot: Snapshot) -> str:
     return escape(", ".join(parts))
 
 
-def _cells(row: RobotRow) -> list[str]:
+def _cells(row: RobotRow, holders: dict[str, str] | None) -> list[str]:
     state, attention = row_state(row)
     health = row.health
     collisions = "" if health is None else str(health.collisions)
-    return [
-        escape(row.robot),
-        escape((health.behaviour if health else "") or "-"),
-        _number(row.x_m, 2),
-        _number(row.y_m, 2),
-        _number(math.degrees(row.heading_rad), 0),
-        _number(row.speed_m_s, 2),
-        f"{row.age_s:.1f}",
-        f"[bold red]{collisions}[/]" if health and health.collisions else collisions,
-        f"[bold red]{escape(state)}[/]" if attention else escape(state),
-    ]
+    cells = {
+        "robot": escape(row.robot),
+        "behaviour": escape((health.behaviour if health else "") or "-"),
+        "x m": _number(row.x_m, 2),
+        "y m": _number(row.y_m, 2),
+        "head °": _number(math.degrees(row.heading_rad), 0),
+        "m/s": _number(row.speed_m_s, 2),
+        "age s": f"{row.age_s:.1f}",
+        "hits": f"[bold red]{collisions}[/]" if health and health.collisions else collisions,
+    }
+    if holders is not None:
+        cells = {name: text for name, text in cells.items() if name not in _LEAST}
+        cells["held by"] = escape(holders.get(row.robot, "-"))
+    return [*cells.values(), f"[bold red]{escape(state)}[/]" if attention else escape(state)]
 
 
 def _number(value: float, digits: int) -> str:
@@ -129,7 +151,8 @@ def _values(summary: Summary) -> str:
     shown = {
         name: value for name, value in summary.values.items() if name not in _HIDDEN and not _is_nought(name, value)
     }
-    text = ", ".join(_quantity(name, value) for name, value in shown.items())
+    whole = "area" if summary.metric == "coverage" else "robots"
+    text = ", ".join(_quantity(name, value, whole) for name, value in shown.items() if not name.startswith(_TRUTH))
     done = f"; finished: {summary.reason or 'done'}" if summary.finished else ""
     return text + done
 
@@ -139,12 +162,12 @@ def _is_nought(name: str, value: float) -> bool:
     return name.startswith("refused") and value == 0
 
 
-def _quantity(name: str, value: float) -> str:
+def _quantity(name: str, value: float, whole: str) -> str:
     for ending, unit in _UNITS:
         if name.endswith(ending):
             return f"{name.removesuffix(ending).replace('_', ' ')} {value:.2f} {unit}"
     if name == "fraction":
-        return f"{value:.1%} of the area"
+        return f"{value:.1%} of the {whole}"
     return f"{name.replace('_', ' ')} {value:g}"
 
 

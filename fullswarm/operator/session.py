@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
 import os
+import re
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -13,30 +15,60 @@ from types import FrameType
 from fullswarm.bus.base import Bus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import DEFAULT_HUB
-from fullswarm.errors import Unreachable
+from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
 from fullswarm.operator.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
+OPERATOR = "FULLSWARM_OPERATOR"
+_NAME = re.compile(r"[^\s,;()]{1,64}\Z")
+
+
+def operator_name(given: str) -> str:
+    """Return the name that somebody gave himself, if it reads well in ``r1 is held by …``.
+
+    Raises
+    ------
+    ConfigError
+        It does not.
+    """
+    if not _NAME.match(given) or not given.isprintable():
+        hint = "64 characters at most, no spaces, commas or brackets, e.g. anna@lab"
+        raise ConfigError(f"'{given:.80}' cannot name an operator", where=f"--operator or {OPERATOR}", hint=hint)
+    return given
+
+
+def usual_name() -> str:
+    """Return the environment's ``FULLSWARM_OPERATOR``, else ``user@host``; never fails: a stop needs no name."""
+    try:
+        return operator_name(os.environ[OPERATOR])
+    except (KeyError, ConfigError):
+        pass
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):  # an account without a name, as in some containers
+        user = "operator"
+    return re.sub(r"[^\w.@-]", "-", f"{user}@{socket.gethostname()}")[:64]
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Which swarm a command talks to; no `hub` means the one on this machine."""
+    """Which swarm a command talks to, and in whose name; no `hub` means the one on this machine."""
 
     hub: str | None = None
     swarm: str = "swarm"
+    operator: str = ""  # empty: see `usual_name`
 
 
 class Session:
     """A connected command. It runs once: :meth:`run` until :meth:`finish`, a time limit or Ctrl-C."""
 
-    def __init__(self, bus: Bus, keys: Keys, runtime: Runtime, hub: str) -> None:
+    def __init__(self, bus: Bus, keys: Keys, runtime: Runtime, hub: str, name: str = "") -> None:
         self.bus, self.keys, self.runtime, self.hub = bus, keys, runtime, hub
         self.source = f"cli@{socket.gethostname()}:{os.getpid()}"
-        self.operator = Operator(bus, keys, runtime, self.source)
+        self.operator = Operator(bus, keys, runtime, self.source, name=name or usual_name())
         self.on_interrupt: Callable[[], None] | None = None
         """What Ctrl-C does; None: end the command with code 130. It must lead to :meth:`finish`."""
 
@@ -100,6 +132,6 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     bus = ZenohBus(runtime.mailbox, hub=hub)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)
-        yield Session(bus, keys, runtime, hub)
+        yield Session(bus, keys, runtime, hub, target.operator)
     finally:
         bus.close()

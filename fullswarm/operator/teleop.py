@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
-from fullswarm.messages import RequestStatus
+from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Asked, Operator
 from fullswarm.runtime import Scheduler, Timer
 
 BEHAVIOUR = "drive"
 RATE_HZ = 20.0
+LEAST_S = 0.02
+"""A stick that has moved is not told before the last frame is so old; then at once, not with the next period."""
 ZERO_FRAMES = 3
 """Zeros sent on release: one may be lost, and the intent lapses by itself anyway."""
 REMEMBERED_FRAMES = 20
@@ -18,9 +21,12 @@ REMEMBERED_FRAMES = 20
 
 
 class Teleop:
-    """Streams the intent ``drive`` at 20 Hz while the stick is held.
+    """Streams an intent at 20 Hz while a stick is held.
 
-    `linear` and `angular` are the sticks, -1 to 1: shares of the robot's full speed and turn rate.
+    Attributes
+    ----------
+    robots : who is driven; none: the whole swarm
+    take : whether the frames take robots over from who holds them; for the first ones, see `drive`
     """
 
     def __init__(
@@ -31,17 +37,37 @@ class Teleop:
         *,
         on_status: Callable[[RequestStatus], None] | None = None,
     ) -> None:
-        self.linear = self.angular = 0.0
-        self._operator, self._scheduler, self._robots = operator, scheduler, tuple(robots)
-        self._on_status = on_status
+        self.robots, self.take = tuple(robots), False
+        self._operator, self._scheduler, self._on_status = operator, scheduler, on_status
+        self._behaviour, self._sticks = BEHAVIOUR, dict[str, float]()
+        self._fixed: dict[str, Value] = {}
+        self._told: tuple[str, dict[str, float]] | None = None  # what the newest frame said
         self._recent: deque[Asked] = deque()
+        self._sent_s = -math.inf
         self._timer: Timer | None = None
 
-    def hold(self, linear: float, angular: float) -> None:
-        """Set the sticks; the first call starts the stream."""
-        self.linear, self.angular = linear, angular
+    @property
+    def held(self) -> bool:
+        """Whether the stream is on."""
+        return self._timer is not None
+
+    def hold(self, behaviour: str, sticks: Mapping[str, float], fixed: Mapping[str, Value] | None = None) -> None:
+        """Set what is asked for; the first call starts the stream.
+
+        Parameters
+        ----------
+        behaviour
+            One that lapses by itself, such as ``drive`` or ``move_left_bc``.
+        sticks
+            Its parameters that stand for sticks, shares of full rate, -1 to 1; zero on release.
+        fixed
+            Other parameters.
+        """
+        self._behaviour, self._sticks, self._fixed = behaviour, dict(sticks), dict(fixed or {})
         if self._timer is None:
             self._timer = self._scheduler.every(1.0 / RATE_HZ, self._send)
+            self._send()
+        elif (behaviour, self._sticks) != self._told and self._scheduler.now_s() - self._sent_s >= LEAST_S:
             self._send()
 
     def release(self, on_done: Callable[[], None] | None = None) -> None:
@@ -49,11 +75,14 @@ class Teleop:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self.linear = self.angular = 0.0
+        self._sticks = dict.fromkeys(self._sticks, 0.0)
         self._zero(ZERO_FRAMES, on_done)
 
     def _zero(self, left: int, on_done: Callable[[], None] | None) -> None:
-        self._send()
+        if self.held:  # taken up again
+            left = 0
+        else:
+            self._send()
         if left > 1:
             self._scheduler.after(1.0 / RATE_HZ, lambda: self._zero(left - 1, on_done))
         elif on_done is not None:
@@ -62,8 +91,15 @@ class Teleop:
     def _send(self) -> None:
         if len(self._recent) >= REMEMBERED_FRAMES:
             self._operator.forget(self._recent.popleft())
-        sticks = {"linear": self.linear, "angular": self.angular}
+        self._sent_s, self._told = self._scheduler.now_s(), (self._behaviour, dict(self._sticks))
         self._recent.append(
             # The next frame replaces this one, so nothing is sent twice.
-            self._operator.request(BEHAVIOUR, self._robots, sticks, self._on_status, resend=False)
+            self._operator.request(
+                self._behaviour,
+                self.robots,
+                {**self._fixed, **self._sticks},
+                self._on_status,
+                resend=False,
+                take=self.take,
+            )
         )

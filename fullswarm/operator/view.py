@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 
 import msgspec
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, Heartbeat, RequestStatus, RobotHealth, RobotStates, Summary
+from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
 from fullswarm.runtime import Scheduler
 
 SILENT_S = 2.0
 """Four health reports lost: the robot, its link or its hub is gone."""
 
-_NO_STATE = (math.nan, math.nan, math.nan, math.nan)
+LEASES_S = 3.0
+"""The core says them each second; older ones have lapsed or will, and nobody can tell which."""
+
+_NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,9 @@ class RobotRow:
     heading_rad: float
     speed_m_s: float
     health: RobotHealth | None  # None: only its states have been heard
+    radius_m: float = math.nan
+    host: str = ""  # who carries it; empty: no health report yet
+    version: str = ""  # of the software there
 
     @property
     def silent(self) -> bool:
@@ -44,6 +50,7 @@ class NodeRow:
     node: str
     age_s: float
     active: tuple[str, ...]
+    process: str = field(default="", compare=False)  # another one: it was started again
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +64,22 @@ class Snapshot:
     summaries: tuple[Summary, ...] = ()  # by metric
     request: RequestStatus | None = None  # the newest of all requests
     missing: tuple[str, ...] = ()  # expected or addressed, but never heard
+    leases: tuple[Lease, ...] = ()
+
+    @property
+    def holders(self) -> dict[str, str]:
+        """Robot → operator who holds it."""
+        return {lease.robot: lease.operator for lease in self.leases}
+
+    def only(self, robots: Iterable[str]) -> Snapshot:
+        """Return the same of these robots alone; what concerns all of them stays."""
+        wanted = frozenset(robots)
+        return replace(
+            self,
+            robots=tuple(row for row in self.robots if row.robot in wanted),
+            missing=tuple(robot for robot in self.missing if robot in wanted),
+            leases=tuple(lease for lease in self.leases if lease.robot in wanted),
+        )
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -68,7 +91,7 @@ class Snapshot:
         return {
             "swarm": self.swarm,
             "connected": self.connected,
-            "robots": [_robot_as_dict(row) for row in self.robots],
+            "robots": [{**_robot_as_dict(row), "held_by": self.holders.get(row.robot, "")} for row in self.robots],
             "nodes": [asdict(node) for node in self.nodes],
             "summaries": {each.metric: msgspec.to_builtins(each) for each in self.summaries},
             "request": msgspec.to_builtins(self.request),
@@ -78,22 +101,30 @@ class Snapshot:
 
 
 class FleetView:
-    """Collects what the swarm publishes. Ages count from arrival, on this side's clock."""
+    """Collects what the swarm publishes. Ages count from arrival, on this side's clock.
+
+    Attributes
+    ----------
+    states_heard : messages with states so far; unchanged: nothing has moved on
+    """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, expected: Iterable[str] = ()) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._expected = tuple(expected)
-        self._health: dict[str, tuple[float, RobotHealth]] = {}
-        self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
+        self.states_heard = 0
+        self._health: dict[str, tuple[float, RobotHealth, HealthReport]] = {}
+        self._states: dict[str, tuple[float, tuple[float, float, float, float, float]]] = {}
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
         self._summaries: dict[str, Summary] = {}
         self._request: RequestStatus | None = None
+        self._leases: tuple[float, tuple[Lease, ...]] = (-math.inf, ())
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._on_health),
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
             bus.subscribe(keys.heartbeat(), Heartbeat, self._on_heartbeat, latest=True),
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
+            bus.subscribe(keys.leases, Leases, self._on_leases, latest=True),
         ]
 
     def robots(self) -> tuple[str, ...]:
@@ -114,11 +145,13 @@ class FleetView:
             connected=self._bus.connected(),
             robots=tuple(self._row(robot, now_s) for robot in heard),
             nodes=tuple(
-                NodeRow(node, now_s - arrived_s, beat.active) for node, (arrived_s, beat) in sorted(self._nodes.items())
+                NodeRow(node, now_s - arrived_s, beat.active, beat.process)
+                for node, (arrived_s, beat) in sorted(self._nodes.items())
             ),
             summaries=tuple(self._summaries[metric] for metric in sorted(self._summaries)),
             request=self._request,
             missing=tuple(sorted({*self._expected, *addressed}.difference(heard))),
+            leases=self._leases[1] if now_s - self._leases[0] <= LEASES_S else (),
         )
 
     def close(self) -> None:
@@ -127,21 +160,33 @@ class FleetView:
             subscription.close()
 
     def _row(self, robot: str, now_s: float) -> RobotRow:
-        health_s, health = self._health.get(robot, (-math.inf, None))
-        state_s, state = self._states.get(robot, (-math.inf, _NO_STATE))
-        return RobotRow(robot, now_s - max(health_s, state_s), *state, health)
+        state_s, (x_m, y_m, heading_rad, speed_m_s, radius_m) = self._states.get(robot, (-math.inf, _NO_STATE))
+        health_s, health, report = self._health.get(robot, (-math.inf, None, None))
+        return RobotRow(
+            robot=robot,
+            age_s=now_s - max(health_s, state_s),
+            x_m=x_m,
+            y_m=y_m,
+            heading_rad=heading_rad,
+            speed_m_s=speed_m_s,
+            health=health,
+            radius_m=radius_m,
+            host="" if report is None else report.host,
+            version="" if report is None else report.version,
+        )
 
     def _on_health(self, report: HealthReport) -> None:
         now_s = self._scheduler.now_s()
         for health in report.robots:
-            self._health[health.robot] = now_s, health
+            self._health[health.robot] = now_s, health, report
 
     def _on_states(self, states: RobotStates) -> None:
         now_s = self._scheduler.now_s()
-        columns = zip(states.robots, states.x_m, states.y_m, states.heading_rad, states.speed_m_s, strict=False)
-        for robot, *state in columns:
-            x_m, y_m, heading_rad, speed_m_s = state
-            self._states[robot] = now_s, (x_m, y_m, heading_rad, speed_m_s)
+        self.states_heard += 1
+        kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.radius_m)
+        for robot, *state in zip(states.robots, *kinematics, strict=False):
+            x_m, y_m, heading_rad, speed_m_s, radius_m = state
+            self._states[robot] = now_s, (x_m, y_m, heading_rad, speed_m_s, radius_m)
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
         self._nodes[beat.node] = self._scheduler.now_s(), beat
@@ -151,6 +196,9 @@ class FleetView:
 
     def _on_status(self, status: RequestStatus) -> None:
         self._request = status
+
+    def _on_leases(self, message: Leases) -> None:
+        self._leases = self._scheduler.now_s(), message.leases
 
 
 def _robot_as_dict(row: RobotRow) -> dict[str, object]:

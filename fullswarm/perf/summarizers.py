@@ -17,19 +17,13 @@ from typing import Generic
 from fullswarm.bus.base import Bus
 from fullswarm.errors import MessageError
 from fullswarm.keys import Keys
-from fullswarm.messages import (
-    TRUTH,
-    CollisionMeasurement,
-    CoverageMeasurement,
-    RobotMeasurement,
-    Summary,
-    WorkMeasurement,
-)
+from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, RobotMeasurement, Summary, WorkMeasurement
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.robot_tally import RobotTally
 from fullswarm.perf.tallies import Alone, CollisionTally, CoverageTally, M, One, Result, Results, Tally, WorkTally
 from fullswarm.perf.termination import Conditions, reason_to_stop
 from fullswarm.runtime import Scheduler, Timer
+from fullswarm.words import TRUTH
 
 REPORT_PERIOD_S = 1.0
 ROBOTS_PERIOD_S = 5.0

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import TRUTH, CollisionMeasurement, RobotMeasurement, WorkMeasurement
+from fullswarm.messages import CollisionMeasurement, RobotMeasurement, WorkMeasurement
 from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Scheduler
+from fullswarm.words import TRUTH
 
 PERIOD_S = 0.5
 

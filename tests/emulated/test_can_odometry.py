@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -33,14 +34,18 @@ def drive(tmp_path: Path, side_m: float, laps: int, speed_m_s: float) -> None:
 
 def square_round(driver: CanBaseDriver, robot: EmulatedBase, square: Square) -> None:
     before, told_before = robot.body.state(), pose(driver)
+    last, went_m = before, 0.0
     while (twist := square.twist(pose(driver))) is not None:
         assert driver.state is Lifecycle.ACTIVE, driver.fault
         driver.command(twist)
         time.sleep(0.02)
+        here = robot.body.state()
+        last, went_m = here, went_m + math.hypot(here.x_m - last.x_m, here.y_m - last.y_m)
     driver.command(STAND)
     wait(lambda: robot.body.state().speed_m_s == robot.body.state().turn_rad_s == 0.0, 1.0)
     time.sleep(0.05)  # for the last encoder estimates
     after, told = robot.body.state(), pose(driver)
+    assert went_m == pytest.approx(square.path_m, rel=0.15)  # who goes nowhere is never off
     assert error_m(told, after.x_m, after.y_m) - error_m(told_before, before.x_m, before.y_m) < 0.01 * square.path_m
 
 

@@ -30,7 +30,7 @@ from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
 
 START = Pose(2.0, -1.0, 2.5)
 """No axis is the robot's heading, and it does not stand at the origin."""
-SIDE_BY_SIDE = 3
+SIDE_BY_SIDE = 4
 BASE = "interface=slcan&left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3"
 
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import socket
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
 
-from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
@@ -18,19 +15,7 @@ from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.errors import DriverError
-
-CLOCK = MonotonicClock()
-PAUSE = threading.Event()  # never set: waiting on it is a short pause
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 6.0, each: Callable[[], object] | None = None) -> None:
-    """Wait for `condition`, calling `each` at 50 Hz meanwhile."""
-    deadline_s = CLOCK.now_s() + timeout_s
-    while not condition():
-        assert CLOCK.now_s() < deadline_s, "waited in vain"
-        if each is not None:
-            each()
-        PAUSE.wait(0.02)
+from tests.emulated.rover_link import CLOCK, PAUSE, active, free_port, ready, until
 
 
 def hold(duration_s: float, each: Callable[[], object], never: Callable[[], bool] = lambda: False) -> None:
@@ -40,13 +25,6 @@ def hold(duration_s: float, each: Callable[[], object], never: Callable[[], bool
         each()
         assert not never()
         PAUSE.wait(0.02)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 ADDRESSES: dict[str, Callable[[], str]] = {"udp": lambda: f"udp://127.0.0.1:{free_port()}", "udpin": lambda: "udpin://127.0.0.1:0",
@@ -62,16 +40,6 @@ def pair(address: str = "", body: Body | None = None) -> Iterator[tuple[MavlinkD
             yield driver, emulator
         finally:
             driver.close()
-
-
-def ready(driver: MavlinkDriver) -> None:
-    until(lambda: driver.state is Lifecycle.READY)
-
-
-def active(driver: MavlinkDriver) -> None:
-    ready(driver)
-    driver.activate()
-    until(lambda: driver.state is Lifecycle.ACTIVE)
 
 
 def last_speed(emulator: RoverEmulator) -> float:

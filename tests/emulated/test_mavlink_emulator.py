@@ -23,16 +23,10 @@ from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.emulator import RoverEmulator, open_port
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.errors import ConfigError, DriverError
+from tests.emulated.rover_link import free_port
 
 CLOCK = MonotonicClock()
 LIMIT_S = 20.0
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 @contextmanager

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
@@ -20,27 +17,9 @@ from fullswarm.drivers.mavlink.px4 import HOLD, OFFBOARD
 from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps
 from fullswarm.errors import ConfigError
+from tests.emulated.rover_link import CLOCK, active, free_port, until
 
-CLOCK = MonotonicClock()
-PAUSE = threading.Event()  # never set: waiting on it is a short pause
 KEY, OTHER = bytes(range(32)), bytes(32)
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 8.0, each: Callable[[], object] | None = None) -> None:
-    """Wait for `condition`, calling `each` at 50 Hz meanwhile."""
-    deadline_s = CLOCK.now_s() + timeout_s
-    while not condition():
-        assert CLOCK.now_s() < deadline_s, "waited in vain"
-        if each is not None:
-            each()
-        PAUSE.wait(0.02)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 @contextmanager
@@ -54,12 +33,6 @@ def pair(
             yield driver, emulator
         finally:
             driver.close()
-
-
-def active(driver: MavlinkDriver) -> None:
-    until(lambda: driver.state is Lifecycle.READY)
-    driver.activate()
-    until(lambda: driver.state is Lifecycle.ACTIVE)
 
 
 def test_drives_where_it_says_and_is_left_holding() -> None:

@@ -17,8 +17,8 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.sim.emulator import WorldServer
 from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
-from fullswarm.launch.demo import on_free_ports
 from fullswarm.launch.nodes import start_poses
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value
@@ -115,6 +115,11 @@ class LiveSwarm:
         """Whether all robots have a set-point that is not zero."""
         assert self.world is not None
         return bool(self.world.setpoint.any(axis=1).all())
+
+    def driven_since(self, robot: str, moment_s: float) -> bool:
+        """Whether a robot was sent a set-point that is not zero after a moment."""
+        assert self.world is not None
+        return bool(self.world.driven_s[self.world.row(robot)] > moment_s)
 
     def stands(self) -> bool:
         """Whether no robot has a set-point but zero."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -52,3 +53,18 @@ def processes_of(pid: int) -> dict[int, str]:
     return found | {
         each.pid: each.name() for each in psutil.Process(os.getpid()).children(recursive=True) if pid == os.getpid()
     }
+
+
+def nobody_new(before: dict[int, str], within_s: float = 5.0) -> None:
+    """Assert that no process is left that was not there before after a while: a guardian may be parking its robot.
+
+    A guardian whose agent was killed is nobody's child: it says goodbye to the firmware (`FAREWELL_S`), then ends.
+    """
+    end_s = time.monotonic() + within_s
+    while (left := _new(before)) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    assert not left
+
+
+def _new(before: dict[int, str]) -> dict[int, str]:
+    return {pid: what for pid, what in processes_of(os.getpid()).items() if pid not in before}

@@ -132,10 +132,13 @@ def test_an_operator_who_lets_go(swarm: LiveSwarm) -> None:
 def test_an_agent(swarm: LiveSwarm) -> None:
     start(swarm, "move_to_goal")
     swarm.supervisor.kill("r1")
-    # Its body is still told the last set-point; the world's own watchdog (off here, 5 s) would end that.
+    # Its body still has the last set-point (the world's own watchdog is 5 s here), and what it said last is still
+    # fresh: neither may be taken for the new agent's.
+    swarm.until(lambda: swarm.row("r1").age_s > 1.0, 5.0, "nothing comes from the dead agent")
+    revived_s = swarm.clock.now_s()
     swarm.supervisor.revive("r1")
     swarm.until(lambda: swarm.all_run("move_to_goal"), 20.0, "the new agent runs what was asked")
-    swarm.until(swarm.driven, 10.0, "and drives")
+    swarm.until(lambda: swarm.driven_since("r1", revived_s), 10.0, "and drives")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
 from typing import Any
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import psutil
 import pytest
@@ -40,8 +43,9 @@ def check(document: dict[str, Any]) -> None:
 
 
 def test_the_live_demo_prints_one_document() -> None:
-    done = fullswarm("demo", "--headless", "--seconds", "20", "--json")
+    done = fullswarm("demo", "--headless", "--seconds", "12", "--json")
     assert done.returncode == 0, done.stderr
+    assert "Open " not in done.stderr, "there is no console"
     document = json.loads(done.stdout)
     check(document)
     assert 0.8 < document["real_time_factor"] < 1.2
@@ -70,16 +74,18 @@ def test_three_makes_drive_in_one_world() -> None:
     assert 0.8 < document["real_time_factor"] < 1.2
 
 
+@pytest.mark.untimed
 def test_lockstep_repeats_to_the_byte() -> None:
-    first, second = (fullswarm("demo", "--lockstep", "--seed", "7", "--json") for _ in range(2))
+    first, second = (fullswarm("demo", "--lockstep", "--seconds", "14", "--seed", "7", "--json") for _ in range(2))
     assert first.returncode == 0, first.stderr
     check(json.loads(first.stdout))
     assert first.stdout == second.stdout
-    noisy = ("demo", "--lockstep", "--json", "--set", "world.noise.position_m=0.01", "--seconds", "10")
+    noisy = ("demo", "--lockstep", "--json", "--set", "world.noise.position_m=0.01", "--seconds", "4")
     one, other = fullswarm(*noisy, "--seed", "1"), fullswarm(*noisy, "--seed", "2")
     assert one.stdout != other.stdout, "the seed must matter where there is noise"
 
 
+@pytest.mark.untimed
 def test_the_table_and_the_summary_are_for_people() -> None:
     done = fullswarm("demo", "--lockstep", "--seconds", "12")
     assert done.returncode == 0
@@ -103,6 +109,52 @@ def test_ctrl_c_ends_the_demo_and_leaves_no_process() -> None:
     assert not [line for line in lines if folder in line]
 
 
+QUICK = ("--seconds", "6", "--set", "world.engine=kinematic")
+
+
+@pytest.mark.slow  # that it ends with its show and what it prints: as headless, and as one that stays
+def test_the_live_demo_with_a_console_ends_with_its_show() -> None:
+    done = fullswarm("demo", *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "Open " in done.stderr
+    assert "rendezvous_bc" in done.stdout
+
+
+@pytest.mark.slow  # headless it has no console either
+def test_without_a_console_nothing_is_said_of_one() -> None:
+    done = fullswarm("demo", "--no-console", *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "Open " not in done.stderr
+
+
+def test_a_demo_that_stays_prints_its_address_and_ends_in_order_with_ctrl_c() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "fullswarm", "demo", "--stay", "--no-open", *QUICK],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stderr
+        said = ""
+        while "the show is over" not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        assert re.search(r"^Open http://127\.0\.0\.1:\d+/#token=\S{16,}$", said, re.MULTILINE)
+        assert "Space stops all" in said
+        address = said.partition("Open ")[2].partition("#")[0]
+        with urlopen(address) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        summary, rest = process.communicate(timeout=30)
+    assert process.returncode == 0, "Ctrl-C is its ordinary end"
+    assert "move_to_goal_bc" in summary
+    assert "rendezvous_bc" in summary
+    assert "token=" not in summary, "stdout is for data, and is often kept"
+    assert "Traceback" not in rest
+    with pytest.raises(URLError):
+        urlopen(address)
+
+
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -119,6 +171,7 @@ def test_bad_input_gets_a_clear_error(arguments: tuple[str, ...], complaint: str
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.untimed
 def test_help_imports_nothing_heavy() -> None:
     script = (
         "import sys\nfrom fullswarm.launch.main import app\n"

@@ -23,7 +23,7 @@ from fullswarm.perf.experiment import load_experiment, plan
 from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS, Record, trial_id
 from tests.unit.experiment_work import Trouble, answer
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.untimed]
 
 CELL = "robots=4,empty,move_to_goal_bc"
 PROGRAM = """
@@ -204,7 +204,11 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
         assert (asked["name"], asked["trials"]) == ("paper", [trial_id(trial) for trial in planned])
 
 
-@pytest.mark.parametrize("engine", ["kinematic", pytest.param("pybullet", marks=pytest.mark.sim)])
+# That kinematic trials repeat, test_shards_together_are_the_whole shows as well.
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param("kinematic", marks=pytest.mark.slow), pytest.param("pybullet", marks=pytest.mark.sim)],
+)
 def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path, engine: str) -> None:
     assert run(options(tmp_path / "out", "3", engine=engine, cells=("robots=8,uniform,move_to_goal_bc",))) == 0
     (folder,) = (tmp_path / "out" / TRIALS).iterdir()

@@ -24,14 +24,14 @@ from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.keys import Keys
 from fullswarm.launch.evaluate.fleet_setup import fit, starts_of
 from fullswarm.launch.evaluate.fleet_trial import FleetRunner, run_fleet
-from fullswarm.launch.evaluate.live_trial import on_unused_ports
 from fullswarm.launch.evaluate.trial import TrialFailed
 from fullswarm.launch.latching import STATE, latch_folder
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.messages import EStop, PoseFix
 from fullswarm.perf.experiment import Trial, TrialResult, scenario_of
 from fullswarm.perf.experiment.record import PROVENANCE_FILE, RESULT_FILE, Provenance, Record, trial_id
 from fullswarm.runtime import Mailbox
-from tests.system.live_room import FAR, processes_of, trial
+from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
 pytestmark = pytest.mark.system
 
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.system
 def nobody_is_left() -> Iterator[None]:
     before = processes_of(os.getpid())  # other tests' may be there, a resource tracker for one
     yield
-    assert processes_of(os.getpid()).keys() <= before.keys()
+    nobody_new(before)
 
 
 class Script:
@@ -73,14 +73,16 @@ class Script:
 
 @pytest.fixture
 def simulated() -> SwarmConfig:
-    return on_unused_ports(SwarmConfig.model_validate({"swarm": "lab", "robot": [{"id": "a"}, {"id": "b"}]}))
+    return on_free_ports(
+        SwarmConfig.model_validate({"swarm": "lab", "robot": [{"id": "a"}, {"id": "b"}]}), wished=False
+    )
 
 
 @pytest.fixture
 def creates(tmp_path: Path) -> Iterator[SwarmConfig]:
     """Robots that fullswarm takes for real ones: it knows their ports and nothing else."""
     robots = [{"id": robot, "driver": f"create://{tmp_path}/{robot}?model=create2"} for robot in ("a", "b", "spare")]
-    config = on_unused_ports(SwarmConfig.model_validate({"swarm": "lab", "robot": robots}))
+    config = on_free_ports(SwarmConfig.model_validate({"swarm": "lab", "robot": robots}), wished=False)
     with contextlib.ExitStack() as stack:
         for each in config.robot:
             settings = parse_url(each.driver)

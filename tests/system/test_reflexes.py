@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.system.fault_matrix import BACKENDS, FAULTS, Result, full_rounds, quick_rounds
+from tests.system.fault_matrix import BACKENDS, FAULTS, Result, Round, full_rounds, quick_rounds
 from tests.system.fault_rounds import Matrix
 
 pytestmark = pytest.mark.system
@@ -25,9 +25,10 @@ def matrix() -> Iterator[Matrix]:
     made.close()
 
 
-def judge(results: list[Result], capsys: pytest.CaptureFixture[str]) -> None:
+def judge(happens: Round, results: list[Result], capsys: pytest.CaptureFixture[str]) -> None:
     with capsys.disabled():
         sys.stdout.write("\n" + "\n".join(map(str, results)) + "\n")
+    assert sorted(each.fault for each in results) == sorted(happens.values())
     late = [each for each in results if not each.zero_s <= each.bound_s + LOOK_S]
     assert not late, "\n".join(map(str, late))
     rolls = [each for each in results if math.isfinite(each.bound_s) and not each.rest_s <= each.bound_s + BRAKE_S]
@@ -43,7 +44,7 @@ def test_quick_rounds_have_each_fault_once_and_each_backend_twice() -> None:
 
 @pytest.mark.parametrize("happens", quick_rounds(), ids=lambda each: "+".join(sorted(set(each.values()))))
 def test_each_fault_once(matrix: Matrix, happens: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    judge(matrix.run(happens), capsys)
+    judge(happens, matrix.run(happens), capsys)
 
 
 @pytest.mark.slow
@@ -51,4 +52,4 @@ def test_each_fault_once(matrix: Matrix, happens: dict[str, str], capsys: pytest
 def test_each_fault_on_each_backend(
     matrix: Matrix, happens: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    judge(matrix.run(happens), capsys)
+    judge(happens, matrix.run(happens), capsys)

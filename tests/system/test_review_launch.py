@@ -17,7 +17,7 @@ import pytest
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
-from fullswarm.launch.demo import on_free_ports
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import FIRST_BACKOFF_S, STEADY_S, Supervisor
 from fullswarm.runtime import Runtime
 
@@ -151,6 +151,18 @@ def test_a_demo_moves_to_ports_that_are_free() -> None:
         moved = on_free_ports(taken)
     assert moved.hub.endpoint != taken.hub.endpoint
     assert moved.world_or_default.address != taken.world_or_default.address
+
+
+def test_swarms_side_by_side_do_not_wish_for_the_same_free_ports() -> None:
+    robots = [{"id": "r1"}, {"id": "m1", "emulate": "rover"}, {"id": "c1", "emulate": "create2"}]
+    config = SwarmConfig.model_validate({"robot": robots})
+    first, second = (on_free_ports(config, wished=False) for _ in range(2))
+    assert len({config.hub.endpoint, first.hub.endpoint, second.hub.endpoint}) == 3
+    assert len({each.world_or_default.address for each in (config, first, second)}) == 3
+    rovers = {each.robot[1].driver for each in (first, second)}
+    assert len(rovers) == 2
+    assert not any(":14550" in driver for driver in rovers)
+    assert [each.driver.partition(":")[0] for each in first.robot] == ["", "mavlink+udp", "create"]
 
 
 class Process:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from fullswarm.bus.local import LocalBus
@@ -190,3 +190,10 @@ class Swarm:
         self.core.close()
         self.store.close()
         self.bus.close()
+
+
+def fresh() -> Iterator[Swarm]:
+    """Give a test a swarm of its own and close it: ``swarm = pytest.fixture(fresh)``."""
+    made = Swarm()
+    yield made
+    made.close()

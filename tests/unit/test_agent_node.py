@@ -193,7 +193,7 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
     driving(bench)
     bench.enable("move_to_goal", {"goal": [1.0, 1.0]})
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    assert "needs a parameter" in bench.agent.law_error[0]
+    assert "needs a parameter" in bench.agent.wishes.law_error[0]
     driving(bench)
 
 

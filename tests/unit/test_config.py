@@ -193,7 +193,7 @@ def test_overrides_are_named_in_their_errors(tmp_path: Path) -> None:
             "--set agent.turn_gain: unknown key, did you mean 'turn_gain_per_s'?",
             "--set nonsense: expected key=value, e.g. --set agent.sensing_radius_m=2.5",
             "--set agent.turn_gain_per_s: '[1' is not a TOML value; text goes in quotes",
-            "--set robot.b.driver: there is no such place in fleet.toml",
+            "--set robot.b.driver: there is no such place in fleet.toml (known: a)",
             "--set swarm.name: swarm: must be text in quotes",
             "--set world: world.boxes[0]: must be a list, not 1",
         ]

@@ -1,20 +1,13 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from fullswarm.config import PerformanceConfig
 from fullswarm.core import main_controller
 from fullswarm.messages import ParamChanged, ParamReply, ParamRequest, StopRequest
-from tests.unit.core_swarm import KEYS, Swarm
+from tests.unit.core_swarm import KEYS, Swarm, fresh
 
-
-@pytest.fixture
-def swarm() -> Iterator[Swarm]:
-    made = Swarm()
-    yield made
-    made.close()
+swarm = pytest.fixture(fresh)
 
 
 def test_refusals_reach_the_operator_with_a_hint(swarm: Swarm) -> None:

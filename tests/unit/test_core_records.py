@@ -62,7 +62,7 @@ def test_moves_go_by_the_map_and_lapse() -> None:
         ("move_left", {"direction": [1, 0]}, ["parameter 'direction' is fixed by the record"]),
         ("stop", {"gain": 1.0}, ["parameter 'gain' is unknown (it takes none)"]),
         ("formation", {}, ["give either targets or shape"]),
-        ("formation", {"targets": [[0, 0]]}, ["1 targets for 2 robots"]),
+        ("formation", {"targets": [[0, 0]]}, ["1 target for 2 robots"]),
         ("formation", {"shape": "cirlce"}, ["shape = 'cirlce' is not one of circle, line, grid"]),
         ("formation", {"shape": "circle"}, ["centre is missing: point [x, y] m"]),
         ("formation", {"shape": "circle", "centre": [0, 0], "targets": [[0, 0]] * 2}, ["not both"]),

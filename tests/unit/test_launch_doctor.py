@@ -12,7 +12,7 @@ from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import Unreachable
 from fullswarm.launch import doctor, machine
-from fullswarm.launch.machine import Check
+from fullswarm.operator.checks import Check
 
 
 def by_name(checks: list[Check]) -> dict[str, Check]:

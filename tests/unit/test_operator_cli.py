@@ -107,7 +107,11 @@ class FakeSwarm:
     def _on_question(self, question: ParamRequest) -> None:
         if not self.core_alive:
             return
-        values: dict[str, object] = {"behaviour/flocking": RECORD, "agent/speed": 0.5}
+        values: dict[str, object] = {
+            "behaviour/flocking": RECORD,
+            "agent/speed": 0.5,
+            "group/scouts": {"robots": ["r1"]},
+        }
         if question.op == "set":
             values[question.key] = question.value
         entries = tuple(
@@ -188,7 +192,10 @@ def test_no_hub_is_exit_code_3(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "CONNECT_S", 0.1)
     result = run("status", "--hub", "tcp/127.0.0.1:9")
     assert result.exit_code == 3
-    assert result.stderr == "error: tcp/127.0.0.1:9: no hub answers (start one with `fullswarm hub`)\n"
+    assert result.stderr == (
+        "error: tcp/127.0.0.1:9: no hub answers "
+        "(start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub)\n"
+    )
 
 
 def test_stop_is_sent_to_the_robots_named(swarm: FakeSwarm) -> None:
@@ -275,6 +282,25 @@ def test_status_is_a_table_or_json(swarm: FakeSwarm) -> None:
     assert max(map(len, result.stdout.splitlines())) <= 80
     found = json.loads(run("status", "--json").stdout)
     assert [robot["robot"] for robot in found["robots"]] == ["r1", "r2"]
+
+
+def test_some_robots_or_a_group_can_be_looked_at(swarm: FakeSwarm) -> None:
+    text = run("status", "--robots", "r2,r7").stdout
+    assert [line.split()[0] for line in text.splitlines()[2:3]] == ["r2"]
+    assert "MISSING, never heard: r7" in text
+    robots = json.loads(run("status", "--robots", "@scouts", "--json").stdout)["robots"]
+    assert [robot["robot"] for robot in robots] == ["r1"]
+    wrong = run("status", "--robots", "@scout")
+    assert (wrong.exit_code, wrong.stderr) == (2, "error: --robots: no group '@scout' (did you mean '@scouts'?)\n")
+
+
+def test_watching_prints_a_line_of_json_at_each_refresh(swarm: FakeSwarm) -> None:
+    swarm.interrupt_after_s = 2.1
+    result = run("watch", "--json", "--robots", "r1")
+    assert result.exit_code == 0
+    seen = [json.loads(line) for line in result.stdout.splitlines()]
+    assert len(seen) == 8
+    assert [robot["robot"] for robot in seen[-1]["robots"]] == ["r1"]
 
 
 def test_robots_and_behaviours_are_listed(swarm: FakeSwarm) -> None:

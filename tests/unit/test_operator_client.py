@@ -92,6 +92,7 @@ def test_a_request_is_repeated_with_one_id_until_the_first_status(swarm: Swarm) 
         robots=("a", "b"),
         parameters={"cohesion": 0.5},
         source="test",
+        operator="test",
         stamp_s=100.0,
     )
     assert [status.request_id for status in got] == ["id1"]
@@ -236,7 +237,7 @@ def test_an_endless_mock_publisher_ends_when_stopped(swarm: Swarm) -> None:
 def test_teleop_streams_at_20_hz_and_ends_with_zeros(swarm: Swarm) -> None:
     teleop = Teleop(swarm.operator, swarm.runtime, ["a"])
     done: list[float] = []
-    teleop.hold(0.5, -0.25)
+    teleop.hold("drive", {"linear": 0.5, "angular": -0.25})
     swarm.runtime.after(0.52, lambda: teleop.release(lambda: done.append(swarm.time_s)))
     swarm.runtime.run(3.0)
     frames = [(time, each) for time, each in swarm.heard if isinstance(each, BehaviourRequest)]
@@ -251,7 +252,7 @@ def test_teleop_streams_at_20_hz_and_ends_with_zeros(swarm: Swarm) -> None:
 def test_teleop_hears_a_refusal_and_keeps_only_recent_frames(swarm: Swarm) -> None:
     got: list[str] = []
     teleop = Teleop(swarm.operator, swarm.runtime, on_status=lambda status: got.append(status.request_id))
-    teleop.hold(1.0, 0.0)
+    teleop.hold("drive", {"linear": 1.0, "angular": 0.0})
     for request_id in ("id1", "id40"):
         swarm.runtime.after(2.01, lambda name=request_id: swarm.answer(name, "refused"))  # type: ignore[misc]
     swarm.runtime.run(2.02)

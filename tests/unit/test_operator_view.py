@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import math
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -10,10 +11,11 @@ from rich.console import Console
 from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, Heartbeat, RequestStatus, RobotHealth, RobotStates, Summary
-from fullswarm.operator.render import fleet_table, row_state
+from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
+from fullswarm.operator.render import fleet_table, footer_lines, row_state
 from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
 from fullswarm.runtime import Runtime
+from fullswarm.words import LAPSED
 
 KEYS = Keys("lab")
 
@@ -34,9 +36,9 @@ def row(robot: str = "r1", age_s: float = 0.1, **fields: object) -> RobotRow:
     return RobotRow(robot, age_s, 1.0, -2.5, math.pi / 2, 0.25, health(robot, **fields))
 
 
-def text_of(snapshot: Snapshot, width: int = 80, max_rows: int | None = None) -> str:
+def text_of(snapshot: Snapshot, width: int = 80, max_rows: int | None = None, max_lines: int | None = None) -> str:
     console = Console(file=io.StringIO(), width=width, color_system=None)
-    console.print(fleet_table(snapshot, max_rows))
+    console.print(fleet_table(snapshot, max_rows, max_lines))
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -137,6 +139,8 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
         ({"stop_reason": "the hub is lost"}, ("STOPPED: the hub is lost", True)),
         ({"stop_reason": "it was stopped by ann", "behaviour": ""}, ("standing", False)),
         ({"stop_reason": "it was stopped by ann", "behaviour": "drive"}, ("STOPPED: it was stopped by ann", True)),
+        ({"stop_reason": LAPSED, "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": "its e-stop was released by ann", "behaviour": ""}, ("standing", False)),
         ({"lifecycle": "FAULT"}, ("FAULT: no reason given", True)),
         ({"lifecycle": "OPEN"}, ("open, not ready", False)),
         ({"contacts": 1, "moving": True}, ("moving, TOUCHING", True)),
@@ -145,6 +149,12 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
 )
 def test_states_are_said_in_words(fields: dict[str, object], state: tuple[str, bool]) -> None:
     assert row_state(row("r1", 0.1, **fields)) == state
+
+
+def test_who_stands_already_is_not_said_to_roll() -> None:
+    reported = row("r1", 0.1, estop=True, moving=True)
+    assert row_state(replace(reported, speed_m_s=0.0)) == ("E-STOP", True)
+    assert row_state(replace(reported, speed_m_s=-0.1)) == ("E-STOP, still rolling", True)
 
 
 def test_silence_comes_before_what_was_last_heard() -> None:
@@ -178,15 +188,15 @@ def test_the_table_says_all_of_it_in_80_columns() -> None:
     assert lines == [
         "swarm lab: 3 robots, hub connected, centralised SILENT, alive: core",
         "robot behaviour      x m    y m head °   m/s age s hits state",
-        "r1    flocking_bc   1.00  -2.50     90  0.25   0.1    0 moving",
         "r2    flocking_bc   1.00  -2.50     90  0.25   0.1    3 STOPPED: the core's",
         "                                                        heartbeat is silent",
         "r3    -                -      -      -     -  12.0    0 SILENT for 12 s",
-        "coverage: 25.4% of the area, area 101.60 m²",
-        "work: total 12.35 m; finished: 60 s are over",
-        "request ab12: flocking_bc running",
+        "r1    flocking_bc   1.00  -2.50     90  0.25   0.1    0 moving",
         "MISSING, never heard: r4",
         "SILENT, heard before: r3",
+        "request ab12: flocking_bc running",
+        "coverage: 25.4% of the area, area 101.60 m²",
+        "work: total 12.35 m; finished: 60 s are over",
     ]
 
 
@@ -206,3 +216,56 @@ def test_names_with_brackets_are_not_markup() -> None:
     snapshot = Snapshot("lab", True, (row("r1", behaviour="[red]x", stop_reason="[bold]why[/]"),))
     assert "[red]x" in text_of(snapshot)
     assert "[bold]why[/]" in text_of(snapshot)
+
+
+def test_trouble_comes_first_and_r2_before_r10() -> None:
+    rows = (row("r10"), row("r1"), row("r2"), row("r9", estop=True))
+    lines = text_of(Snapshot("lab", True, rows)).splitlines()[2:]
+    assert [line.split()[0] for line in lines] == ["r9", "r1", "r2", "r10"]
+
+
+def test_who_holds_robots_is_shown_when_anybody_does() -> None:
+    snapshot = replace(full_snapshot(), leases=(Lease(robot="r1", operator="anna@lab1", age_s=2.0),))
+    lines = [line.rstrip() for line in text_of(snapshot).splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert lines[1] == "robot behaviour      x m    y m   m/s hits held by   state"
+    assert lines[-6] == "r1    flocking_bc   1.00  -2.50  0.25    0 anna@lab1 moving"
+    assert snapshot.as_dict()["robots"][0]["held_by"] == "anna@lab1"  # type: ignore[index]  # plain JSON
+
+
+def test_forty_robots_in_trouble_stay_legible_in_80_columns() -> None:
+    rows = tuple(
+        row(f"rover-{number}", behaviour="voronoi_coverage_bc", stop_reason="the hub is lost") for number in range(40)
+    )
+    leases = tuple(Lease(robot=each.robot, operator="anna@lab1", age_s=2.0) for each in rows)
+    lines = text_of(Snapshot("lab", True, rows, leases=leases)).splitlines()
+    assert max(map(len, lines)) <= 80
+    for number in range(40):  # names and numbers whole, whatever else is folded
+        (line,) = [each for each in lines if each.split()[:1] == [f"rover-{number}"]]
+        assert line.split()[1:6] == ["voronoi_coverage_bc", "1.00", "-2.50", "0.25", "0"]
+
+
+def test_leases_that_the_core_no_longer_says_are_not_shown(listening: Listening) -> None:
+    lease = Lease(robot="r1", operator="anna@lab1", age_s=2.0)
+    listening.bus.publish(KEYS.leases, Leases(leases=(lease,)))
+    listening.runtime.run(1.0)
+    assert listening.view.snapshot().leases == (lease,)
+    listening.runtime.run(3.0)
+    assert listening.view.snapshot().leases == ()
+
+
+def test_what_is_said_twice_is_not_shown_and_a_share_is_named_right() -> None:
+    summaries = (
+        Summary(metric="arrival", values={"fraction": 0.75, "truth_fraction": 0.5, "elapsed_s": 3.0}),
+        Summary(metric="loop", values={"elapsed_s": 3.0}),
+        Summary(metric="work", values={"total_m": 2.0, "truth_total_m": 2.1}),
+    )
+    assert footer_lines(Snapshot("lab", True, summaries=summaries)) == [
+        "work: total 2.00 m",
+        "arrival: 75.0% of the robots",
+    ]
+
+
+def test_trouble_stays_on_a_small_screen() -> None:
+    lines = [line.rstrip() for line in text_of(full_snapshot(), max_rows=3, max_lines=2).splitlines()]
+    assert lines[-2:] == ["MISSING, never heard: r4", "SILENT, heard before: r3"]

@@ -17,7 +17,6 @@ from fullswarm.config import PerformanceConfig, SwarmConfig
 from fullswarm.errors import MessageError
 from fullswarm.keys import Keys
 from fullswarm.messages import (
-    TRUTH,
     CollisionMeasurement,
     CoverageMeasurement,
     Message,
@@ -39,6 +38,7 @@ from fullswarm.perf.supervisor import SupervisorCalculator
 from fullswarm.perf.termination import Progress, reason_to_stop
 from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Runtime
+from fullswarm.words import TRUTH
 
 KEYS = Keys("lab")
 ARENA = (0.0, 0.0, 4.0, 3.0)

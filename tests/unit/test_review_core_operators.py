@@ -112,7 +112,7 @@ def test_an_operator_who_dies_while_driving_and_one_who_asks_meanwhile() -> None
     swarm = Swarm()
     line = Line(swarm)
     teleop = Teleop(line.operator, swarm.runtime)
-    teleop.hold(1.0, 0.0)
+    teleop.hold("drive", {"linear": 1.0, "angular": 0.0})
     swarm.run(0.5)
     swarm.bus.drop = lambda _key, message: isinstance(message, BehaviourRequest) and message.source == "o"  # SIGKILL
     other = Line(swarm, "p")

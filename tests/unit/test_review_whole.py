@@ -186,7 +186,7 @@ def test_a_stick_whose_operator_died_moves_nobody_whatever_the_bus_does(seed: in
     whole = Whole(seed, count=2)
     whole.bus.shaking = 0.3
     teleop = Teleop(whole.operator, whole.runtime)
-    teleop.hold(1.0, 0.0)
+    teleop.hold("drive", {"linear": 1.0, "angular": 0.0})
     whole.run(2.0)
     assert whole.driven()
     assert teleop._timer is not None

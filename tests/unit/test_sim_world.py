@@ -164,7 +164,7 @@ def test_fleet_reads_and_commands_as_arrays(world: World) -> None:
     assert reading.stamp_s.tolist() == [100.0, 100.0]
     assert reading.twist[0] == pytest.approx([0.12, 1.2])
     assert reading.twist[1].tolist() == [0.0, 0.0]
-    assert reading.pose is world.sensed_pose
+    assert np.shares_memory(reading.pose, world.sensed_pose)
     # a sees the west and the south wall, b none
     assert reading.obstacles[:, :2].tolist() == [[-0.5, 10.0], [10.0, -0.5]]
     with pytest.raises(ValueError, match="b: a twist must be finite"):
@@ -176,3 +176,23 @@ def test_fleet_reads_and_commands_as_arrays(world: World) -> None:
     fleet.close()
     assert fleet.lifecycle(0) is Lifecycle.CLOSED
     assert not world.target.any()
+
+
+def test_a_fleet_of_one_row_sees_and_moves_that_body_alone(world: World) -> None:
+    fleet: Fleet = SimFleet(world, SimClock(100.0).now_s, row=1)
+    assert (fleet.ids, fleet.urls, len(fleet.descriptions)) == (("b",), ("sim://b",), 1)
+    fleet.open()
+    world.target[0] = 0.2, 0.0  # another agent's
+    world.commanded_s[0] = world.time_s
+    assert fleet.command(np.array([[0.3, 9.0]]), np.array([True])).tolist() == [[0.3, 4.25]]
+    assert world.target.tolist() == [[0.2, 0.0], [0.3, 4.25]]
+    world.step()
+    reading = fleet.read()
+    assert reading.pose.tolist() == world.sensed_pose[1:].tolist()
+    assert reading.twist.tolist() == world.twist[1:].tolist() != [[0.0, 0.0]]
+    assert len(reading.obstacles) == 0  # a, not b, is near walls
+    with pytest.raises(ValueError, match="b: a twist must be finite"):
+        fleet.command(np.array([[math.nan, 0.0]]), np.array([True]))
+    fleet.command(np.array([[0.3, 0.0]]), np.array([True]))
+    fleet.close()
+    assert world.target.tolist() == [[0.2, 0.0], [0.0, 0.0]]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ParamEntry
-from fullswarm.store import Store, Stored
+from fullswarm.store import CHANGES_KEPT, Store, Stored
 
 
 def ticking() -> itertools.count[float]:
@@ -29,6 +29,33 @@ def test_values_authors_times_and_history() -> None:
         ([1.0, [2.0, 3.0]], "bob", 1001.0),
     ]
     store.close()
+    store.close()
+
+
+def test_the_newest_changes_of_each_key_are_kept(tmp_path: Path) -> None:
+    store = Store(tmp_path / "core.db")
+    store.set("rare", 0, "ann")
+    for number in range(CHANGES_KEPT + 30):
+        store.set_many({"often": number, "half" if number % 2 else "other": number}, "bob")
+    assert [each.value for each in store.history("often")] == list(range(30, CHANGES_KEPT + 30))
+    assert len(store.history("half")) == len(store.history("other")) == CHANGES_KEPT // 2 + 15
+    assert [(each.value, each.author) for each in store.history("rare")] == [(0, "ann")]
+    store.close()
+    again = Store(tmp_path / "core.db")
+    again.set("often", "new", "cid")
+    assert [each.value for each in again.history("often")] == [*range(31, CHANGES_KEPT + 30), "new"]
+    assert again.get("often") == "new"
+    again.close()
+
+
+def test_a_history_from_before_there_was_a_bound_is_cut_with_its_next_change(tmp_path: Path) -> None:
+    store = Store(tmp_path / "core.db")
+    rows = [("a", str(number), "ann", 1000.0 + number) for number in range(3 * CHANGES_KEPT)]
+    store._db.executemany("INSERT INTO history (key, value, author, changed) VALUES (?, ?, ?, ?)", rows)
+    store.set("b", 1, "bob")
+    assert len(store.history("a")) == 3 * CHANGES_KEPT
+    store.set("a", "new", "bob")
+    assert [each.value for each in store.history("a")] == [*range(2 * CHANGES_KEPT + 1, 3 * CHANGES_KEPT), "new"]
     store.close()
 
 

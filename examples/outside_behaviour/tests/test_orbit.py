@@ -1,10 +1,8 @@
-"""The law by itself, and the whole way in lockstep: record into the database, request, robots on the circle."""
+"""The law by itself, and the whole way in lockstep: the record that the core has found, a request, robots on the circle."""
 
 from __future__ import annotations
 
 import math
-import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -15,12 +13,11 @@ from fullswarm.agent.view import View
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.messages import ParamReply, ParamRequest, RequestStatus
+from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 
 from fullswarm_orbit import orbit
 
-RECORD = tomllib.loads(Path(__file__).parents[1].joinpath("orbit.toml").read_text(encoding="utf-8"))
 CENTRE = [5.0, 5.0]
 
 
@@ -34,18 +31,11 @@ def test_law_points_along_the_tangent_on_the_circle_and_inwards_outside_of_it() 
 def test_robots_go_round() -> None:
     robots = [{"id": f"r{k}", "pose": [3.0 + 2.0 * k, 2.0, 0.0]} for k in (1, 2)]
     config = SwarmConfig.model_validate({"world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]}, "robot": robots})
-    keys, replies, statuses = Keys(config.swarm), list[ParamReply](), list[RequestStatus]()
+    statuses: list[RequestStatus] = []
     lockstep = Lockstep(config)
     try:
-        bus = lockstep.bus
-        bus.subscribe(keys.param_reply("core"), ParamReply, replies.append)
-        operator = Operator(bus, keys, lockstep.runtime, "test")
+        operator = Operator(lockstep.bus, Keys(config.swarm), lockstep.runtime, "test")
         lockstep.run(1.0)
-        for number, (name, record) in enumerate(
-            {"orbit": RECORD, "orbit_bc": {"like": "orbit", "filtered": True}}.items()
-        ):
-            request = ParamRequest(id=f"p{number}", op="set", key=f"behaviour/{name}", value=record, author="test")
-            bus.publish(keys.param_request("core"), request)
         operator.request("orbit_bc", (), {"centre": CENTRE}, statuses.append)
         lockstep.run(15.0)
         before = _angles(lockstep)
@@ -54,7 +44,6 @@ def test_robots_go_round() -> None:
         distance = np.hypot(*(lockstep.world.pose[:, :2] - CENTRE).T)
     finally:
         lockstep.close()
-    assert [reply.reason for reply in replies] == ["", ""]
     assert statuses[-1].running == ("r1", "r2")
     assert distance == pytest.approx([2.0, 2.0], abs=0.2)
     assert turned == pytest.approx([0.3 * 5.0 / 2.0] * 2, rel=0.15)  # speed x time / radius

@@ -1,4 +1,4 @@
-"""The whole simulated swarm as one fleet, in the process of the world: lockstep."""
+"""Robots of a world in the same process: what agents see and drive in lockstep."""
 
 from __future__ import annotations
 
@@ -23,31 +23,39 @@ class SimFleet:
         Stamps the readings: the scheduler's clock, so that ages are right.
     sensing_radius_m
         How far a robot sees obstacles.
+    row
+        The fleet is this body alone, for an agent of its own; None: all bodies.
     """
 
-    def __init__(self, world: World, now_s: Callable[[], float], sensing_radius_m: float = 3.0) -> None:
-        n = len(world.ids)
-        self.ids = world.ids
-        self.urls = tuple(f"sim://{robot}" for robot in world.ids)
+    def __init__(
+        self, world: World, now_s: Callable[[], float], sensing_radius_m: float = 3.0, *, row: int | None = None
+    ) -> None:
+        rows = slice(None) if row is None else slice(row, row + 1)
+        self.ids = world.ids[rows]
+        n = len(self.ids)
+        self.urls = tuple(f"sim://{robot}" for robot in self.ids)
         self.descriptions = (world.description,) * n
         self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
+        # Views: the world's arrays are the same objects for its life.
+        self._pose, self._limits = world.pose[rows], world.limits[rows]
+        self._target, self._commanded_s = world.target[rows], world.commanded_s[rows]
         self._open = False
         self._active = np.zeros(n, np.bool_)
         self._applied = np.zeros((n, 2))
         self._seen = np.zeros(len(world.obstacles), np.bool_)
         self._reading = FleetReading(
             stamp_s=np.full(n, -np.inf),
-            pose=world.sensed_pose,
-            odometry=world.odometry,
-            twist=world.twist,
-            hazards=world.hazards,
-            contacts=world.contacts,
+            pose=world.sensed_pose[rows],
+            odometry=world.odometry[rows],
+            twist=world.twist[rows],
+            hazards=world.hazards[rows],
+            contacts=world.contacts[rows],
             battery=np.full(n, -1.0),
             obstacles=world.obstacles[self._seen],
         )
 
     def open(self) -> None:
-        """Make all robots READY."""
+        """Make the robots READY."""
         self._open = True
 
     def read(self) -> FleetReading:
@@ -55,7 +63,7 @@ class SimFleet:
         reading, world = self._reading, self._world
         if self._open:
             reading.stamp_s.fill(self._now_s())
-            if sense.run(world.pose, world.shapes, self._sensing_radius_m, self._seen):
+            if sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
                 reading.obstacles = world.obstacles[self._seen]
         return reading
 
@@ -68,9 +76,8 @@ class SimFleet:
             self._applied.fill(0.0)
             return self._applied
         self._active[:] = active
-        world = self._world
         bad = admit.run(
-            twists, self._active, world.limits, world.target, world.commanded_s, self._applied, world.time_s
+            twists, self._active, self._limits, self._target, self._commanded_s, self._applied, self._world.time_s
         )
         if bad >= 0:
             raise ValueError(f"{self.ids[bad]}: a twist must be finite, not {twists[bad].tolist()}")
@@ -96,7 +103,7 @@ class SimFleet:
         """Do nothing: these robots sense their pose."""
 
     def close(self) -> None:
-        """Stop all bodies; the world stays open."""
-        self._world.target.fill(0.0)
+        """Stop the bodies; the world stays open."""
+        self._target.fill(0.0)
         self._active.fill(False)
         self._open = False

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from fullswarm.operator import completion
 from fullswarm.operator.cli import Debug, Json, run_guarded
 
 experiment_app = typer.Typer(no_args_is_help=True)
@@ -23,7 +24,12 @@ def _run(debug: bool, command: Callable[[], int]) -> None:
 @experiment_app.command("run")
 def run_experiment(
     name: Annotated[
-        str, typer.Argument(metavar="NAME|FILE.toml", help="One of the package: paper, safety; or your own.")
+        str,
+        typer.Argument(
+            metavar="NAME|FILE.toml",
+            help="One of the package: paper, safety; or your own.",
+            autocompletion=completion.experiments,
+        ),
     ],
     seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
     cells: Annotated[

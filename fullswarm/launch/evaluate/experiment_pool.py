@@ -132,8 +132,8 @@ class Pool:
         for worker in self._workers:
             self._give(worker)
         while left:
-            for index in self._ended():
-                trial, result = self._take(index)
+            for index, trial in self._ended():
+                result = self._take(index, trial)
                 self._give(self._workers[index])
                 if result is not None:
                     left -= 1
@@ -156,37 +156,36 @@ class Pool:
         with suppress(BrokenPipeError):  # it died while it had nothing to do: noticed when it is to answer
             worker.connection.send((worker.trial, worker.attempt))
 
-    def _ended(self) -> list[int]:
-        """Wait until a worker has answered, died or run out of time; return which."""
-        busy = [(index, each) for index, each in enumerate(self._workers) if each.trial is not None]
-        next_s = min((each.began_s for _, each in busy), default=0.0) + self._timeout_s - self._clock.now_s()
-        ready = wait([each.connection for _, each in busy], timeout=max(0.0, next_s))
+    def _ended(self) -> list[tuple[int, Trial]]:
+        """Wait until a worker has answered, died or run out of time; return which, and what it had in hand."""
+        busy = [(index, each, each.trial) for index, each in enumerate(self._workers) if each.trial is not None]
+        next_s = min((each.began_s for _, each, _ in busy), default=0.0) + self._timeout_s - self._clock.now_s()
+        ready = wait([each.connection for _, each, _ in busy], timeout=max(0.0, next_s))
         late_s = self._clock.now_s() - self._timeout_s
-        return [index for index, each in busy if each.connection in ready or each.began_s <= late_s]
+        return [(index, trial) for index, each, trial in busy if each.connection in ready or each.began_s <= late_s]
 
-    def _take(self, index: int) -> tuple[Trial, TrialResult | None]:
-        """Return a worker's trial with its answer, or with why there is none; None: it is run again.
+    def _take(self, index: int, trial: Trial) -> TrialResult | None:
+        """Return a worker's answer, or why there is none; None: the trial is run again.
 
         A worker that gave no answer is replaced by a new process.
         """
         worker = self._workers[index]
-        trial, wall_s = worker.trial, self._clock.now_s() - worker.began_s
-        assert trial is not None  # noqa: S101  (narrows the type; only busy workers end)
+        wall_s = self._clock.now_s() - worker.began_s
         failure, dying = f"it took longer than {self._timeout_s:.0f} s", False
         try:
             if worker.connection.poll():
                 answer: TrialResult = worker.connection.recv()
-                return trial, answer
+                return answer
         except (EOFError, ConnectionResetError):
             dying = True
         code = worker.end(dying)
         self._workers[index] = self._start()
         if worker.attempt <= self._retries:
             self._waiting.append((trial, worker.attempt + 1))
-            return trial, None
+            return None
         failure = _death(code) if dying else failure
         attempts = f" ({worker.attempt} times)" if worker.attempt > 1 else ""
-        return trial, TrialResult(
+        return TrialResult(
             seed=trial.seed, outcome=None, failure=failure + attempts, wall_s=wall_s, attempts=worker.attempt, lost=True
         )
 

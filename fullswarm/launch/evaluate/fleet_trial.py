@@ -24,9 +24,9 @@ from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.keys import Keys
 from fullswarm.launch.evaluate.fleet_interrupts import Interrupts
 from fullswarm.launch.evaluate.fleet_setup import choose, fit, instructions, off, starts_of
-from fullswarm.launch.evaluate.live_run import Asked, TrialStopped, drive, terms
+from fullswarm.launch.evaluate.live_run import Asked, TrialStopped, asked_of, drive, terms
 from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.evaluate.trial import TrialFailed, in_safe_set, parameters
+from fullswarm.launch.evaluate.trial import TrialFailed, in_safe_set
 from fullswarm.launch.evaluate.trial_folder import Keeper, perform
 from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.launch.evaluate.witness import HeardWitness, Witness, WorldWitness
@@ -175,16 +175,7 @@ class FleetRunner:
             with ends_all():
                 swarm.start()
             config = swarm.config
-            asked = Asked(
-                behaviour=trial.cell.behaviour,
-                parameters=parameters(trial, scenario, goals),
-                scenario=scenario,
-                goals=goals,
-                limit_s=limit_s,
-                limit_reason=limit_reason,
-                safe_start=_safe(config),
-                boxes=config.world_or_default.boxes,
-            )
+            asked = asked_of(trial, scenario, goals, config, (limit_s, limit_reason), _safe(config))
             heard = HeardWitness(swarm.bus, config)
             try:
                 swarm.until(lambda: not np.isnan(heard.pose).any(), HEARD_S)

@@ -13,7 +13,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array
 from fullswarm.errors import FullswarmError
 from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.evaluate.trial import TrialFailed
+from fullswarm.launch.evaluate.trial import TrialFailed, parameters
 from fullswarm.launch.evaluate.trial_watch import Measurement, finite, joined
 from fullswarm.launch.evaluate.witness import Witness
 from fullswarm.messages import RequestStatus, Value
@@ -63,6 +63,22 @@ class Asked:
     safe_start: bool
     limit_reason: str = TIME_LIMIT
     boxes: tuple[tuple[float, float, float, float, float], ...] = ()
+
+
+def asked_of(
+    trial: Trial, scenario: Scenario, goals: Array, config: SwarmConfig, limit: tuple[float, str], safe_start: bool
+) -> Asked:
+    """Return what a trial asks of the swarm `config`, with the time limit in s and its name of `terms`."""
+    return Asked(
+        behaviour=trial.cell.behaviour,
+        parameters=parameters(trial, scenario, goals),
+        scenario=scenario,
+        goals=goals,
+        limit_s=limit[0],
+        limit_reason=limit[1],
+        safe_start=safe_start,
+        boxes=config.world_or_default.boxes,
+    )
 
 
 def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmConfig, float, str]:

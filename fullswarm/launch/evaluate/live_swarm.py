@@ -11,6 +11,7 @@ from fullswarm.bus.senders import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
+from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.evaluate.live_summaries import LiveSummaries
@@ -99,6 +100,16 @@ class LiveSwarm:
             self.world = WorldNode(bus, self.runtime, self.config, process_id("world"), self._insecure_network)
         self.supervisor.start()
         self.settle()
+
+    @property
+    def bodies(self) -> World:
+        """The simulated world's bodies; `TrialFailed` before `start`, and where all robots are real."""
+        if self.world is None:
+            raise TrialFailed(
+                "no robot is simulated: nobody can watch the bodies", where=self.config.swarm,
+                hint="start the swarm first; one of real robots is watched by what they tell",
+            )  # fmt: skip
+        return self.world.world
 
     def settle(self) -> None:
         """Wait until every robot has been ready for a while.

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import socket
 from typing import get_args
-from urllib.parse import urlsplit
 
 from fullswarm import kernels
-from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.config import SwarmConfig
 from fullswarm.config.models import Emulated
-from fullswarm.drivers import emulated
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.launch.evaluate.live_run import Asked, drive, terms
+from fullswarm.launch.evaluate.live_run import asked_of, drive, terms
 from fullswarm.launch.evaluate.live_swarm import LiveSwarm
-from fullswarm.launch.evaluate.trial import configure, in_safe_set, parameters
+from fullswarm.launch.evaluate.trial import configure, in_safe_set
 from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.launch.evaluate.witness import WorldWitness
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.perf.experiment.plan import Trial, scenario_of
 
 EMULATED: tuple[str, ...] = get_args(Emulated)
 EMULATED_MARGIN_M = 0.08
 """Odometry and fixes are a few centimetres off, and a rover needs time to brake."""
-LOOPBACK = "127.0.0.1"
 
 
 def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
@@ -42,23 +39,14 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     """
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
-    config = on_unused_ports(with_make(config, trial, emulate))
+    config = on_free_ports(with_make(config, trial, emulate), wished=False)
     config, limit_s, limit_reason = terms(trial, scenario, config)
     kernels.compile_all()
     with LiveSwarm(config) as swarm:
         swarm.start()
-        assert swarm.world is not None  # noqa: S101  (narrows the type: all robots of a trial are simulated)
-        world = swarm.world.world
-        asked = Asked(
-            behaviour=trial.cell.behaviour,
-            parameters=parameters(trial, scenario, goals),
-            scenario=scenario,
-            goals=goals,
-            limit_s=limit_s,
-            limit_reason=limit_reason,
-            safe_start=in_safe_set(world, config.agent.safety_margin_m),
-            boxes=config.world_or_default.boxes,
-        )
+        world = swarm.bodies
+        safe = in_safe_set(world, config.agent.safety_margin_m)
+        asked = asked_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
         cell_m = config.performance.coverage_cell_m
         return drive(swarm, asked, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
 
@@ -79,31 +67,3 @@ def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmCo
     agent = config.agent.model_copy(update={name: value for name, value in usual.items() if name not in asked})
     robots = tuple(each.model_copy(update={"emulate": emulate}) for each in config.robot)
     return config.model_copy(update={"agent": agent, "robot": robots})
-
-
-def on_unused_ports(config: SwarmConfig) -> SwarmConfig:
-    """Give hub, world and emulated robots ports of this machine that nobody uses, whatever the file wishes.
-
-    Trials run side by side: they must not all find the usual port free and then take it.
-    """
-    hub = config.hub.model_copy(update={"endpoint": f"tcp/{LOOPBACK}:{_unused(socket.SOCK_STREAM)}"})
-    world = config.world_or_default.model_copy(update={"address": f"{LOOPBACK}:{_unused(socket.SOCK_DGRAM)}"})
-    config = config.model_copy(update={"hub": hub, "world": world})
-    return config.model_copy(update={"robot": tuple(_on_unused_port(config, each) for each in config.robot)})
-
-
-def _on_unused_port(config: SwarmConfig, robot: RobotConfig) -> RobotConfig:
-    """Write the driver of an emulated robot down; its port, if it is one of the network, is free."""
-    if not robot.emulate or robot.driver:
-        return robot
-    url = emulated.driver_url(config, robot)
-    port = urlsplit(url).port
-    if port is not None:
-        url = url.replace(f":{port}", f":{_unused(socket.SOCK_DGRAM)}", 1)
-    return robot.model_copy(update={"driver": url})
-
-
-def _unused(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])

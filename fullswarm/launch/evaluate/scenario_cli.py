@@ -8,11 +8,17 @@ from typing import Annotated
 
 import typer
 
+from fullswarm.operator import completion
 from fullswarm.operator.cli import Debug, Json, run_guarded
 
 scenario_app = typer.Typer(no_args_is_help=True, help="Arenas: list, show, import from other simulators, export.")
 
-Name = Annotated[str, typer.Argument(metavar="NAME|FILE.toml", help="One of the package, or your own.")]
+Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME|FILE.toml", help="One of the package, or your own.", autocompletion=completion.scenarios
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Places random boxes and robots.")]
 Robots = Annotated[int, typer.Option(min=0, max=1000, help="How many stand at their starts.")]
 

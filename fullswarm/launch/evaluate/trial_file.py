@@ -74,7 +74,11 @@ def load_trial(path: Path) -> Launch:
     try:
         return parse_trial(path.read_text("utf-8"), str(path))
     except OSError as error:
-        raise ConfigError(f"cannot read the trial: {error.strerror or error}", where=str(path)) from error
+        raise ConfigError(
+            f"cannot read the trial: {error.strerror or error}",
+            where=str(path),
+            hint="name a trial.toml, or the folder that holds it: FOLDER/trials/ID of `fullswarm experiment run --out`",
+        ) from error
     except UnicodeDecodeError as error:
         raise ConfigError("the trial is not UTF-8 text", where=str(path)) from error
 

@@ -1,0 +1,57 @@
+"""Watches whether the drivers are ready, and ends the tasks of robots that must not drive on by themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fullswarm.agent.inbox import Inbox
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
+from fullswarm.drivers.base import Fleet, Lifecycle
+
+
+class DriverWatch:
+    """Of one robot the lifecycle is followed; a whole swarm in lockstep has drivers that are always ready.
+
+    Attributes
+    ----------
+    ready : which drivers were READY or ACTIVE at the last look, (n,)
+    """
+
+    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox) -> None:
+        self._fleet, self._controller, self._inbox = fleet, controller, inbox
+        self.ready = np.zeros(len(fleet.ids), bool)
+        self._state = Lifecycle.CLOSED
+        self._been_ready = self._engaged = False
+
+    def look(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Return which drivers are READY or ACTIVE, (n,)."""
+        fleet = self._fleet
+        if len(fleet.ids) == 1:
+            state = fleet.lifecycle(0)
+            self.ready[0] = state in (Lifecycle.READY, Lifecycle.ACTIVE)
+            self._been_ready |= state in (Lifecycle.READY, Lifecycle.ACTIVE)
+            self._watch_engaged(state)
+        else:
+            self.ready[:] = True
+        return self.ready
+
+    def _watch_engaged(self, state: Lifecycle) -> None:
+        """Notice a driver that fell from ACTIVE to READY although nobody let go of it: a fault that came and went."""
+        wished = bool(self._controller.drive_on[0])
+        if self._engaged and wished and state is Lifecycle.READY:
+            self._inbox.spend(0, self._fleet.fault(0) or "the robot stopped driving by itself")
+        # Engaged by the present wish: a driver still standing down from an earlier one will be READY on purpose.
+        fresh = self._engaged or self._state is Lifecycle.READY
+        self._engaged = wished and state is Lifecycle.ACTIVE and fresh
+        self._state = state
+
+    def end_unsafe_tasks(self) -> None:
+        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
+        reasons = self._controller.reason
+        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
+        for row in np.flatnonzero(ending).tolist():
+            if reasons[row] != Reason.DRIVER:
+                self._inbox.spend(row, EXPLAIN[reasons[row]])
+            elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
+                # Before it was ever ready it has not stopped from anything: a base may be switched on late.
+                self._inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")

@@ -1,0 +1,166 @@
+"""Authority: who drives which robots (decision 17). A robot without a lease obeys every operator.
+
+Leases are kept in memory only. They lapse soon after the last word of their holder, and he says it each second: so a
+core that is started again knows them a second later, and an operator who is gone holds nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from fullswarm.bus import Bus
+from fullswarm.errors import RequestRefused
+from fullswarm.keys import Keys
+from fullswarm.messages import Lease, LeaseRequest, Leases
+from fullswarm.runtime import Scheduler, Timer
+
+LAPSE_S = 3.0
+"""A lease ends so long after its last renewal: two of three words may be lost."""
+SAY_S = 1.0
+CHECK_S = 0.1
+LONGEST_NAME = 128
+"""A longer name of an operator is nobody's: it would go out with each of his leases every second."""
+HINT = "to take over: `--take` in a shell, the button in the console"
+NAMED = 5
+"""So many of a holder's robots are named in a refusal."""
+
+Expand = Callable[[Sequence[str]], Iterable[str]]
+
+
+@dataclass(slots=True)
+class Held:
+    """One robot's lease."""
+
+    operator: str
+    granted_s: float
+    renewed_s: float
+    taken_from: str = ""
+
+
+class Authority:
+    """Grants, renews and ends leases, and tells everybody.
+
+    Parameters
+    ----------
+    process
+        Name of this start of the core.
+    expand
+        Turns the names of a lease request into robots; leaves out what it does not know.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, process: str, expand: Expand) -> None:
+        self._bus, self._keys, self._scheduler = bus, keys, scheduler
+        self._process, self._expand = process, expand
+        self._held: dict[str, Held] = {}
+        self._sequence = 0
+        self._lapsing: Timer | None = None  # runs only while there are leases
+        self._timer = scheduler.every(SAY_S, self._say, first_s=0.0)
+        self._subscription = bus.subscribe(keys.lease_request, LeaseRequest, self._requested)
+
+    def holder(self, robot: str) -> str:
+        """Return who holds `robot`; empty: nobody."""
+        held = self._held.get(robot)
+        return held.operator if held else ""
+
+    def admit(self, operator: str, robots: Iterable[str], *, take: bool) -> None:
+        """Let a request of `operator` pass, which renews his leases; with `take` he gets those of others.
+
+        Raises
+        ------
+        RequestRefused
+            Somebody else holds one of `robots`, and it is not to be taken: then nothing has changed.
+        """
+        if not self._held:
+            return
+        self._drop_lapsed()
+        found = [(robot, self._held[robot]) for robot in robots if robot in self._held]
+        others = [(robot, held) for robot, held in found if held.operator != operator]
+        if others and not take:
+            raise RequestRefused(_who_holds(others), hint=HINT)
+        now_s = self._scheduler.now_s()
+        for robot, held in found:
+            if held.operator == operator:
+                held.renewed_s = now_s
+            else:
+                self._held[robot] = Held(operator[:LONGEST_NAME], now_s, now_s, held.operator)
+        if others:
+            self._say()
+
+    def close(self) -> None:
+        """Grant nothing more."""
+        self._subscription.close()
+        self._timer.cancel()
+        if self._lapsing is not None:
+            self._lapsing.cancel()
+
+    def _requested(self, request: LeaseRequest) -> None:
+        if not request.operator or len(request.operator) > LONGEST_NAME:
+            return
+        self._drop_lapsed()
+        robots = self._expand(request.robots)
+        changed = self._grant(request, robots) if request.hold else self._give_back(request.operator, robots)
+        if changed:
+            self._watch()
+            self._say()
+
+    def _grant(self, request: LeaseRequest, robots: Iterable[str]) -> bool:
+        now_s, changed = self._scheduler.now_s(), False
+        for robot in robots:
+            held = self._held.get(robot)
+            if held is not None and held.operator == request.operator:
+                held.renewed_s = now_s
+            elif held is None or request.take:
+                taken_from = held.operator if held else ""
+                self._held[robot] = Held(request.operator, now_s, now_s, taken_from)
+                changed = True
+        return changed
+
+    def _give_back(self, operator: str, robots: Iterable[str]) -> bool:
+        given = [robot for robot in robots if self.holder(robot) == operator]
+        for robot in given:
+            del self._held[robot]
+        return bool(given)
+
+    def _drop_lapsed(self) -> None:
+        """End what was not renewed: by its time, not by when somebody looks."""
+        oldest_s = self._scheduler.now_s() - LAPSE_S
+        lapsed = [robot for robot, held in self._held.items() if held.renewed_s <= oldest_s]
+        for robot in lapsed:
+            del self._held[robot]
+        if lapsed:
+            self._watch()
+            self._say()
+
+    def _watch(self) -> None:
+        """Look out for leases that lapse, while there are any."""
+        if self._held and self._lapsing is None:
+            self._lapsing = self._scheduler.every(CHECK_S, self._drop_lapsed)
+        elif not self._held and self._lapsing is not None:
+            self._lapsing.cancel()
+            self._lapsing = None
+
+    def _say(self) -> None:
+        self._sequence += 1
+        now_s = self._scheduler.now_s()
+        leases = tuple(
+            Lease(robot=robot, operator=held.operator, age_s=now_s - held.granted_s, taken_from=held.taken_from)
+            for robot, held in self._held.items()
+        )
+        self._bus.publish(self._keys.leases, Leases(leases=leases, core=self._process, sequence=self._sequence))
+
+
+def _who_holds(others: Iterable[tuple[str, Held]]) -> str:
+    """Name every holder with his robots: ``r3 is held by anna@lab, r4 and r5 are held by bob@lab``."""
+    by_holder: dict[str, list[str]] = {}
+    for robot, held in others:
+        by_holder.setdefault(held.operator, []).append(robot)
+    return ", ".join(f"{_names(robots)} held by {operator}" for operator, robots in by_holder.items())
+
+
+def _names(robots: Sequence[str]) -> str:
+    if len(robots) == 1:
+        return f"{robots[0]} is"
+    if len(robots) > NAMED:
+        return f"{', '.join(robots[:NAMED])} and {len(robots) - NAMED} more are"
+    return f"{', '.join(robots[:-1])} and {robots[-1]} are"

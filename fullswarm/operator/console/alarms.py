@@ -1,0 +1,148 @@
+"""E-stops and stops, whoever gave them: who has confirmed, who stands, who is silent."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from fullswarm.messages import EStop, EStopReceipt, StopRequest
+from fullswarm.operator.estop import LISTEN_S
+from fullswarm.operator.view import RobotRow, Snapshot
+
+STOP_WATCH_S = 10.0
+REMEMBERED = 256
+
+
+def by_operator(order: EStop | StopRequest) -> bool:
+    """Tell whether a person gave the order: robots tell of stops that still hold, and a core repeats latches."""
+    return order.robots != (order.source,) and not order.source.startswith("core-")
+
+
+@dataclass(slots=True)
+class EStopBoard:
+    """The newest e-stop order and its receipts.
+
+    Parameters
+    ----------
+    known
+        All robots that are there: an order to all is theirs.
+    name_of
+        Who a source is, for people.
+    """
+
+    known: Callable[[], Iterable[str]]
+    name_of: Callable[[str], str] = str
+    order: EStop | None = None
+    began_s: float = 0.0
+    receipts: dict[str, tuple[EStopReceipt, float]] = field(default_factory=dict)
+    _seen: OrderedDict[tuple[str, bool], None] = field(default_factory=OrderedDict)
+    _told: dict[str, Any] | None = None
+
+    def ordered(self, order: EStop, now_s: float) -> bool:
+        """Take an order; True when it is a new one of a person. Copies of an older one change nothing."""
+        key = (order.id, order.engaged)
+        if key in self._seen or not by_operator(order):
+            return False
+        self._seen[key] = None
+        while len(self._seen) > REMEMBERED:
+            self._seen.popitem(last=False)
+        self.order, self.began_s = order, now_s
+        self.receipts = {}
+        return True
+
+    def confirmed(self, receipt: EStopReceipt, now_s: float) -> None:
+        """Take a receipt; those of other orders are left to who gave them."""
+        if self.order is None or receipt.id != self.order.id or receipt.engaged != self.order.engaged:
+            return
+        before = self.receipts.get(receipt.robot)
+        if before is not None and (before[0] == receipt or (before[0].standing and not receipt.standing)):
+            return
+        self.receipts[receipt.robot] = receipt, now_s - self.began_s
+
+    def news(self, now_s: float) -> dict[str, Any] | None:
+        """Return the frame ``estop`` if it has changed."""
+        frame = self.shown(now_s)
+        if frame == self._told:
+            return None
+        self._told = frame
+        return frame
+
+    def shown(self, now_s: float) -> dict[str, Any] | None:
+        """Return the frame ``estop``; None: there was none."""
+        order = self.order
+        if order is None:
+            return None
+        concerned = order.robots or tuple(sorted({*self.known(), *self.receipts}))
+        waiting = [robot for robot in concerned if not self._done(robot)]
+        all_known = bool(order.robots) or now_s - self.began_s >= LISTEN_S
+        return {
+            "t": "estop",
+            "id": order.id,
+            "engaged": order.engaged,
+            "done": all_known and bool(concerned) and not waiting,
+            "receipts": [
+                {
+                    "robot": robot,
+                    "standing": receipt.standing,
+                    "rolled_m": round(receipt.rolled_m, 3),
+                    "after_s": round(after_s, 3),
+                    "engaged": receipt.engaged,
+                }
+                for robot, (receipt, after_s) in sorted(self.receipts.items())
+            ],
+            "waiting": waiting,
+            "silent": [robot for robot in waiting if robot not in self.receipts],
+            "reason": order.reason,
+            "operator": self.name_of(order.source),
+        }
+
+    def _done(self, robot: str) -> bool:
+        known = self.receipts.get(robot)
+        return known is not None and (known[0].standing or not known[0].engaged)
+
+
+@dataclass(slots=True)
+class StopWatch:
+    """Who stands since the newest plain stop. Nobody answers a stop: the health reports tell."""
+
+    order: StopRequest | None = None
+    began_s: float = 0.0
+    _told: dict[str, Any] | None = None
+    _seen: OrderedDict[str, None] = field(default_factory=OrderedDict)
+
+    def ordered(self, order: StopRequest, now_s: float) -> bool:
+        """Take an order; True when it is a new one of a person."""
+        if order.id in self._seen or not by_operator(order):
+            return False
+        self._seen[order.id] = None
+        while len(self._seen) > REMEMBERED:
+            self._seen.popitem(last=False)
+        self.order, self.began_s, self._told = order, now_s, None
+        return True
+
+    def news(self, seen: Snapshot, now_s: float) -> dict[str, Any] | None:
+        """Return the frame ``stop`` if it has changed and is not over."""
+        order = self.order
+        if order is None:
+            return None
+        rows = [row for row in seen.robots if not row.silent and (not order.robots or row.robot in order.robots)]
+        moving = [row.robot for row in rows if _moves(row)]
+        frame = {
+            "t": "stop",
+            "robots": order.robots,
+            "standing": [row.robot for row in rows if not _moves(row)],
+            "moving": moving,
+            "done": not moving,
+        }
+        if frame == self._told:
+            return None
+        self._told = frame
+        if not moving or now_s - self.began_s > STOP_WATCH_S:
+            self.order = None
+        return frame
+
+
+def _moves(row: RobotRow) -> bool:
+    return row.health is None or row.health.moving

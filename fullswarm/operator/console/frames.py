@@ -1,0 +1,163 @@
+"""What a page may say, checked before anybody looks at it. Nothing here raises at what came in."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+from fullswarm.messages import Value
+
+MAX_BYTES = 64 * 1024
+LONGEST_INT = 2**53
+"""Beyond it a number of JavaScript is not what was typed."""
+
+Ref = Annotated[int, Meta(ge=0, le=LONGEST_INT)]
+Robot = Annotated[str, Meta(pattern=r"\A@?[A-Za-z0-9_-]{1,64}\Z")]
+Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{1,64}\Z")]
+Robots = Annotated[tuple[Robot, ...], Meta(max_length=1024)]
+Parameters = Annotated[dict[Name, Value], Meta(max_length=64)]
+Stick = Annotated[float, Meta(ge=-1.0, le=1.0)]
+
+
+class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag="hello"):
+    """The first frame. `session` is the page's own secret: who knows it is the same operator after a reload."""
+
+    token: Annotated[str, Meta(max_length=512)]
+    session: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{8,64}\Z")]
+    name: Annotated[str, Meta(pattern=r"\A[\w .\-]{0,32}\Z")] = ""
+
+
+class Frame(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag=str.lower):
+    """Base of all others; the tag is the class's name."""
+
+    ref: Ref
+
+
+class Request(Frame, frozen=True, kw_only=True):
+    """Ask for a behaviour; no robots: the whole swarm."""
+
+    behaviour: Name
+    robots: Robots = ()
+    parameters: Parameters = {}
+    take: bool = False
+
+
+class Stop(Frame, frozen=True, kw_only=True):
+    """Stand still."""
+
+    robots: Robots = ()
+
+
+class Estop(Frame, frozen=True, kw_only=True):
+    """Engage the latched e-stop."""
+
+    robots: Robots = ()
+    reason: Annotated[str, Meta(max_length=200)] = ""
+
+
+class Clear(Frame, frozen=True, kw_only=True):
+    """Release the latched e-stop."""
+
+    robots: Robots = ()
+
+
+class Drive(Frame, frozen=True, kw_only=True):
+    """The dead-man is held; said again at least every 0.1 s."""
+
+    behaviour: Name
+    robots: Robots = ()
+    sticks: Annotated[dict[Name, Stick], Meta(min_length=1, max_length=8)]
+    fixed: Parameters = {}
+
+
+class Release(Frame, frozen=True, kw_only=True):
+    """The dead-man was let go."""
+
+
+class Lease(Frame, frozen=True, kw_only=True):
+    """Take or give back the authority over robots."""
+
+    robots: Robots = ()
+    hold: bool
+    take: bool = False
+
+
+class Ping(Frame, frozen=True, kw_only=True):
+    """How long is the way."""
+
+
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Ping
+
+
+class Answer(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of a frame."""
+
+    t: ClassVar[str] = "answer"
+    ref: int | None
+    ok: bool = True
+    reason: str = ""
+    request_id: str = ""
+
+    def encoded(self) -> str:
+        """Return it as it is sent."""
+        return encode({"t": self.t, **msgspec.structs.asdict(self)})
+
+
+class _Ref(msgspec.Struct, frozen=True):
+    ref: Ref
+
+
+_commands = msgspec.json.Decoder(Command)
+_hello = msgspec.json.Decoder(Hello)
+_ref = msgspec.json.Decoder(_Ref)
+_encoder = msgspec.json.Encoder()
+_WRONG = (msgspec.DecodeError, RecursionError, UnicodeDecodeError)
+
+
+def encode(frame: object) -> str:
+    """Return a frame as JSON text; numbers that are not finite become null."""
+    return _encoder.encode(frame).decode()
+
+
+def read_hello(text: str | bytes) -> Hello | None:
+    """Return the first frame; None when it is not one."""
+    try:
+        return _hello.decode(text)
+    except _WRONG:
+        return None
+
+
+def read_command(text: str | bytes) -> Command | Answer:
+    """Return what a frame asks for, or the answer that says what is wrong with it."""
+    try:
+        command: Command = _commands.decode(text)
+    except _WRONG as error:
+        return Answer(ref=_reference(text), ok=False, reason=f"not understood: {error}"[:300])
+    match command:
+        case Drive():
+            given = command.fixed
+        case Request():
+            given = command.parameters
+        case _:
+            given = {}
+    for name, value in given.items():
+        if not _travels(value):
+            return Answer(ref=command.ref, ok=False, reason=f"{name} is too large a number or too long a text")
+    return command
+
+
+def _reference(text: str | bytes) -> int | None:
+    try:
+        return _ref.decode(text).ref
+    except _WRONG:
+        return None
+
+
+def _travels(value: object) -> bool:
+    if isinstance(value, list):
+        return all(map(_travels, value))
+    if isinstance(value, str):
+        return len(value) <= 1024
+    return not isinstance(value, int) or abs(value) <= LONGEST_INT

@@ -1,0 +1,94 @@
+/** What must be seen at once: the state of the link, robots taken over, the question whether to take over. */
+
+import { byId, setText } from "./dom.js";
+import { short } from "./fleet.js";
+import { LINK_ADVICE, judgeLink } from "./linkstate.js";
+
+const CHECK_MS = 100;
+const LOST_MS = 12000;
+const TOLD_MS = 6000;
+
+export class Banners {
+  /**
+   * @param {{link: import("./link.js").Link, store: import("./store.js").Store,
+   *   commands: import("./commands.js").Commands, map: import("./map.js").SwarmMap}} parts
+   */
+  constructor({ link, store, commands, map }) {
+    this.link = link;
+    this.store = store;
+    this.map = map;
+    this.level = "";
+    setInterval(() => this.#check(), CHECK_MS);
+    store.on("fleet", () => this.#check());
+    store.on("lost", ({ robots, by }) => this.#lost(robots, by));
+    store.on("hello", ({ read_only }) => (byId("read-only").hidden = !read_only));
+    commands.on("question", (question) => this.#ask(question));
+    store.on("leases", () => this.#stillHeld());
+    commands.on("asked", () => (byId("question").hidden = true));
+    commands.on("refused", ({ behaviour, reason }) => this.tell(`Refused. ${behaviour}: ${reason}`));
+    byId("question-no").addEventListener("click", () => (byId("question").hidden = true));
+    byId("question-yes").addEventListener("click", () => this.#take());
+    byId("lost-close").addEventListener("click", () => (byId("lost").hidden = true));
+    this.#check();
+  }
+
+  #takeOver = /** @type {(() => void) | null} */ (null);
+  #askedAbout = /** @type {string[]} */ ([]);
+  #lostTimer = 0;
+  #toldTimer = 0;
+
+  /** Say something over the map for a few seconds. */
+  tell(words) {
+    setText(byId("hint"), words);
+    byId("hint").hidden = false;
+    clearTimeout(this.#toldTimer);
+    this.#toldTimer = setTimeout(() => (byId("hint").hidden = true), TOLD_MS);
+  }
+
+  #check() {
+    const { level, text } = judgeLink({
+      open: this.link.open, now_s: performance.now() / 1000, heard_s: this.link.heard_s, fleet_s: this.link.fleet_s,
+      hub: this.store.hub, core_age_s: this.store.core_age_s, refused: this.link.refused,
+    });
+    setText(byId("link-state"), text);
+    setText(byId("link-words"), text);
+    if (level === this.level) return;
+    this.level = level;
+    document.body.dataset.link = level;
+    byId("link-banner").hidden = level === "live" || level === "start";
+    setText(byId("link-advice"), LINK_ADVICE[level]);
+    setText(byId("link-spoken"), level === "live" ? "link live" : `${text}. ${LINK_ADVICE[level]}`);
+    this.map.old = level === "old" || level === "hub" || level === "refused";
+    this.map.touch();
+  }
+
+  #lost(robots, by) {
+    setText(byId("lost-words"), `${short(robots)} taken over by ${by}. You no longer drive ${robots.length === 1 ? "it" : "them"}.`);
+    byId("lost").hidden = false;
+    clearTimeout(this.#lostTimer);
+    this.#lostTimer = setTimeout(() => (byId("lost").hidden = true), LOST_MS);
+  }
+
+  #ask({ holders, take }) {
+    const robots = [...holders.keys()];
+    const names = [...new Set(holders.values())].join(", ");
+    const verb = robots.length === 1 ? "is" : "are";
+    setText(byId("question-words"), `${short(robots)} ${verb} held by ${names}: take over?`);
+    this.#takeOver = take;
+    this.#askedAbout = robots;
+    byId("question").hidden = false;
+  }
+
+  /** Whoever was asked about may have given the robots back meanwhile. */
+  #stillHeld() {
+    if (byId("question").hidden || this.store.heldByOthers(this.#askedAbout).size) return;
+    byId("question").hidden = true;
+    this.tell(`${short(this.#askedAbout)} given back: ask again.`);
+  }
+
+  #take() {
+    byId("question").hidden = true;
+    this.#takeOver?.();
+    this.#takeOver = null;
+  }
+}

@@ -1,0 +1,124 @@
+/** What the page asks for, in one place: requests and their refusals, leases, stops. */
+
+import { Emitter } from "./emitter.js";
+import { assign, closestPair, goalRadius } from "./geometry.js";
+
+/**
+ * Emits "refused" {behaviour, reason}, "asked" {behaviour, robots}, "question" {holders, take} and "unsent" (a stop
+ * that waits for the link).
+ */
+export class Commands extends Emitter {
+  /**
+   * @param {import("./link.js").Link} link
+   * @param {import("./store.js").Store} store
+   */
+  constructor(link, store) {
+    super();
+    this.link = link;
+    this.store = store;
+    this.goalBehaviour = "move_to_goal_bc";
+    this.#mine = new Map();
+    store.on("request", (status) => this.#onStatus(status));
+  }
+
+  #mine; // request id → how to ask again
+
+  /** Ask for a behaviour; no robots: the whole swarm. */
+  async request(behaviour, robots, parameters = {}, take = false) {
+    const addressed = robots.length ? robots : this.store.ids();
+    const holders = this.store.heldByOthers(addressed);
+    const again = () => this.request(behaviour, robots, parameters, true);
+    if (holders.size && !take) return this.emit("question", { holders, take: again });
+    this.emit("asked", { behaviour, robots });
+    const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, take });
+    if (answer.request_id) this.#remember(answer.request_id, again);
+    if (!answer.ok) this.#refuse(behaviour, answer.reason ?? "no reason given", again);
+    return answer;
+  }
+
+  /** Send robots to a point; several get room around it. */
+  goal(robots, point) {
+    const parameters = { goal: point.map(round) };
+    const record = this.store.behaviours[this.goalBehaviour];
+    if (robots.length > 1 && record?.parameters?.arrive_radius_m) {
+      const widest = Math.max(...robots.map((id) => this.store.radius(id)));
+      parameters.arrive_radius_m = goalRadius(robots.length, widest);
+    }
+    return this.request(this.goalBehaviour, robots, parameters);
+  }
+
+  /** Send each robot to the place that suits it; refused here if the places are too close. */
+  formation(robots, places) {
+    const least = 2 * Math.max(...robots.map((id) => this.store.radius(id)));
+    if (closestPair(places) < least) {
+      const reason = `places ${closestPair(places).toFixed(2)} m apart are too close: drag further out`;
+      return this.emit("refused", { behaviour: "formation_bc", reason });
+    }
+    const from = robots.map((id) => this.store.tracks.get(id)?.states.at(-1)?.slice(1, 3) ?? [0, 0]);
+    const targets = assign(from, places).map((place) => place.map(round));
+    return this.request("formation_bc", robots, { targets });
+  }
+
+  /** Stop all robots at once. */
+  stop() {
+    this.#urgent({ t: "stop", robots: [] });
+  }
+
+  /** Engage the latched e-stop for all robots at once. */
+  estop(reason) {
+    this.#urgent({ t: "estop", robots: [], reason });
+  }
+
+  /** Clear the e-stop: only behind a deliberate act. */
+  async clear(robots = []) {
+    const answer = await this.link.ask({ t: "clear", robots });
+    if (!answer.ok) this.emit("refused", { behaviour: "clear the e-stop", reason: answer.reason });
+    return answer;
+  }
+
+  /** Take or give back robots. */
+  async lease(robots, hold, take = false) {
+    const answer = await this.link.ask({ t: "lease", robots, hold, take });
+    if (!answer.ok) this.emit("refused", { behaviour: "lease", reason: answer.reason });
+    return answer;
+  }
+
+  async #urgent(message) {
+    if (!this.link.open) {
+      this.link.urge(message);
+      this.emit("unsent", message.t);
+      return;
+    }
+    const answer = await this.link.ask(message);
+    if (answer.ok) return;
+    if (!this.link.open) this.link.urge(message);
+    this.emit("unsent", message.t);
+    this.emit("refused", { behaviour: message.t === "stop" ? "stop" : "e-stop", reason: answer.reason });
+  }
+
+  #remember(id, again) {
+    this.#mine.set(id, again);
+    if (this.#mine.size > 50) this.#mine.delete(this.#mine.keys().next().value);
+  }
+
+  #onStatus(status) {
+    if (!status.mine || status.phase !== "refused") return;
+    this.#refuse(status.behaviour, status.reason, this.#mine.get(status.request_id));
+  }
+
+  /** Tell why; if somebody else holds the robots, ask whether to take them over. */
+  #refuse(behaviour, reason, again) {
+    this.emit("refused", { behaviour, reason: brief(reason) });
+    const held = / is held by (.+?)(?: \(|[:;,]|$)/.exec(reason);
+    if (!held || !again) return;
+    const robot = /(\S+) is held by/.exec(reason)?.[1] ?? "";
+    this.emit("question", { holders: new Map([[robot, held[1]]]), take: again });
+  }
+}
+
+/** Leave out the list of all parameters, which the form beside it shows. */
+export function brief(reason) {
+  return reason.replace(/ \(parameters of [^]*\)$/, "");
+}
+
+const round = (metres) => Math.round(metres * 1000) / 1000;

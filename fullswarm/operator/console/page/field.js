@@ -1,0 +1,114 @@
+/** One parameter of a behaviour as a labelled control: number with slider, flag, choice, point. */
+
+import { make } from "./dom.js";
+import { entryText, fromSlider, number, parseEntry, rangeText, toSlider } from "./forms.js";
+
+let counted = 0;
+
+/**
+ * A field: its element, what is entered in it, and where its error stands.
+ * @typedef {{element: HTMLElement, entry: () => string | boolean, say: (reason: string) => void,
+ *   focus: () => void}} Field
+ */
+
+/**
+ * Make the field of a parameter.
+ * @param {string} name
+ * @param {import("./forms.js").Parameter} parameter
+ * @param {(onPoint: (point: [number, number]) => boolean, points: number[][]) => void} pick starts picking on the map
+ * @returns {Field}
+ */
+export function makeField(name, parameter, pick) {
+  const id = `field-${(counted += 1)}`;
+  const error = make("p", { class: "field-error", id: `${id}-error` });
+  const doc = make("p", { class: "field-doc", id: `${id}-doc`, text: docText(parameter) });
+  const control = makeControl(id, name, parameter, pick);
+  control.input.setAttribute("aria-describedby", `${id}-doc ${id}-error`);
+  const star = parameter.required ? make("span", { class: "required", text: "required" }) : "";
+  const label = make("label", { for: id, class: "field-label" }, make("span", { text: name }), star);
+  const element = make("div", { class: `field field-${parameter.type}` }, label, control.element, doc, error);
+  return {
+    element,
+    entry: control.entry,
+    focus: () => control.input.focus(),
+    say: (reason) => {
+      error.textContent = reason;
+      control.input.setAttribute("aria-invalid", String(Boolean(reason)));
+    },
+  };
+}
+
+function docText(parameter) {
+  const range = ["number", "integer"].includes(parameter.type) ? rangeText(parameter) : "";
+  return [parameter.doc, range].filter(Boolean).join(" · ");
+}
+
+function makeControl(id, name, parameter, pick) {
+  if (parameter.type === "flag") return makeFlag(id, name, parameter);
+  if (parameter.choices?.length) return makeChoice(id, name, parameter);
+  if (parameter.type === "point" || parameter.type === "points") return makePoints(id, name, parameter, pick);
+  if (parameter.type === "number" || parameter.type === "integer") return makeNumber(id, name, parameter);
+  const input = make("input", { id, name, type: "text", value: entryText(parameter.default), autocomplete: "off" });
+  return { element: input, input, entry: () => input.value };
+}
+
+function makeFlag(id, name, parameter) {
+  const input = make("input", { id, name, type: "checkbox" });
+  input.checked = parameter.default === true;
+  return { element: make("span", { class: "flag" }, input), input, entry: () => input.checked };
+}
+
+function makeChoice(id, name, parameter) {
+  const none = parameter.default === undefined || parameter.default === null ? [make("option", { value: "", text: "not set" })] : [];
+  const options = parameter.choices.map((word) => make("option", { value: word, text: word }));
+  const input = make("select", { id, name }, ...none, ...options);
+  input.value = entryText(parameter.default);
+  return { element: input, input, entry: () => input.value };
+}
+
+function makeNumber(id, name, parameter) {
+  const input = make("input", {
+    id, name, type: "number", step: parameter.type === "integer" ? 1 : "any", value: entryText(parameter.default),
+    inputmode: "decimal", autocomplete: "off",
+  });
+  const unit = make("span", { class: "unit", text: parameter.unit ?? "" });
+  const bounded = typeof parameter.min === "number" && typeof parameter.max === "number";
+  const slider = bounded ? makeSlider(name, parameter, input) : "";
+  const entry = () => (input.validity.badInput ? "not a number" : input.value);
+  return { element: make("div", { class: "number" }, slider, input, unit), input, entry };
+}
+
+function makeSlider(name, parameter, input) {
+  const slider = make("input", { type: "range", min: 0, max: 1000, "aria-label": `${name}, slider` });
+  const follow = () => {
+    const parsed = parseEntry(input.value, parameter);
+    const value = parsed.ok && typeof parsed.value === "number" ? parsed.value : parameter.min;
+    slider.value = String(toSlider(value, parameter));
+    slider.setAttribute("aria-valuetext", `${number(value)} ${parameter.unit ?? ""}`.trim());
+  };
+  slider.addEventListener("input", () => {
+    input.value = String(fromSlider(Number(slider.value), parameter));
+    slider.setAttribute("aria-valuetext", `${input.value} ${parameter.unit ?? ""}`.trim());
+  });
+  input.addEventListener("input", follow);
+  follow();
+  return slider;
+}
+
+function makePoints(id, name, parameter, pick) {
+  const many = parameter.type === "points";
+  const placeholder = many ? "x, y; x, y; …" : "x, y";
+  const input = make("input", { id, name, type: "text", value: entryText(parameter.default), placeholder, autocomplete: "off" });
+  const button = make("button", { type: "button", class: "small", text: "Pick on the map", "aria-label": `Pick on the map: ${name}` });
+  button.addEventListener("click", () => {
+    const parsed = parseEntry(input.value, parameter);
+    const points = many && parsed.ok && Array.isArray(parsed.value) ? [...parsed.value] : [];
+    pick((point) => {
+      const rounded = point.map((metres) => Math.round(metres * 100) / 100);
+      points.push(rounded);
+      input.value = entryText(many ? points : rounded);
+      return many;
+    }, [...points]);
+  });
+  return { element: make("div", { class: "points" }, input, button), input, entry: () => input.value };
+}

@@ -1,0 +1,182 @@
+/** The fleet table: who needs attention first; selecting here and on the map is the same. */
+
+import { byId, make, setFlag, setText } from "./dom.js";
+import { OLD_S, seconds } from "./linkstate.js";
+import { IDLE } from "./palette.js";
+import { byNumber } from "./store.js";
+
+const CALM_PX = 60;
+const AGEING_MS = 500;
+const LINE_PX = 19;
+const LETTERS_PER_LINE = 46;
+const MOST_LINES = 3;
+
+export class FleetTable {
+  /**
+   * @param {{store: import("./store.js").Store, selection: import("./selection.js").Selection,
+   *   commands: import("./commands.js").Commands, link: import("./link.js").Link}} parts
+   */
+  constructor({ store, selection, commands, link }) {
+    this.store = store;
+    this.link = link;
+    this.selection = selection;
+    this.commands = commands;
+    this.body = byId("fleet-rows");
+    for (const topic of ["fleet", "robots", "leases"]) store.on(topic, () => this.#show());
+    selection.on("change", () => this.#select());
+    byId("release-all").addEventListener("click", () => this.#release());
+    setInterval(() => this.#ageing(), AGEING_MS);
+    this.#show();
+  }
+
+  #rows = new Map();
+
+  #show() {
+    const ids = this.store.ids().sort((a, b) => this.#rank(a) - this.#rank(b) || byNumber(a, b));
+    let top = 0;
+    for (const id of ids) {
+      const row = this.#row(id);
+      this.#fill(row, id);
+      const high = CALM_PX + row.lines * LINE_PX;
+      row.element.style.transform = `translateY(${top}px)`; // not a layout shift, however they are sorted
+      row.element.style.height = `${high}px`;
+      top += high;
+    }
+    this.body.style.height = `${top}px`;
+    for (const [id, row] of this.#rows) {
+      if (ids.includes(id)) continue;
+      row.element.remove();
+      this.#rows.delete(id);
+    }
+    this.#reorder(ids);
+    this.#summary(ids);
+    this.#select();
+  }
+
+  /** The order for readers and the Tab key follows the eye's, unless the focus is in the table. */
+  #reorder(ids) {
+    if (this.body.contains(document.activeElement)) return;
+    const inPlace = ids.every((id, k) => this.body.children[k] === this.#rows.get(id).element);
+    if (!inPlace) this.body.append(...ids.map((id) => this.#rows.get(id).element));
+  }
+
+  #rank(id) {
+    const info = this.store.info(id);
+    return info.attention || info.silent ? 0 : 1;
+  }
+
+  #summary(ids) {
+    const worried = ids.filter((id) => this.#rank(id) === 0).length;
+    const missing = this.store.missing.length ? ` · never heard: ${this.store.missing.join(", ")}` : "";
+    setText(byId("fleet-summary"), `${ids.length} robots · ${worried || "none"} need${worried === 1 ? "s" : ""} attention${missing}`);
+    byId("fleet-empty").hidden = ids.length > 0;
+    const mine = [...this.store.leases.values()].filter((lease) => lease.mine).map((lease) => lease.robot);
+    setText(byId("lease-summary"), mine.length ? `You hold ${short(mine)}` : "You hold no robot");
+    byId("release-all").disabled = mine.length === 0;
+  }
+
+  #release() {
+    const mine = [...this.store.leases.values()].filter((lease) => lease.mine).map((lease) => lease.robot);
+    this.commands.lease(mine, false);
+  }
+
+  #row(id) {
+    const known = this.#rows.get(id);
+    if (known) return known;
+    const check = make("input", { type: "checkbox", "aria-label": `Select ${id}`, on: { change: () => this.selection.toggle(id) } });
+    const cell = (name, ...children) => make("div", { role: "cell", class: name }, ...children);
+    const part = (name) => make("span", { class: name });
+    const parts = {
+      id: make("strong", { text: id }), state: part("row-state"), behaviour: part("row-behaviour"), swatch: part("swatch"),
+      battery: part("row-battery"), age: part("row-age"), driver: part("row-driver"), version: part("row-version"),
+      advice: part("row-advice"),
+      lease: make("span", { class: "row-lease", testid: `lease-${id}`, id: `lease-${id}` }),
+    };
+    const element = make(
+      "div", { role: "row", class: "row", testid: `robot-row-${id}`, id: `robot-row-${id}` },
+      cell("cell-check", check),
+      cell("cell-robot", parts.swatch, parts.id, parts.lease),
+      cell("cell-state", parts.state, parts.behaviour),
+      cell("cell-numbers", parts.battery, parts.age),
+      cell("cell-driver", parts.driver, parts.version),
+      cell("cell-advice", parts.advice),
+    );
+    element.addEventListener("click", (event) => this.#clicked(event, id, check));
+    this.body.append(element);
+    const row = { element, check, lines: 0, ...parts };
+    this.#rows.set(id, row);
+    return row;
+  }
+
+  #clicked(event, id, check) {
+    if (event.target === check) return;
+    if (event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
+    else this.selection.set([id]);
+  }
+
+  #fill(row, id) {
+    const info = this.store.info(id);
+    const alert = Boolean(info.attention || info.silent);
+    const { head, rest } = stateWords(info, alert);
+    row.element.classList.toggle("attention", alert);
+    setText(row.state, head);
+    setText(row.behaviour, info.behaviour || "no behaviour");
+    setText(row.advice, rest);
+    row.advice.title = rest;
+    row.state.title = info.state ?? "";
+    row.lines = rest ? Math.min(MOST_LINES, Math.ceil(rest.length / LETTERS_PER_LINE)) : 0;
+    setText(row.battery, typeof info.battery === "number" && info.battery >= 0 ? `${Math.round(100 * info.battery)} %` : "– %");
+    this.#age(row, info);
+    setText(row.driver, driverText(info));
+    setText(row.version, info.version ?? "");
+    row.driver.title = [info.driver, info.make, info.model, info.firmware, info.host].filter(Boolean).join("\n");
+    row.swatch.style.backgroundColor = info.behaviour ? this.store.looks.of(info.behaviour).colour : IDLE.colour;
+    this.#lease(row, id);
+  }
+
+  /** While nothing arrives, the ages must grow all the same. */
+  #ageing() {
+    for (const [id, row] of this.#rows) this.#age(row, this.store.info(id));
+  }
+
+  #age(row, { age_s }) {
+    const since_s = performance.now() / 1000 - (this.link.fleet_s ?? 0);
+    const known = typeof age_s === "number" && this.link.fleet_s !== null;
+    setText(row.age, known ? seconds(age_s + (since_s > OLD_S ? since_s : 0)) : "–");
+  }
+
+  #lease(row, id) {
+    const lease = this.store.leases.get(id);
+    setText(row.lease, lease ? (lease.mine ? "you" : lease.operator) : "free");
+    setFlag(row.lease, "data-lease", lease ? (lease.mine ? "mine" : "other") : "free");
+    row.lease.title = lease ? `driven by ${lease.operator}${lease.taken_from ? `, taken from ${lease.taken_from}` : ""}` : "nobody holds it";
+  }
+
+  #select() {
+    for (const [id, row] of this.#rows) {
+      const chosen = this.selection.has(id);
+      if (row.check.checked !== chosen) row.check.checked = chosen;
+      row.element.classList.toggle("selected", chosen);
+    }
+  }
+}
+
+/** Split the state of a robot in trouble: a word for the column, and below it why and what to do. */
+function stateWords({ state = "no health report", advice = "", fault = "" }, alert) {
+  if (!alert) return { head: state, rest: "" };
+  const [head, ...why] = state.split(": ");
+  const reason = why.join(": ") || (state.includes(fault) ? "" : fault);
+  const rest = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}.`, advice].filter(Boolean).join(" ");
+  return { head: `⚠ ${head}`, rest };
+}
+
+function driverText({ driver = "", make: maker = "" }) {
+  return /^[a-z]+/.exec(driver)?.[0] ?? maker;
+}
+
+/** Name a few, count the rest. */
+export function short(ids, most = 6) {
+  const sorted = [...ids].sort(byNumber);
+  if (sorted.length <= most) return sorted.join(", ");
+  return `${sorted.slice(0, most).join(", ")} and ${sorted.length - most} more`;
+}

@@ -1,0 +1,139 @@
+/**
+ * Parameters of behaviours: text to value with a reason where it does not fit, sliders, order of the list. Pure.
+ * @typedef {{type: string, unit?: string, doc?: string, default?: unknown, min?: number|null, max?: number|null,
+ *   choices?: string[], required?: boolean}} Parameter
+ * @typedef {{ok: true, value: unknown} | {ok: false, reason: string}} Parsed `value` undefined: left to its default
+ */
+
+const WIDE_RANGE = 50; // above this ratio a slider goes by powers
+
+const fail = (reason) => ({ ok: /** @type {const} */ (false), reason });
+const good = (value) => ({ ok: /** @type {const} */ (true), value });
+
+/** Write a number without the noise of binary fractions. */
+export function number(value, digits = 4) {
+  return String(Number(Number(value).toPrecision(digits)));
+}
+
+/** Tell the range of a parameter in words: "0.05 to 5 1/s". */
+export function rangeText(parameter) {
+  const { min, max, unit } = parameter;
+  const known = (bound) => bound !== null && bound !== undefined;
+  const of = unit ? ` ${unit}` : "";
+  if (known(min) && known(max)) return `${number(min)} to ${number(max)}${of}`;
+  if (known(min)) return `at least ${number(min)}${of}`;
+  if (known(max)) return `at most ${number(max)}${of}`;
+  return unit ?? "";
+}
+
+function parseNumber(text, parameter) {
+  const value = Number(text.replace(",", "."));
+  if (!Number.isFinite(value)) return fail(`"${text}" is not a number`);
+  if (parameter.type === "integer" && !Number.isInteger(value)) return fail(`${text} is not a whole number`);
+  const { min, max } = parameter;
+  if ((typeof min === "number" && value < min) || (typeof max === "number" && value > max)) {
+    return fail(`${number(value)} is out of range: ${rangeText(parameter)}`);
+  }
+  return good(value);
+}
+
+function parsePoint(text) {
+  const parts = text.replace(/[[\]()]/g, " ").trim().split(/[\s,]+/);
+  const point = parts.map(Number);
+  if (point.length !== 2 || parts.includes("") || !point.every(Number.isFinite)) {
+    return fail(`"${text.trim()}" is not a point: write x, y in metres, or pick it on the map`);
+  }
+  return good(point);
+}
+
+function parsePoints(text) {
+  const points = [];
+  for (const part of text.split(";").filter((each) => each.trim() !== "")) {
+    const parsed = parsePoint(part);
+    if (!parsed.ok) return parsed;
+    points.push(parsed.value);
+  }
+  return good(points);
+}
+
+/**
+ * Read what was typed for one parameter.
+ * @param {string | boolean} entry
+ * @param {Parameter} parameter
+ * @returns {Parsed}
+ */
+export function parseEntry(entry, parameter) {
+  if (typeof entry === "boolean") return good(entry);
+  const text = entry.trim();
+  if (text === "") return parameter.required ? fail("is required") : good(undefined);
+  if (parameter.type === "number" || parameter.type === "integer") return parseNumber(text, parameter);
+  if (parameter.type === "point") return parsePoint(text);
+  if (parameter.type === "points") return parsePoints(text);
+  if (parameter.choices?.length && !parameter.choices.includes(text)) {
+    return fail(`"${text}" is none of ${parameter.choices.join(", ")}`);
+  }
+  return good(text);
+}
+
+/**
+ * Read a whole form.
+ * @param {Record<string, string | boolean>} entries
+ * @param {Record<string, Parameter>} parameters
+ * @returns {{values: Record<string, unknown>, errors: Record<string, string>}}
+ */
+export function parseForm(entries, parameters) {
+  const values = {};
+  const errors = {};
+  for (const [name, parameter] of Object.entries(parameters)) {
+    const parsed = parseEntry(entries[name] ?? "", parameter);
+    if (!parsed.ok) errors[name] = parsed.reason;
+    else if (parsed.value !== undefined) values[name] = parsed.value;
+  }
+  return { values, errors };
+}
+
+/** Write a value as it stands in a field. */
+export function entryText(value) {
+  if (value === null || value === undefined) return "";
+  if (!Array.isArray(value)) return typeof value === "number" ? number(value, 6) : String(value);
+  if (value.every((each) => Array.isArray(each))) return value.map(entryText).join("; ");
+  return value.map((each) => number(each, 6)).join(", ");
+}
+
+const byPowers = ({ min, max }) => min > 0 && max / min > WIDE_RANGE;
+
+/** Return where in 0..1000 the slider of a parameter stands for a value. */
+export function toSlider(value, { min, max }) {
+  const share = byPowers({ min, max }) ? Math.log(value / min) / Math.log(max / min) : (value - min) / (max - min);
+  return Math.round(Math.min(1, Math.max(0, share)) * 1000);
+}
+
+/** Return the value for a slider's place in 0..1000. */
+export function fromSlider(place, { min, max, type }) {
+  const share = place / 1000;
+  const value = byPowers({ min, max }) ? min * (max / min) ** share : min + (max - min) * share;
+  if (type === "integer") return Math.round(value);
+  return Number(value.toPrecision(3));
+}
+
+const ORDER = ["filtered", "plain", "stick"];
+
+/** Tell the group of a behaviour in the list: behind the filter first, what lapses without a stick last. */
+export function behaviourGroup(record) {
+  if (record.expires_s > 0) return "stick";
+  return record.filtered ? "filtered" : "plain";
+}
+
+/**
+ * Return [name, record] of the behaviours that fit a search, in the order of the list.
+ * @param {Record<string, any>} behaviours
+ * @param {string} search
+ */
+export function listed(behaviours, search = "") {
+  const words = search.toLowerCase().split(/\s+/).filter(Boolean);
+  const fits = ([name, record]) => words.every((word) => `${name} ${record.summary}`.toLowerCase().includes(word));
+  const rank = ([, record]) => ORDER.indexOf(behaviourGroup(record));
+  return Object.entries(behaviours)
+    .filter(fits)
+    .sort((a, b) => rank(a) - rank(b) || a[0].localeCompare(b[0]));
+}

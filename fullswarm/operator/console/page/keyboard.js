@@ -1,0 +1,91 @@
+/** All keys. Stop and e-stop come first and reach through everything; only a text field keeps its letters. */
+
+import { byId, steered, typing } from "./dom.js";
+
+const PAN_PX = 60;
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+export class Keyboard {
+  /**
+   * @param {{map: import("./map.js").SwarmMap, tools: import("./tools.js").Tools,
+   *   selection: import("./selection.js").Selection, stops: import("./stops.js").Stops,
+   *   arrows: import("./drive.js").ArrowDrive, actions: Record<string, () => void>}} parts
+   *   actions: plain key → what it does
+   */
+  constructor({ map, tools, selection, stops, arrows, actions }) {
+    Object.assign(this, { map, tools, selection, stops, arrows, actions });
+    addEventListener("keydown", (event) => this.#down(event), { capture: true });
+    addEventListener("keyup", (event) => this.#up(event), { capture: true });
+  }
+
+  #down(event) {
+    if (this.#alarm(event)) return;
+    if (event.ctrlKey || event.metaKey) return void this.#control(event);
+    if (event.altKey || typing(event.target, true) || steered(event.target)) return;
+    if (this.arrows.down(event)) return void event.preventDefault();
+    if (event.key === "Enter") return void this.#enter(event);
+    if (event.key in ARROWS) return void this.#arrow(event);
+    const act = this.actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!act) return;
+    event.preventDefault();
+    if (!event.repeat) act();
+  }
+
+  /** Space and E. A number has no spaces, so Space stops there, too. */
+  #alarm(event) {
+    const space = event.code === "Space" && !typing(event.target);
+    const e = event.key.toLowerCase() === "e" && !typing(event.target, true);
+    if (!space && !e) return false;
+    if (e && (event.ctrlKey || event.metaKey || event.altKey)) return false;
+    event.preventDefault();
+    event.stopPropagation();
+    if (event.repeat) return true;
+    if (space) this.stops.stop();
+    else this.stops.estop();
+    return true;
+  }
+
+  #up(event) {
+    this.arrows.up(event);
+    if (event.code !== "Space" || typing(event.target)) return;
+    event.preventDefault(); // else a focused button would be clicked as well
+    event.stopPropagation();
+  }
+
+  #control(event) {
+    if (event.key.toLowerCase() !== "a" || typing(event.target, true)) return;
+    event.preventDefault();
+    this.selection.all();
+  }
+
+  /** Space belongs to the stop, so Enter ticks boxes. */
+  #enter(event) {
+    const { target } = event;
+    if (target === this.map.live) return this.tools.enter();
+    if (!(target instanceof HTMLInputElement) || target.type !== "checkbox") return undefined;
+    event.preventDefault();
+    return target.click();
+  }
+
+  /** On the map: move the crosshair of a tool, else the map itself. */
+  #arrow(event) {
+    if (event.target !== this.map.live) return;
+    event.preventDefault();
+    const [dx, dy] = ARROWS[event.key];
+    if (!this.tools.nudge(dx, dy, this.map.view.centre)) {
+      this.map.view.pan(-dx * PAN_PX, dy * PAN_PX);
+      this.map.touch(true);
+    }
+  }
+}
+
+/** Make the tabs of narrow screens; on wide ones everything is seen at once. */
+export function tabs() {
+  const buttons = /** @type {HTMLElement[]} */ ([...byId("tabs").querySelectorAll("button")]);
+  const show = (name) => {
+    document.body.dataset.tab = name;
+    for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.tab === name));
+  };
+  for (const button of buttons) button.addEventListener("click", () => show(button.dataset.tab));
+  show("fleet");
+}

@@ -1,0 +1,50 @@
+/** What the colours and patterns on the map mean now. */
+
+import { byId, make } from "./dom.js";
+import { IDLE, lawOf } from "./palette.js";
+import { fillPattern, outline } from "./sprites.js";
+
+const SIZE = 18;
+
+export class Legend {
+  /** @param {import("./store.js").Store} store */
+  constructor(store) {
+    this.store = store;
+    store.on("fleet", () => this.#show());
+  }
+
+  #shown = "";
+
+  #show() {
+    const laws = new Map();
+    for (const { behaviour } of this.store.fleet.values()) {
+      const law = behaviour ? lawOf(behaviour) : "";
+      laws.set(law, (laws.get(law) ?? 0) + 1);
+    }
+    const words = JSON.stringify([...laws]);
+    if (words === this.#shown) return;
+    this.#shown = words;
+    const items = [...laws].sort().map(([law, count]) =>
+      make("li", {}, swatch(law ? this.store.looks.of(law) : IDLE), `${law || "no behaviour"} ${count}`),
+    );
+    byId("legend").replaceChildren(...items);
+  }
+}
+
+function swatch({ colour, pattern }) {
+  const canvas = make("canvas", { width: 2 * SIZE, height: 2 * SIZE, class: "legend-swatch", "aria-hidden": "true" });
+  const context = canvas.getContext("2d");
+  context.translate(SIZE, SIZE);
+  outline(context, "circle", SIZE - 3);
+  context.fillStyle = colour;
+  context.fill();
+  context.save();
+  context.clip();
+  fillPattern(context, pattern, SIZE - 3, "#0B1015");
+  context.restore();
+  outline(context, "circle", SIZE - 3);
+  context.lineWidth = 2;
+  context.strokeStyle = "#7D8894";
+  context.stroke();
+  return canvas;
+}

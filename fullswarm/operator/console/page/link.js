@@ -1,0 +1,134 @@
+/** The one WebSocket to the console: hello, answers by number, and coming back by itself. */
+
+import { Emitter } from "./emitter.js";
+
+const BACKOFF_S = [0.25, 0.5, 1, 2];
+const ANSWER_S = 4;
+const STALLED_S = 3;
+const URGENT_S = 10;
+const REFUSED = {
+  4401: "not let in: wrong or missing token",
+  4429: "not let in: too many pages or messages",
+};
+
+/**
+ * Emits "message" (each message), "open", "closed".
+ * @typedef {{ok: boolean, reason?: string, request_id?: string}} Answer
+ */
+export class Link extends Emitter {
+  /** @param {{token: string, session: string, name?: string}} identity */
+  constructor(identity) {
+    super();
+    this.identity = identity;
+    this.open = false;
+    this.refused = "";
+    this.heard_s = /** @type {number | null} */ (null);
+    this.fleet_s = /** @type {number | null} */ (null);
+    this.#connect();
+    setInterval(() => this.#watch(), 500);
+  }
+
+  #socket = /** @type {WebSocket | null} */ (null);
+  #tries = 0;
+  #ref = 0;
+  #waiting = new Map();
+  #urgent = /** @type {{message: object, until_s: number}[]} */ ([]);
+
+  /**
+   * Send a command and wait for its answer. Never throws: no link and no answer are answers too.
+   * @returns {Promise<Answer>}
+   */
+  ask(message) {
+    const ref = this.post(message);
+    if (ref === null) return Promise.resolve({ ok: false, reason: "not sent: no link to the console" });
+    return new Promise((resolve) => {
+      const timer = setTimeout(() => this.#settle(ref, { ok: false, reason: "the console gave no answer" }), ANSWER_S * 1000);
+      this.#waiting.set(ref, { resolve, timer });
+    });
+  }
+
+  /** Send a command now, or as soon as the link is back: for stops. True: it went out at once. */
+  urge(message) {
+    if (this.post(message) !== null) return true;
+    this.#urgent.push({ message, until_s: performance.now() / 1000 + URGENT_S });
+    return false;
+  }
+
+  /** Send and wait for nothing; null if there is no link. */
+  post(message) {
+    if (!this.open || this.#socket?.readyState !== WebSocket.OPEN) return null;
+    this.#ref += 1;
+    this.#socket.send(JSON.stringify({ ...message, ref: this.#ref }));
+    return this.#ref;
+  }
+
+  #connect() {
+    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`;
+    const socket = new WebSocket(address);
+    this.#socket = socket;
+    socket.onopen = () => socket.send(JSON.stringify({ t: "hello", ...this.identity }));
+    socket.onmessage = (event) => this.#receive(JSON.parse(event.data));
+    socket.onclose = (event) => this.#closed(socket, event.code);
+  }
+
+  #receive(message) {
+    const now_s = performance.now() / 1000;
+    this.heard_s = now_s;
+    if (message.t === "fleet") this.fleet_s = now_s;
+    if (message.t === "answer") return this.#settle(message.ref, message);
+    if (message.t === "hello") this.#opened();
+    return this.emit("message", message);
+  }
+
+  #opened() {
+    this.open = true;
+    this.refused = "";
+    this.#tries = 0;
+    const now_s = performance.now() / 1000;
+    for (const { message, until_s } of this.#urgent.splice(0)) if (now_s < until_s) this.post(message);
+    this.emit("open");
+  }
+
+  #closed(socket, code) {
+    if (socket !== this.#socket) return; // given up before
+    this.open = false;
+    this.refused = REFUSED[code] ?? "";
+    for (const ref of [...this.#waiting.keys()]) this.#settle(ref, { ok: false, reason: "the link broke" });
+    const wait_s = BACKOFF_S[Math.min(this.#tries, BACKOFF_S.length - 1)];
+    this.#tries += 1;
+    setTimeout(() => this.#connect(), wait_s * 1000);
+    this.emit("closed");
+  }
+
+  /** A socket that says nothing for long is dead although nobody closed it: start anew. */
+  #watch() {
+    const quiet_s = performance.now() / 1000 - (this.heard_s ?? Infinity);
+    if (!this.open || quiet_s < STALLED_S) return;
+    const socket = this.#socket;
+    this.#closed(socket, 0);
+    socket?.close();
+  }
+
+  #settle(ref, answer) {
+    const waiting = this.#waiting.get(ref);
+    if (!waiting) return;
+    this.#waiting.delete(ref);
+    clearTimeout(waiting.timer);
+    waiting.resolve(answer);
+  }
+}
+
+/** Return token and session: from the address once, then from this tab's storage, so a reload is the same operator. */
+export function identity() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname + location.search);
+  }
+  let session = sessionStorage.getItem("session");
+  if (!session) {
+    session = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+    sessionStorage.setItem("session", session);
+  }
+  return { token: sessionStorage.getItem("token") ?? "", session };
+}

@@ -1,0 +1,124 @@
+/** Puts the parts of the console together. */
+
+import { Banners } from "./banners.js";
+import { Charts } from "./charts.js";
+import { Commands } from "./commands.js";
+import { byId, setText } from "./dom.js";
+import { ArrowDrive, Driver, Pad } from "./drive.js";
+import { FleetTable } from "./fleet.js";
+import { GroupBar } from "./groupbar.js";
+import { Keyboard, tabs } from "./keyboard.js";
+import { Legend } from "./legend.js";
+import { identity, Link } from "./link.js";
+import { LogView } from "./logview.js";
+import { SwarmMap } from "./map.js";
+import { Panel } from "./panel.js";
+import { Pointer } from "./pointer.js";
+import { Selection } from "./selection.js";
+import { Stops } from "./stops.js";
+import { Store } from "./store.js";
+import { Theme } from "./theme.js";
+import { Toolbar } from "./toolbar.js";
+import { Tools } from "./tools.js";
+
+const store = new Store();
+const link = new Link(identity());
+const selection = new Selection(store);
+const commands = new Commands(link, store);
+const theme = new Theme(byId("theme"));
+const ground = /** @type {HTMLCanvasElement} */ (byId("map-ground"));
+const live = /** @type {HTMLCanvasElement} */ (byId("map"));
+const map = new SwarmMap({ ground, live, store, selection, theme });
+const banners = new Banners({ link, store, commands, map });
+const tools = new Tools({ store, selection, commands, tell: (words) => banners.tell(words) });
+map.tool = tools;
+const toolbar = new Toolbar({ map, tools, commands, store });
+const stops = new Stops(store, commands);
+const driver = new Driver({ link, store, selection, commands });
+const arrows = new ArrowDrive(driver);
+const pad = new Pad(driver, selection, () => stops.estop());
+new Pointer(map, tools);
+new Panel({ store, selection, commands, tools });
+new GroupBar(store, selection);
+new FleetTable({ store, selection, commands, link });
+new Legend(store);
+new Charts(store, theme);
+new LogView(store);
+tabs();
+
+link.on("message", (message) => store.apply(message));
+store.on("hello", ({ swarm, operator }) => {
+  setText(byId("swarm"), swarm);
+  setText(byId("operator"), operator);
+  document.title = `${swarm} · fullswarm`;
+});
+
+const showDriving = () => {
+  const source = pad.name && !driver.held && driver.words === "not driving" ? " · gamepad ready, hold LB" : "";
+  setText(byId("driving"), driver.words + source);
+  byId("driving").dataset.on = String(driver.held);
+};
+driver.on("change", showDriving);
+pad.on("change", showDriving);
+
+const letGo = () => {
+  arrows.end();
+  driver.release();
+};
+document.addEventListener("visibilitychange", () => document.hidden && letGo());
+for (const name of ["blur", "pagehide"]) addEventListener(name, letGo);
+
+const help = byId("help-panel");
+function toggleHelp(open = help.hidden) {
+  help.hidden = !open;
+  byId("help").setAttribute("aria-expanded", String(open));
+  if (open) byId("help-close").focus();
+  else byId("help").focus({ preventScroll: true });
+}
+byId("help").addEventListener("click", () => toggleHelp());
+byId("help-close").addEventListener("click", () => toggleHelp(false));
+
+function escape() {
+  if (!help.hidden) toggleHelp(false);
+  else if (tools.mode !== "select") tools.use("select");
+  else selection.clear();
+}
+
+function debug() {
+  byId("debug").hidden = !byId("debug").hidden;
+}
+setInterval(() => {
+  if (byId("debug").hidden) return;
+  const { fps, frame_ms_p95, interval_ms_p95 } = map.stats;
+  setText(byId("debug"), `${fps} frames/s · work ${frame_ms_p95} ms · interval ${interval_ms_p95} ms (p95)`);
+}, 500);
+
+new Keyboard({
+  map, tools, selection, stops, arrows,
+  actions: {
+    f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"),
+    c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(), b: () => byId("behaviour-search").focus(),
+    "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
+    "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1), "?": () => toggleHelp(),
+    "`": debug, Escape: escape,
+  },
+});
+
+/** For tests and for the curious: copies, nothing that could be changed. */
+window.fullswarm = Object.freeze({
+  get state() {
+    const robots = Object.fromEntries(
+      map.placed.map(({ id, x, y, heading, info }) => [id, { ...structuredClone(info), x, y, heading }]),
+    );
+    return {
+      robots, selection: selection.list(), goals: structuredClone(Object.fromEntries(store.goals)), link: banners.level,
+      operator: store.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length,
+    };
+  },
+  toScreen: (x_m, y_m) => map.toPage(x_m, y_m),
+  stats: map.stats,
+});
+
+function trailLengths() {
+  return Object.fromEntries([...store.tracks].map(([id, track]) => [id, track.trail.length]));
+}

@@ -1,0 +1,151 @@
+/** The map: two canvases, one for what changes seldom and one for what moves, and the loop that draws them. */
+
+import { bounds } from "./geometry.js";
+import { drawFloor, drawTrails } from "./ground.js";
+import { MAP_COLOURS } from "./palette.js";
+import { drawGoals, drawRobots, placeRobots } from "./robots.js";
+import { Sprites } from "./sprites.js";
+import { Stats } from "./stats.js";
+import { drawTool } from "./tooldraw.js";
+import { Viewport } from "./viewport.js";
+
+const TRAILS_EVERY_MS = 250;
+const TRAILS_SHARE = 15; // with many robots drawn seldomer: at most a fifteenth of the time goes into trails
+const LIVELY_MS = 400;
+
+export class SwarmMap {
+  /**
+   * @param {{ground: HTMLCanvasElement, live: HTMLCanvasElement, store: import("./store.js").Store,
+   *   selection: import("./selection.js").Selection, theme: import("./theme.js").Theme}} parts
+   */
+  constructor({ ground, live, store, selection, theme }) {
+    this.live = live;
+    this.store = store;
+    this.selection = selection;
+    this.theme = theme;
+    this.view = new Viewport();
+    this.stats = new Stats();
+    this.options = { coverage: true, trails: true };
+    this.tool = /** @type {import("./tools.js").Tools | null} */ (null);
+    this.hovered = /** @type {string | null} */ (null);
+    this.old = false; // data is old: veiled
+    this.placed = /** @type {import("./robots.js").Placed[]} */ ([]);
+    this.#ground = ground.getContext("2d", { alpha: false });
+    this.#live = live.getContext("2d");
+    this.#floor = document.createElement("canvas").getContext("2d", { alpha: false });
+    this.#listen();
+    new ResizeObserver(() => this.#resize()).observe(live);
+    requestAnimationFrame((now_ms) => this.#frame(now_ms));
+  }
+
+  #ground;
+  #live;
+  #floor;
+  #sprites = new Sprites();
+  #dpr = 1;
+  #fitted = false;
+  #floorStale = true;
+  #groundStale = true;
+  #trails_ms = 0;
+  #lively_ms = 0;
+
+  /** Draw again soon; with `all`, the floor too. */
+  touch(all = false) {
+    this.#lively_ms = performance.now() + LIVELY_MS;
+    if (all) this.#floorStale = true;
+  }
+
+  /** Show the arena, or the robots if there is none. */
+  fit() {
+    const box = this.store.arena ?? bounds(this.placed.map(({ x, y }) => [x, y]));
+    if (box && this.view.width > 1) this.view.fit(box);
+    this.touch(true);
+  }
+
+  /** Where a point of the world lies on the page, CSS pixels. @returns {[number, number]} */
+  toPage(x_m, y_m) {
+    const corner = this.live.getBoundingClientRect();
+    const [x, y] = this.view.toScreen(x_m, y_m);
+    return [corner.left + x, corner.top + y];
+  }
+
+  #listen() {
+    const { store } = this;
+    for (const topic of ["coverage", "obstacles"]) store.on(topic, () => this.touch(true));
+    for (const topic of ["states", "fleet", "filter", "goals", "robots"]) store.on(topic, () => this.touch());
+    this.selection.on("change", () => this.touch());
+    this.theme.on("change", () => this.#restyle());
+    store.on("world", () => {
+      if (!this.#fitted && store.arena) this.#fitted = true;
+      else return this.touch(true);
+      return this.fit();
+    });
+  }
+
+  #restyle() {
+    this.#sprites.clear();
+    this.touch(true);
+  }
+
+  #resize() {
+    const { clientWidth, clientHeight } = this.live;
+    if (!clientWidth || !clientHeight) return;
+    const first = this.view.width <= 1;
+    this.#dpr = Math.min(2, window.devicePixelRatio || 1);
+    [this.view.width, this.view.height] = [clientWidth, clientHeight];
+    for (const { canvas } of [this.#ground, this.#live, this.#floor]) {
+      canvas.width = Math.round(clientWidth * this.#dpr);
+      canvas.height = Math.round(clientHeight * this.#dpr);
+    }
+    if (first) this.fit();
+    this.#restyle();
+  }
+
+  #frame(now_ms) {
+    this.theme.look();
+    const began_ms = performance.now();
+    const draws = began_ms < this.#lively_ms && this.view.width > 1;
+    if (draws) this.#draw(began_ms);
+    this.stats.frame(now_ms, draws ? performance.now() - began_ms : null);
+    requestAnimationFrame((next_ms) => this.#frame(next_ms));
+  }
+
+  #draw(now_ms) {
+    const scene = {
+      view: this.view, store: this.store, dpr: this.#dpr, sprites: this.#sprites,
+      colours: MAP_COLOURS[this.theme.dark ? "dark" : "light"],
+    };
+    if (this.#floorStale) {
+      drawFloor({ ...scene, context: this.#floor }, this.options);
+      this.#floorStale = false;
+      this.#groundStale = true;
+    }
+    if (this.options.trails && now_ms > this.#trails_ms) this.#groundStale = true;
+    if (this.#groundStale) this.#drawGround(scene);
+    this.#drawLive({ ...scene, context: this.#live });
+  }
+
+  #drawGround(scene) {
+    const now_ms = performance.now();
+    this.#ground.setTransform(1, 0, 0, 1, 0, 0);
+    this.#ground.drawImage(this.#floor.canvas, 0, 0);
+    if (this.options.trails) drawTrails({ ...scene, context: this.#ground });
+    const took_ms = performance.now() - now_ms;
+    this.#trails_ms = now_ms + Math.max(TRAILS_EVERY_MS, TRAILS_SHARE * took_ms);
+    this.#groundStale = false;
+  }
+
+  #drawLive(scene) {
+    const { context, colours } = scene;
+    context.setTransform(this.#dpr, 0, 0, this.#dpr, 0, 0);
+    context.clearRect(0, 0, this.view.width, this.view.height);
+    this.placed = placeRobots(this.store, this.view, this.store.clock.drawn(performance.now() / 1000));
+    drawGoals(scene, this.placed);
+    drawRobots(scene, this.placed, this.selection, this.hovered);
+    if (this.old) {
+      context.fillStyle = colours.dim;
+      context.fillRect(0, 0, this.view.width, this.view.height);
+    }
+    if (this.tool) drawTool(scene, this.tool, this.placed, this.selection);
+  }
+}

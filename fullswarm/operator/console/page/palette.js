@@ -1,0 +1,66 @@
+/** Colours of the map after Okabe and Ito, legible for the colour-blind; a pattern and a shape always go with them. */
+
+const COLOURS = ["#56B4E9", "#E69F00", "#009E73", "#F0E442", "#CC79A7", "#D55E00", "#0072B2"];
+const FIRST = ["move_to_goal", "flocking", "formation", "rendezvous", "voronoi_coverage", "drive", "navigate"];
+const PATTERNS = ["plain", "stripes", "dots", "rings"];
+const SHAPES = { sim: "circle", create: "circle", mavlink: "square", can: "hexagon" };
+const LETTERS = { sim: "S", create: "C", mavlink: "M", can: "B" };
+
+export const IDLE = { colour: "#9AA3AD", pattern: "plain" };
+
+/** @typedef {{colour: string, pattern: string}} Look */
+
+/**
+ * Give each law its colour and pattern: those seen most each a colour of their own, then by the order of the names,
+ * so that it is the same for everybody who looks.
+ */
+export class Looks {
+  /** @param {Iterable<string>} names of behaviours */
+  constructor(names = []) {
+    const laws = [...new Set([...FIRST, ...[...names].map(lawOf).sort()])];
+    this.looks = new Map(
+      laws.map((law, k) => [law, { colour: COLOURS[k % COLOURS.length], pattern: PATTERNS[k % PATTERNS.length] }]),
+    );
+  }
+
+  /** @returns {Look} of a behaviour; grey for a robot without one */
+  of(behaviour) {
+    if (!behaviour || behaviour === "stop") return IDLE;
+    return this.looks.get(lawOf(behaviour)) ?? IDLE;
+  }
+}
+
+/** Return the name that a behaviour and its filtered variant share. */
+export function lawOf(behaviour) {
+  return behaviour.endsWith("_bc") ? behaviour.slice(0, -3) : behaviour;
+}
+
+/** Return the outline and the letter of a make, guessed from make and driver address. */
+export function kindOf(make = "", driver = "") {
+  const scheme = driver.split(/[:+]/)[0];
+  const known = scheme in SHAPES ? scheme : makeKey(make);
+  return { shape: SHAPES[known] ?? "circle", letter: LETTERS[known] ?? (make[0] ?? "?").toUpperCase() };
+}
+
+function makeKey(make) {
+  const lower = make.toLowerCase();
+  if (lower.includes("irobot") || lower.includes("create")) return "create";
+  if (lower.includes("pilot") || lower.includes("px4") || lower.includes("rover")) return "mavlink";
+  if (lower.includes("odrive") || lower.includes("can")) return "can";
+  return lower.includes("sim") ? "sim" : "";
+}
+
+export const MAP_COLOURS = {
+  light: {
+    outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",
+    ink: "#14202B", halo: "#FFFFFF", select: "#0B57D0", goal: "#0B57D0", filter: "#B3261E", cover: [0, 114, 178, 52],
+    sensing: "rgba(11, 87, 208, 0.5)", lasso: "rgba(11, 87, 208, 0.14)", alarm: "#C5221F", edge: "#14202B",
+    dim: "rgba(228, 232, 236, 0.62)",
+  },
+  dark: {
+    outside: "#0B1015", floor: "#161D24", grid: "#212A33", wall: "#9AA7B4", box: "#55616D", seen: "#FFB454",
+    ink: "#EAF0F5", halo: "#0B1015", select: "#8AB4F8", goal: "#8AB4F8", filter: "#FF8A80", cover: [86, 180, 233, 56],
+    sensing: "rgba(138, 180, 248, 0.5)", lasso: "rgba(138, 180, 248, 0.18)", alarm: "#FF5F52", edge: "#0B1015",
+    dim: "rgba(11, 16, 21, 0.62)",
+  },
+};

@@ -1,0 +1,137 @@
+/** The behaviour panel: a list to search, and a form made from the chosen behaviour's parameters. */
+
+import { byId, make, robots, setText } from "./dom.js";
+import { makeField } from "./field.js";
+import { behaviourGroup, listed, parseForm } from "./forms.js";
+
+const GROUPS = {
+  filtered: "Behind the safety filter",
+  plain: "Without the safety filter",
+  stick: "For sticks: they lapse unless they are repeated",
+};
+
+export class Panel {
+  /**
+   * @param {{store: import("./store.js").Store, selection: import("./selection.js").Selection,
+   *   commands: import("./commands.js").Commands, tools: import("./tools.js").Tools}} parts
+   */
+  constructor({ store, selection, commands, tools }) {
+    this.store = store;
+    this.selection = selection;
+    this.commands = commands;
+    this.tools = tools;
+    this.chosen = /** @type {string | null} */ (null);
+    this.search = /** @type {HTMLInputElement} */ (byId("behaviour-search"));
+    this.start = byId("start");
+    this.refusal = byId("refusal");
+    this.search.addEventListener("input", () => this.#list());
+    byId("behaviour-form").addEventListener("submit", (event) => this.#submit(event));
+    byId("form-back").addEventListener("click", () => this.#choose(null));
+    store.on("world", () => this.#world());
+    store.on("robots", () => this.#label());
+    selection.on("change", () => this.#label());
+    commands.on("refused", ({ behaviour, reason }) => this.#refuse(`${behaviour}: ${reason}`));
+    commands.on("asked", () => this.#refuse(""));
+    store.on("request", (status) => status.mine && this.#progress(status));
+  }
+
+  #fields = /** @type {Record<string, import("./field.js").Field>} */ ({});
+  #shown = "";
+
+  #world() {
+    const records = JSON.stringify(this.store.behaviours);
+    if (records === this.#shown) return; // a form that is being filled in stays
+    this.#shown = records;
+    if (this.chosen && !this.store.behaviours[this.chosen]) this.chosen = null;
+    this.#list();
+    this.#choose(this.chosen);
+  }
+
+  #list() {
+    const items = [];
+    let group = "";
+    for (const [name, record] of listed(this.store.behaviours, this.search.value)) {
+      const its = behaviourGroup(record);
+      if (its !== group) items.push(make("li", { class: "group" }, make("h3", { text: GROUPS[its] })));
+      group = its;
+      items.push(make("li", {}, this.#item(name, record)));
+    }
+    if (items.length === 0) items.push(make("li", { class: "empty", text: this.#emptyText() }));
+    byId("behaviour-list").replaceChildren(...items);
+  }
+
+  #emptyText() {
+    if (Object.keys(this.store.behaviours).length) return "No behaviour fits this search.";
+    return "No behaviours yet: the core has not told them. Is it running?";
+  }
+
+  #item(name, record) {
+    const button = make("button", {
+      type: "button", class: "behaviour", testid: `behaviour-${name}`, "aria-pressed": String(name === this.chosen),
+      on: { click: () => this.#choose(name) },
+    });
+    button.append(make("span", { class: "behaviour-name", text: name }));
+    button.append(make("span", { class: "behaviour-summary", text: record.summary ?? "" }));
+    return button;
+  }
+
+  #choose(name) {
+    this.chosen = name;
+    const form = byId("behaviour-form");
+    form.hidden = name === null;
+    byId("behaviour-choice").hidden = name !== null;
+    byId("form-back").hidden = name === null;
+    for (const button of document.querySelectorAll(".behaviour")) {
+      button.setAttribute("aria-pressed", String(button.dataset.testid === `behaviour-${name}`));
+    }
+    this.#refuse("");
+    if (name === null) return;
+    const record = this.store.behaviours[name];
+    setText(byId("form-title"), name);
+    setText(byId("form-summary"), record.summary ?? "");
+    setText(byId("form-filter"), record.filtered ? "behind the safety filter" : "without the safety filter");
+    byId("form-filter").dataset.filtered = String(Boolean(record.filtered));
+    const pick = (onPoint, points) => this.tools.pick(points, onPoint);
+    const parameters = Object.entries(record.parameters ?? {});
+    this.#fields = Object.fromEntries(parameters.map(([each, parameter]) => [each, makeField(each, parameter, pick)]));
+    const elements = Object.values(this.#fields).map((field) => field.element);
+    if (elements.length === 0) elements.push(make("p", { class: "empty", text: "It has no parameters." }));
+    byId("form-fields").replaceChildren(...elements);
+    this.#label();
+  }
+
+  #label() {
+    const count = this.selection.list().length;
+    const all = this.store.ids().length;
+    setText(this.start, count ? `Start for ${robots(count)}` : `Start for the whole swarm (${all})`);
+  }
+
+  #submit(event) {
+    event.preventDefault();
+    const { parameters = {} } = this.store.behaviours[this.chosen];
+    const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
+    const { values, errors } = parseForm(entries, parameters);
+    for (const [name, field] of Object.entries(this.#fields)) field.say(errors[name] ?? "");
+    const wrong = Object.keys(errors);
+    if (wrong.length) {
+      this.#refuse(`not sent: ${wrong.map((name) => `${name} ${errors[name]}`).join("; ")}`);
+      this.#fields[wrong[0]].focus();
+      return;
+    }
+    this.commands.request(this.chosen, this.selection.list(), values);
+  }
+
+  #progress(status) {
+    const { behaviour, phase, running = [], missing = [], refused_by = [] } = status;
+    const parts = [`${behaviour}: ${phase}`];
+    if (phase === "running" || running.length) parts.push(`${running.length} of ${status.robots.length} run it`);
+    if (missing.length) parts.push(`not present: ${missing.join(", ")}`);
+    if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}`);
+    if (behaviour !== "drive_bc") setText(byId("progress"), parts.join(" · "));
+  }
+
+  #refuse(reason) {
+    setText(this.refusal, reason ? `Refused. ${reason}` : "");
+    if (reason) setText(byId("progress"), "");
+  }
+}

@@ -1,0 +1,82 @@
+/** Which robots are meant: a set of ids that map, table and groups share. */
+
+import { Emitter } from "./emitter.js";
+import { neighbour } from "./padlogic.js";
+import { byNumber } from "./store.js";
+
+const KEPT_AS = "selection";
+
+/** Emits "change". Kept over a reload of the tab. */
+export class Selection extends Emitter {
+  /** @param {import("./store.js").Store} store */
+  constructor(store) {
+    super();
+    this.store = store;
+    this.ids = new Set(/** @type {string[]} */ (JSON.parse(sessionStorage.getItem(KEPT_AS) ?? "[]")));
+    this.group = /** @type {string | undefined} */ (undefined);
+  }
+
+  /** @returns {string[]} those that exist, as people count */
+  list() {
+    return this.store.ids().filter((id) => this.ids.has(id));
+  }
+
+  has(id) {
+    return this.ids.has(id);
+  }
+
+  /** Select exactly these. */
+  set(ids, group = undefined) {
+    this.ids = new Set(ids);
+    this.group = group;
+    sessionStorage.setItem(KEPT_AS, JSON.stringify([...this.ids]));
+    this.emit("change");
+  }
+
+  add(ids) {
+    this.set([...this.ids, ...ids]);
+  }
+
+  toggle(id) {
+    const ids = new Set(this.ids);
+    if (!ids.delete(id)) ids.add(id);
+    this.set(ids);
+  }
+
+  clear() {
+    this.set([]);
+  }
+
+  all() {
+    this.set(this.store.ids(), "all");
+  }
+
+  /** Go to the next or previous single robot. */
+  stepRobot(step) {
+    const ids = this.store.ids();
+    const current = this.list();
+    const next = neighbour(ids, step > 0 ? current.at(-1) : current[0], step);
+    if (next !== undefined) this.set([next]);
+  }
+
+  /** Go to the next or previous group. */
+  stepGroup(step) {
+    const groups = this.groups();
+    const name = neighbour([...groups.keys()], this.group, step);
+    if (name !== undefined) this.set(groups.get(name) ?? [], name);
+  }
+
+  /** Return all groups: everybody, those of the fleet file, and one per make if there are several. */
+  groups() {
+    const ids = this.store.ids();
+    const groups = new Map([["all", ids]]);
+    for (const [name, robots] of Object.entries(this.store.groups)) groups.set(name, [...robots].sort(byNumber));
+    const makes = new Map();
+    for (const id of ids) {
+      const make = this.store.info(id).make;
+      if (make) makes.set(make, [...(makes.get(make) ?? []), id]);
+    }
+    if (makes.size > 1) for (const [make, robots] of makes) groups.set(`make: ${make}`, robots);
+    return groups;
+  }
+}

@@ -1,0 +1,175 @@
+/** Stop and e-stop: one key, receipts of every robot, and clearing as an act of its own. */
+
+import { byId, make, setText } from "./dom.js";
+import { byNumber } from "./store.js";
+
+const HOLD_MS = 1500;
+const SHOWN_MS = 15000;
+const AFTER_MS = 5000;
+
+export class Stops {
+  /**
+   * @param {import("./store.js").Store} store
+   * @param {import("./commands.js").Commands} commands
+   */
+  constructor(store, commands) {
+    this.store = store;
+    this.commands = commands;
+    byId("stop").addEventListener("click", () => this.stop());
+    byId("estop").addEventListener("click", () => this.estop());
+    byId("stop-close").addEventListener("click", () => this.#closeStop());
+    byId("estop-clear").addEventListener("click", () => this.#openClear());
+    byId("estop-fold").addEventListener("click", () => this.#fold());
+    this.#holdToClear(byId("estop-clear-hold"));
+    store.on("stop", (message) => this.#showStop(message));
+    store.on("estop", (order) => this.#onEstop(order));
+    store.on("fleet", () => this.#showEstop());
+    commands.on("unsent", (what) => this.#unsent(what));
+  }
+
+  #hideTimer = 0;
+  #order = /** @type {string | null} */ (null); // the newest heard of
+  #upUntil_ms = 0;
+
+  stop() {
+    this.#tell("Stop sent to all robots: waiting for receipts", "");
+    this.commands.stop();
+  }
+
+  estop() {
+    this.#order ??= "";
+    this.#upUntil_ms = performance.now() + AFTER_MS;
+    byId("estop-panel").hidden = false;
+    byId("estop-body").hidden = false;
+    setText(byId("estop-title"), "E-stop sent to all robots");
+    this.commands.estop("pressed on the console");
+  }
+
+  #unsent(what) {
+    const words = "NOT SENT: no link to the console. It goes out if the link is back within 10 s. Use the switches on the robots.";
+    if (what === "stop") this.#tell(words, "bad");
+    else setText(byId("estop-title"), words);
+  }
+
+  #tell(words, mood) {
+    const box = byId("stop-panel");
+    box.hidden = false;
+    box.dataset.mood = mood;
+    setText(byId("stop-receipts"), words);
+    clearTimeout(this.#hideTimer);
+  }
+
+  #closeStop() {
+    byId("stop-panel").hidden = true;
+  }
+
+  #showStop({ standing, moving, done }) {
+    const all = standing.length + moving.length;
+    const words = [`${standing.length} of ${all} standing`];
+    if (moving.length) words.push(`still moving: ${[...moving].sort(byNumber).join(", ")}`);
+    this.#tell(words.join(" · "), done && !moving.length ? "good" : "");
+    if (done) this.#hideTimer = setTimeout(() => this.#closeStop(), SHOWN_MS);
+  }
+
+  #latched() {
+    return [...this.store.fleet.values()].filter((robot) => robot.estop).map((robot) => robot.robot).sort(byNumber);
+  }
+
+  /** A new word on an order keeps the panel up for a while; what was over before this page came does not. */
+  #onEstop(order) {
+    const old = order.done && this.#order === null;
+    if (!old) this.#upUntil_ms = performance.now() + AFTER_MS;
+    if (order.id !== this.#order && !old) byId("estop-body").hidden = false;
+    this.#order = order.id;
+    this.#showEstop();
+  }
+
+  #showEstop() {
+    const order = this.store.estop;
+    const latched = this.#latched();
+    const unconfirmed = order?.engaged && (order.waiting?.length ?? 0) > 0;
+    const up = latched.length > 0 || unconfirmed || performance.now() < this.#upUntil_ms;
+    byId("estop-panel").hidden = !up;
+    if (!up || latched.length === 0) this.#closeClear();
+    if (!up) return;
+    setText(byId("estop-title"), title(order, latched));
+    this.#receipts(order, latched);
+    byId("estop-clear").disabled = latched.length === 0;
+  }
+
+  #receipts(order, latched) {
+    const rows = new Map(latched.map((id) => [id, "e-stop latched"]));
+    for (const receipt of order?.receipts ?? []) rows.set(receipt.robot, receiptText(receipt));
+    for (const id of order?.waiting ?? []) if (!rows.has(id)) rows.set(id, "not confirmed yet");
+    for (const id of order?.silent ?? []) rows.set(id, "SILENT: not confirmed");
+    const sure = new Set((order?.receipts ?? []).map((receipt) => receipt.robot));
+    const ids = [...rows.keys()].sort((a, b) => Number(sure.has(a)) - Number(sure.has(b)) || byNumber(a, b));
+    const words = ids.map((id) => `${id}|${rows.get(id)}`).join("\n");
+    const list = byId("estop-receipts");
+    if (list.dataset.words === words) return;
+    list.dataset.words = words;
+    const items = ids.map((id) => {
+      const open = order && !sure.has(id) && !latched.includes(id);
+      return make("li", { class: open ? "open" : "" }, make("strong", { text: id }), ` ${rows.get(id)}`);
+    });
+    list.replaceChildren(...items);
+  }
+
+  #fold() {
+    const body = byId("estop-body");
+    body.hidden = !body.hidden;
+    byId("estop-fold").setAttribute("aria-expanded", String(!body.hidden));
+  }
+
+  #openClear() {
+    byId("estop-clear-act").hidden = false;
+    byId("estop-clear").setAttribute("aria-expanded", "true");
+    byId("estop-clear-hold").focus();
+  }
+
+  #closeClear() {
+    byId("estop-clear-act").hidden = true;
+    byId("estop-clear").setAttribute("aria-expanded", "false");
+  }
+
+  /** Only a press of 1.5 s counts, of the mouse, a finger or Enter. */
+  #holdToClear(button) {
+    let timer = 0;
+    const begin = () => {
+      if (timer) return;
+      button.classList.add("holding");
+      timer = setTimeout(() => {
+        end();
+        this.commands.clear();
+      }, HOLD_MS);
+    };
+    const end = () => {
+      clearTimeout(timer);
+      timer = 0;
+      button.classList.remove("holding");
+    };
+    button.addEventListener("pointerdown", begin);
+    button.addEventListener("keydown", (event) => event.key === "Enter" && begin());
+    for (const name of ["pointerup", "pointerleave", "pointercancel", "blur"]) button.addEventListener(name, end);
+    button.addEventListener("keyup", end);
+    button.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+}
+
+function title(order, latched) {
+  if (order && !order.engaged && !order.done) return "Clearing the e-stop";
+  const sure = (order?.receipts ?? []).filter((receipt) => receipt.engaged && receipt.standing).length;
+  const open = new Set([...(order?.waiting ?? []), ...(order?.silent ?? [])]);
+  for (const receipt of order?.receipts ?? []) open.delete(receipt.robot);
+  const all = sure + open.size;
+  if (order && !order.engaged && latched.length === 0) return "E-stop cleared";
+  if (order?.engaged) return `E-STOP: ${sure} of ${Math.max(all, latched.length)} confirmed standing`;
+  return `E-STOP latched on ${latched.length}`;
+}
+
+function receiptText({ standing, rolled_m, after_s, engaged }) {
+  const after = typeof after_s === "number" ? ` after ${after_s.toFixed(2)} s` : "";
+  if (!engaged) return `cleared${after}`;
+  if (!standing) return `engaged${after}, still rolling`;
+  return `standing${after}, rolled ${(rolled_m ?? 0).toFixed(2)} m`;
+}

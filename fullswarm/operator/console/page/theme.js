@@ -1,0 +1,45 @@
+/** Light or dark: as the system wants, or as the button says. */
+
+import { Emitter } from "./emitter.js";
+import { setText } from "./dom.js";
+
+/** Emits "change". */
+export class Theme extends Emitter {
+  /** @param {HTMLElement} button */
+  constructor(button) {
+    super();
+    this.button = button;
+    this.#system = matchMedia("(prefers-color-scheme: dark)");
+    this.#chosen = localStorage.getItem("theme");
+    this.#system.addEventListener("change", () => this.look());
+    button.addEventListener("click", () => this.toggle());
+    this.#apply();
+  }
+
+  #system;
+  #chosen;
+  #shown = /** @type {boolean | null} */ (null);
+
+  /** Follow the system if it has changed. The map asks at each frame: the system's event does not always come. */
+  look() {
+    if (this.dark !== this.#shown) this.#apply();
+  }
+
+  get dark() {
+    return this.#chosen ? this.#chosen === "dark" : this.#system.matches;
+  }
+
+  toggle() {
+    this.#chosen = this.dark ? "light" : "dark";
+    localStorage.setItem("theme", this.#chosen);
+    this.#apply();
+  }
+
+  #apply() {
+    this.#shown = this.dark;
+    if (this.#chosen) document.documentElement.dataset.theme = this.#chosen;
+    setText(this.button, this.dark ? "Light" : "Dark");
+    this.button.setAttribute("aria-label", `Change to ${this.dark ? "light" : "dark"} colours`);
+    this.emit("change");
+  }
+}

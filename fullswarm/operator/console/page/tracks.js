@@ -1,0 +1,77 @@
+/** Where robots are between two states: the page draws a little in the past, so it always knows both ends. */
+
+import { mixAngle } from "./geometry.js";
+
+const KEPT = 8;
+export const DELAY_S = 0.08;
+const TRAIL_S = 60;
+const TRAIL_STEP_S = 0.2;
+const TRAIL_STEP_M = 0.03;
+
+/** The server's clock as seen from here: the fastest message tells the offset best. */
+export class ServerClock {
+  constructor() {
+    this.offset_s = Infinity;
+  }
+
+  /** Note a message stamped `at_s` that arrived at `now_s` of this page's clock. */
+  heard(at_s, now_s) {
+    const offset = now_s - at_s;
+    // Creeps up, so that a clock which runs apart is followed; jumps when the server was started anew.
+    if (offset < this.offset_s || offset > this.offset_s + 2) this.offset_s = offset;
+    else this.offset_s += (offset - this.offset_s) * 0.002;
+  }
+
+  /** Return the server's time to draw at `now_s`. */
+  drawn(now_s) {
+    return now_s - this.offset_s - DELAY_S;
+  }
+}
+
+/** The newest states of one robot, and its trail. */
+export class Track {
+  constructor() {
+    this.states = /** @type {number[][]} */ ([]); // [at_s, x, y, heading, speed]
+    this.trail = /** @type {number[][]} */ ([]); // [at_s, x, y]
+  }
+
+  push(at_s, x, y, heading, speed) {
+    const newest = this.states.at(-1);
+    if (newest && at_s < newest[0]) this.states.length = 0; // another server
+    this.states.push([at_s, x, y, heading, speed]);
+    if (this.states.length > KEPT) this.states.shift();
+    this.#trace(at_s, x, y);
+  }
+
+  /** Return [x, y, heading, speed] at a time of the server; held at the ends. */
+  pose(at_s) {
+    const states = this.states;
+    for (let i = states.length - 1; i > 0; i -= 1) {
+      const [from, to] = [states[i - 1], states[i]];
+      if (at_s >= to[0]) return to.slice(1);
+      if (at_s < from[0]) continue;
+      const share = (at_s - from[0]) / (to[0] - from[0]);
+      return [
+        from[1] + (to[1] - from[1]) * share,
+        from[2] + (to[2] - from[2]) * share,
+        mixAngle(from[3], to[3], share),
+        from[4] + (to[4] - from[4]) * share,
+      ];
+    }
+    return states.length ? states[0].slice(1) : null;
+  }
+
+  /** Put a trail of an earlier time before what is known; it is stamped backwards from `before_s`. */
+  recall(points, before_s) {
+    const older = points.map(([x, y], k) => [before_s - (points.length - k) * TRAIL_STEP_S, x, y]);
+    this.trail = [...older, ...this.trail.filter((point) => point[0] >= before_s)];
+  }
+
+  #trace(at_s, x, y) {
+    const last = this.trail.at(-1);
+    if (last && at_s < last[0] - 1) this.trail.length = 0;
+    const far = !last || Math.hypot(x - last[1], y - last[2]) >= TRAIL_STEP_M;
+    if (far && (!last || at_s - last[0] >= TRAIL_STEP_S)) this.trail.push([at_s, x, y]);
+    while (this.trail.length && this.trail[0][0] < at_s - TRAIL_S) this.trail.shift();
+  }
+}

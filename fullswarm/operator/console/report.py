@@ -1,0 +1,89 @@
+"""The fleet as the page's table shows it, and the states as its map does."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fullswarm.messages import RobotHealth
+from fullswarm.operator.console.advice import advise
+from fullswarm.operator.render import row_state
+from fullswarm.operator.view import RobotRow, Snapshot
+
+CORE = "core"
+UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
+"""Of whom only the place is heard."""
+
+
+def states(seen: Snapshot) -> list[list[Any]]:
+    """Return ``[id, x, y, heading, speed, age_s]`` per robot; digits that nobody can see are left off."""
+    return [
+        [
+            row.robot,
+            round(row.x_m, 3),
+            round(row.y_m, 3),
+            round(row.heading_rad, 3),
+            round(row.speed_m_s, 3),
+            round(row.age_s, 2),
+        ]
+        for row in seen.robots
+        if math.isfinite(row.x_m)
+    ]
+
+
+def core_age_s(seen: Snapshot) -> float | None:
+    """Return how long the core has been silent; None: it was never heard."""
+    return next((node.age_s for node in seen.nodes if node.node == CORE), None)
+
+
+def fleet(seen: Snapshot, now_s: float) -> dict[str, Any]:
+    """Return the frame ``fleet``."""
+    age_s = core_age_s(seen)
+    return {
+        "t": "fleet",
+        "at": round(now_s, 3),
+        "hub": seen.connected,
+        "core_age_s": None if age_s is None else round(age_s, 2),
+        "nodes": [{"node": node.node, "age_s": round(node.age_s, 2), "active": node.active} for node in seen.nodes],
+        "robots": [_robot(row) for row in seen.robots],
+        "missing": seen.missing,
+        "silent": seen.silent,
+    }
+
+
+def _robot(row: RobotRow) -> dict[str, Any]:
+    state, attention = row_state(row)
+    health = row.health or UNKNOWN
+    return {
+        "robot": row.robot,
+        "age_s": round(row.age_s, 2),
+        "silent": row.silent,
+        "host": row.host,
+        "version": row.version,
+        "make": health.make,
+        "model": health.model,
+        "driver": health.driver,
+        "firmware": health.firmware,
+        "lifecycle": health.lifecycle,
+        "behaviour": health.behaviour,
+        "request_id": health.request_id,
+        "moving": health.moving,
+        "estop": health.estop,
+        "state": state,
+        "attention": attention,
+        "stop_reason": health.stop_reason,
+        "fault": health.fault,
+        "advice": advise(row),
+        "battery": None if health.battery < 0.0 else _finite(health.battery),
+        "contacts": health.contacts,
+        "collisions": health.collisions,
+        "radius_m": _finite(row.radius_m),
+        "pose_source": health.pose_source,
+        "pose_note": health.pose_note,
+        "deviation_m_s": _finite(health.deviation_m_s),
+        "filter_note": health.filter_note,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None

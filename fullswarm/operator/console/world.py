@@ -1,0 +1,166 @@
+"""What the core's database says of the world: arena, boxes, behaviours, groups, and what each robot shall run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from fullswarm.bus.base import Bus
+from fullswarm.keys import Keys
+from fullswarm.messages import Heartbeat, ParamEntry, ParamReply
+from fullswarm.operator.params import ParamClient, Stored
+from fullswarm.runtime import Scheduler
+
+EVERYTHING = "*"
+BEHAVIOUR, GROUP, WANTED = "behaviour/", "group/", "wanted/"
+BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
+SETTLE_S = 0.2
+"""Records that change together are read together."""
+
+_SHOWN = (BEHAVIOUR, GROUP, "world/", "agent/")
+
+
+class World:
+    """A copy of the core's database, read anew when the core was started again.
+
+    Parameters
+    ----------
+    on_world
+        Called when what the page shows of it has changed.
+    on_wanted
+        Called with the robots whose orders have changed.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        author: str,
+        *,
+        on_world: Callable[[], None],
+        on_wanted: Callable[[Iterable[str]], None],
+    ) -> None:
+        self._scheduler, self._on_world, self._on_wanted = scheduler, on_world, on_wanted
+        self._params = ParamClient(bus, keys, scheduler, author)
+        self._values: dict[str, Stored] = {}
+        self._core = ""
+        self._asking = self._again = self._closed = False
+        self.known = False
+        """Whether the core has answered yet."""
+        self._subscriptions = [
+            self._params.watch(EVERYTHING, self._changed),
+            bus.subscribe(keys.heartbeat("core"), Heartbeat, self._beat, latest=True),
+        ]
+        self._ask()
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        self._closed = True
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    # ---------------------------------------------------------------- reading
+    def shown(self) -> dict[str, Any]:
+        """Return what the page shows of it; what is unknown is None or empty."""
+        return {
+            "arena": self._arena(),
+            "boxes": self._boxes(),
+            "sensing_radius_m": self._values.get(SENSING),
+            "behaviours": {name: self.record(name) for name in self._names(BEHAVIOUR)},
+            "groups": {name: list(self.group(name) or ()) for name in self._names(GROUP)},
+        }
+
+    def record(self, name: str) -> dict[str, Any] | None:
+        """Return a behaviour's record, defaults that stand in the database filled in; None: no such behaviour."""
+        raw = self._values.get(BEHAVIOUR + name)
+        if not isinstance(raw, dict):
+            return None
+        parameters = raw.get("parameters")
+        filled = {
+            each: self._with_default(spec)
+            for each, spec in (parameters.items() if isinstance(parameters, dict) else ())
+            if isinstance(spec, dict)
+        }
+        return {**raw, "parameters": filled}
+
+    def lapses(self, behaviour: str) -> bool:
+        """Tell whether a behaviour is an intent, which ends unless it is repeated."""
+        record = self._values.get(BEHAVIOUR + behaviour)
+        expires_s = record.get("expires_s") if isinstance(record, dict) else None
+        return isinstance(expires_s, int | float) and expires_s > 0.0
+
+    def group(self, name: str) -> tuple[str, ...] | None:
+        """Return a group's robots; None: no such group."""
+        value = self._values.get(GROUP + name)
+        robots = value.get("robots") if isinstance(value, dict) else None
+        return tuple(map(str, robots)) if isinstance(robots, list | tuple) else None
+
+    def wanted(self) -> dict[str, dict[str, Any]]:
+        """Return robot → what the core wants it to run: `request_id`, `behaviour`, `parameters` and more."""
+        return {
+            key.removeprefix(WANTED): value
+            for key, value in self._values.items()
+            if key.startswith(WANTED) and isinstance(value, dict)
+        }
+
+    def _names(self, prefix: str) -> list[str]:
+        return sorted(key.removeprefix(prefix) for key in self._values if key.startswith(prefix))
+
+    def _with_default(self, spec: dict[str, Any]) -> dict[str, Any]:
+        stored = self._values.get(str(spec.get("default_from", "")))
+        return spec if stored is None else {**spec, "default": stored}
+
+    def _arena(self) -> list[float] | None:
+        bounds: Any = self._values.get(BOUNDS)
+        try:
+            return [float(value) for corner in bounds for value in corner]
+        except (TypeError, ValueError):
+            return None
+
+    def _boxes(self) -> list[Any]:
+        boxes = self._values.get(BOXES)
+        found = boxes.get("boxes") if isinstance(boxes, dict) else None
+        return list(found) if isinstance(found, list | tuple) else []
+
+    # ---------------------------------------------------------------- staying up to date
+    def _ask(self) -> None:
+        """Ask for everything; what is asked for meanwhile waits for the answer."""
+        if self._closed:
+            return
+        self._again = self._asking
+        if not self._asking:
+            self._asking = True
+            self._params.ask("get", EVERYTHING, self._answered)
+
+    def _answered(self, reply: ParamReply) -> None:
+        self._asking = False
+        if self._closed:
+            return
+        if reply.ok:
+            self._values = {entry.key: entry.value for entry in reply.entries if entry.value is not None}
+            self.known = True
+            self._on_world()
+            self._on_wanted(self.wanted())
+        if self._again:
+            self._ask()
+
+    def _beat(self, beat: Heartbeat) -> None:
+        if self._core and beat.process != self._core:
+            self._ask()
+        self._core = beat.process
+
+    def _changed(self, entry: ParamEntry) -> None:
+        key = entry.key
+        if key.startswith(BEHAVIOUR):
+            # Others may be like this one: only the core can say what they have become.
+            self._scheduler.after(SETTLE_S, self._ask)
+            return
+        if entry.value is None:
+            self._values.pop(key, None)
+        else:
+            self._values[key] = entry.value
+        if key.startswith(WANTED):
+            self._on_wanted((key.removeprefix(WANTED),))
+        elif key.startswith(_SHOWN):
+            self._on_world()

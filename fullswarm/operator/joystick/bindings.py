@@ -1,0 +1,227 @@
+"""Which control of a gamepad asks for what: a typed TOML file, with every error at once and where it stands."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+
+from fullswarm.config.explain import dotted, explain
+from fullswarm.config.models import Section
+from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.messages import Value
+from fullswarm.operator.joystick.state import AXES, BUTTONS, PadState, shaped
+from fullswarm.words import ROBOT_ID
+
+DEFAULT = Path(__file__).with_name("bindings.toml")
+SWITCH_AT = 1.2
+"""On a diagonal the other axis must be so much further out before the direction changes: no flutter between two."""
+_SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
+
+
+def _axis(text: str) -> str:
+    if text.removeprefix("-") not in AXES:
+        raise ValueError(f"'{text}' is no axis, {did_you_mean(text.removeprefix('-'), AXES)}")
+    return text
+
+
+def _button(text: str) -> str:
+    if text not in BUTTONS:
+        raise ValueError(f"'{text}' is no button, {did_you_mean(text, BUTTONS)}")
+    return text
+
+
+def _button_or_none(text: str) -> str:
+    return _button(text) if text else text
+
+
+def _behaviour(text: str) -> str:
+    if not ROBOT_ID.match(text):
+        raise ValueError(f"'{text}' cannot name a behaviour")
+    return text
+
+
+Axis = Annotated[str, AfterValidator(_axis)]
+Button = Annotated[str, AfterValidator(_button)]
+OptionalButton = Annotated[str, AfterValidator(_button_or_none)]
+BehaviourName = Annotated[str, AfterValidator(_behaviour)]
+
+
+class Motion(Section):
+    """How a stick's offset becomes a magnitude."""
+
+    dead_zone: float = Field(0.15, ge=0.0, le=0.9)
+    expo: float = Field(0.0, ge=0.0, le=1.0)
+    share_without_turbo: float = Field(0.5, gt=0.0, le=1.0)
+
+
+class Buttons(Section):
+    """What each function's button is; empty: none."""
+
+    dead_man: Button = "leftshoulder"
+    stop: Button = "a"
+    estop: Button = "b"
+    turbo: OptionalButton = "rightshoulder"
+    take: OptionalButton = "back"
+    next_robot: OptionalButton = "dpright"
+    previous_robot: OptionalButton = "dpleft"
+    next_group: OptionalButton = "dpup"
+    previous_group: OptionalButton = "dpdown"
+
+
+class Directions(Section):
+    """A stick on the operator's map: one behaviour per direction (the paper's ``move_left`` with a magnitude)."""
+
+    x: Axis
+    y: Axis
+    left: BehaviourName
+    right: BehaviourName
+    forward: BehaviourName
+    backward: BehaviourName
+    magnitude: str = "magnitude"
+    parameters: dict[str, Value] = Field(default_factory=dict)
+    one_robot: bool = False
+
+    def inputs(self) -> tuple[str, ...]:
+        """Return the axes it reads."""
+        return self.x, self.y
+
+    def read(self, offsets: tuple[float, ...], before: str) -> tuple[str, dict[str, float]]:
+        """Return behaviour and magnitude; `before` is what was asked for until now."""
+        x, y = offsets
+        across, along = abs(x), abs(y)
+        if before in (self.left, self.right):
+            across *= SWITCH_AT
+        elif before in (self.forward, self.backward):
+            along *= SWITCH_AT
+        if across > along:
+            return (self.right if x > 0 else self.left), {self.magnitude: abs(x)}
+        return (self.forward if y > 0 else self.backward), {self.magnitude: abs(y)}
+
+
+class Stick(Section):
+    """Axes that are parameters of one behaviour, such as ``drive_bc``."""
+
+    behaviour: BehaviourName
+    axes: dict[str, Axis] = Field(min_length=1)
+    parameters: dict[str, Value] = Field(default_factory=dict)
+    one_robot: bool = False
+
+    def inputs(self) -> tuple[str, ...]:
+        """Return the axes it reads."""
+        return tuple(self.axes.values())
+
+    def read(self, offsets: tuple[float, ...], before: str) -> tuple[str, dict[str, float]]:  # noqa: ARG002  (as Directions)
+        """Return behaviour and parameters, -1 to 1."""
+        return self.behaviour, dict(zip(self.axes, offsets, strict=True))
+
+
+class Order(Section):
+    """A behaviour that a button starts."""
+
+    behaviour: BehaviourName
+    parameters: dict[str, Value] = Field(default_factory=dict)
+
+
+class Bindings(Section):
+    """All of a bindings file."""
+
+    motion: Motion = Motion()
+    buttons: Buttons = Buttons()
+    directions: tuple[Directions, ...] = ()
+    sticks: tuple[Stick, ...] = ()
+    requests: dict[Button, Order] = Field(default_factory=dict)
+
+    @property
+    def all_sticks(self) -> tuple[Directions | Stick, ...]:
+        """Return what may drive; the first that is off its centre does."""
+        return (*self.directions, *self.sticks)
+
+    def offsets(self, pad: PadState, stick: Directions | Stick) -> tuple[float, ...]:
+        """Return a stick's offsets after the dead zone; all zero: it is centred."""
+        raw = (_signed(pad, axis) for axis in stick.inputs())
+        return shaped(tuple(raw), self.motion.dead_zone, self.motion.expo)
+
+    def meanings(self) -> dict[str, str]:
+        """Return control → what it does, for people."""
+        found = {button: role.replace("_", " ") for role, button in self.buttons if button}
+        found |= {button: f"request {order.behaviour}" for button, order in self.requests.items()}
+        for way in self.directions:
+            found[way.x.removeprefix("-")] = f"{way.left} / {way.right}"
+            found[way.y.removeprefix("-")] = f"{way.forward} / {way.backward}"
+        for stick in self.sticks:
+            found |= {axis.removeprefix("-"): f"{stick.behaviour} {name}" for name, axis in stick.axes.items()}
+        return found
+
+    @model_validator(mode="after")
+    def _nothing_twice(self) -> Self:
+        roles: dict[str, str] = {}
+        named = [*((f"buttons.{role}", button) for role, button in self.buttons if button)]
+        named += [(f"requests.{button}", button) for button in self.requests]
+        for role, button in named:
+            if button in roles:
+                raise ValueError(f"'{button}' is both {roles[button]} and {role}")
+            roles[button] = role
+        if not self.all_sticks:
+            raise ValueError("no stick drives: give [[directions]] or [[sticks]]")
+        return self
+
+
+def _signed(pad: PadState, axis: str) -> float:
+    offset = pad.axes.get(axis.removeprefix("-"), 0.0)
+    offset = max(-1.0, min(1.0, offset)) if math.isfinite(offset) else 0.0
+    return -offset if axis.startswith("-") else offset
+
+
+def load_bindings(path: Path | None = None) -> Bindings:
+    """Read and check a bindings file; none: the one that comes with the package.
+
+    Raises
+    ------
+    ConfigError
+        All that is wrong, one line each: ``file:line: key: what``.
+    """
+    path = path or DEFAULT
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", where=str(path), hint=f"copy {DEFAULT}") from None
+    return parse_bindings(text, str(path))
+
+
+def parse_bindings(text: str, name: str = "bindings") -> Bindings:
+    """Check the text of a bindings file; raises as `load_bindings`."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = _SYNTAX_AT.search(str(error))
+        line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
+        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', str(error))}") from None
+    except RecursionError:
+        raise ConfigError(f"{name}:1: not valid TOML: nested too deeply") from None
+    try:
+        return Bindings.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        lines = line_numbers(text)
+        found = sorted(set(_complaints(error, name, lines)))
+        raise ConfigError("\n".join(complaint for _, complaint in found)) from None
+
+
+def _complaints(error: ValidationError, name: str, lines: dict[KeyPath, int]) -> Iterator[tuple[int, str]]:
+    for details in error.errors(include_url=False):
+        path, what = explain(details, Bindings)
+        path = tuple(part for part in path if part != "[key]")  # a dict's key is wrong, not its value
+        if "parameters" in path[:-1]:  # one complaint instead of one per type that it is not
+            path = path[: path.index("parameters") + 2]
+            what = "must be a flag, number, word, point or list of points"
+        line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 0)
+        yield line, f"{name}:{line}: {dotted(path)}: {what}" if path else f"{name}: {what}"

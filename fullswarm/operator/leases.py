@@ -1,0 +1,182 @@
+"""Holding robots: the operator's side of the leases that the core keeps."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from fullswarm.bus.base import Bus
+from fullswarm.keys import Keys
+from fullswarm.messages import Lease, LeaseRequest, Leases
+from fullswarm.runtime import Scheduler
+
+RENEW_S = 1.0
+SETTLE_S = 1.5
+"""What the core says of a robot is its answer once so much time has passed since it was asked for; before, its word
+may have been under way already. It speaks each second."""
+GROUP = "@"
+
+Told = Callable[[tuple[str, ...], str], None]
+
+
+@dataclass(slots=True)
+class Wish:
+    """A robot, or a group, that this operator wants to hold."""
+
+    asked_s: float
+    take: bool  # until the core has granted it: the word that takes it over may be lost
+    held: bool = False  # the core has said so
+    of_group: bool = False  # nobody named it
+
+
+class LeaseHolder:
+    """Keeps one operator's leases alive and tells when one is lost.
+
+    Whoever lost a robot, or was refused it, must ask again, deliberately: nothing is waited for.
+
+    Parameters
+    ----------
+    name
+        The operator's, as in `Operator.name`.
+    on_change
+        Called with all leases whenever somebody holds what he did not hold before.
+    on_lost
+        Called with (robots, operator who took them) when somebody took over what was held here: once per loss.
+    on_refused
+        Called with (robots, operator who holds them) when they were asked for in vain.
+
+    Attributes
+    ----------
+    leases : robot → lease, as last heard
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        name: str,
+        *,
+        on_change: Callable[[dict[str, Lease]], None] | None = None,
+        on_lost: Told | None = None,
+        on_refused: Told | None = None,
+    ) -> None:
+        self._bus, self._keys, self._scheduler, self.name = bus, keys, scheduler, name
+        self._on_change, self._on_lost, self._on_refused = on_change, on_lost, on_refused
+        self.leases: dict[str, Lease] = {}
+        self._wanted: dict[str, Wish] = {}
+        self._core, self._sequence = "", -1
+        self._past: deque[str] = deque(maxlen=8)  # cores before this one: what they said may still be on the way
+        self._subscription = bus.subscribe(keys.leases, Leases, self._heard)
+        self._timer = scheduler.every(RENEW_S, self._renew)
+
+    def held(self) -> tuple[str, ...]:
+        """Return the robots that the core says this operator holds."""
+        return tuple(robot for robot, lease in self.leases.items() if lease.operator == self.name)
+
+    def wanted(self) -> tuple[str, ...]:
+        """Return what this operator holds or waits to be granted, groups as they were named."""
+        return tuple(self._wanted)
+
+    @property
+    def heard(self) -> bool:
+        """Whether the core has said who holds what."""
+        return self._sequence >= 0
+
+    def held_by_others(self, robots: Iterable[str]) -> dict[str, str]:
+        """Return robot → operator for those of `robots` that somebody else holds."""
+        found = {robot: self.leases[robot].operator for robot in robots if robot in self.leases}
+        return {robot: operator for robot, operator in found.items() if operator != self.name}
+
+    def hold(self, robots: Iterable[str], *, take: bool = False) -> None:
+        """Ask for the leases of `robots` ("@name": of a group) and keep them; with `take` also from who holds them."""
+        robots, now_s = tuple(robots), self._scheduler.now_s()
+        for robot in robots:
+            wish = self._wanted.get(robot)
+            if wish is None or not wish.held:
+                self._wanted[robot] = Wish(now_s, take)
+        if robots:
+            self._ask(robots, hold=True, take=take)
+
+    def release(self, robots: Iterable[str] | None = None) -> None:
+        """Give back `robots`; None: all. Of groups all goes back at once: who was in which is the core's to know."""
+        given = tuple(self._wanted) if robots is None else tuple(robots)
+        if any(name.startswith(GROUP) for name in given):
+            given += tuple(robot for robot, wish in self._wanted.items() if wish.of_group and robot not in given)
+        for robot in given:
+            self._wanted.pop(robot, None)
+        if given:
+            self._ask(given, hold=False)
+
+    def close(self) -> None:
+        """Give everything back and hear nothing more."""
+        self.release()
+        self._timer.cancel()
+        self._subscription.close()
+
+    def _ask(self, robots: tuple[str, ...], *, hold: bool, take: bool = False) -> None:
+        request = LeaseRequest(operator=self.name, robots=robots, hold=hold, take=take)
+        self._bus.publish(self._keys.lease_request, request)
+
+    def _renew(self) -> None:
+        for take in (False, True):
+            robots = tuple(robot for robot, wish in self._wanted.items() if wish.take is take)
+            if robots:
+                self._ask(robots, hold=True, take=take)
+
+    def _heard(self, message: Leases) -> None:
+        anew = self.heard and message.core != self._core
+        if self._is_old(message):
+            return
+        if anew:  # a core that was started again knows of no lease: nobody shall come first by chance
+            self._renew()
+        before, self.leases = self.leases, {lease.robot: lease for lease in message.leases}
+        self._adopt_groups()
+        lost, refused = self._compare()
+        for tell, found in ((self._on_lost, lost), (self._on_refused, refused)):
+            if tell is not None:
+                for operator, robots in found.items():
+                    tell(tuple(robots), operator)
+        changed = {robot: lease.operator for robot, lease in before.items()} != {
+            robot: lease.operator for robot, lease in self.leases.items()
+        }
+        if changed and self._on_change is not None:
+            self._on_change(self.leases)
+
+    def _is_old(self, message: Leases) -> bool:
+        """Tell whether something newer was heard before; else note which core has the word."""
+        if message.core in self._past or (message.core == self._core and message.sequence <= self._sequence):
+            return True
+        if message.core != self._core:
+            self._past.append(self._core)
+        self._core, self._sequence = message.core, message.sequence
+        return False
+
+    def _adopt_groups(self) -> None:
+        """Want what was granted of a group robot by robot: so a loss is one robot's, and nothing comes back later."""
+        now_s = self._scheduler.now_s()
+        groups = {name: wish for name, wish in self._wanted.items() if name.startswith(GROUP)}
+        if not groups:
+            return
+        for robot in self.held():
+            self._wanted.setdefault(robot, Wish(now_s, take=False, of_group=True))
+        for name, wish in groups.items():
+            if now_s - wish.asked_s >= SETTLE_S:
+                del self._wanted[name]
+
+    def _compare(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+        """Return what was lost and what was refused, by the operator who has it; want it no more."""
+        now_s = self._scheduler.now_s()
+        lost: dict[str, list[str]] = {}
+        refused: dict[str, list[str]] = {}
+        for robot, wish in tuple(self._wanted.items()):
+            lease = self.leases.get(robot)
+            if lease is None:
+                continue  # the core was started anew, or has not heard of it yet
+            if lease.operator == self.name:
+                wish.held, wish.take = True, False
+            elif wish.held or now_s - wish.asked_s >= SETTLE_S:
+                del self._wanted[robot]
+                (lost if wish.held else refused).setdefault(lease.operator, []).append(robot)
+        return lost, refused

@@ -1,0 +1,41 @@
+"""What tests of rovers behind real ports share: waiting, a free port, a driver that is ACTIVE."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+
+from fullswarm.clock import MonotonicClock
+from fullswarm.drivers.base import Lifecycle
+from fullswarm.drivers.mavlink.driver import MavlinkDriver
+
+CLOCK = MonotonicClock()
+PAUSE = threading.Event()  # never set: waiting on it is a short pause
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 8.0, each: Callable[[], object] | None = None) -> None:
+    """Wait for `condition`, calling `each` at 50 Hz meanwhile."""
+    deadline_s = CLOCK.now_s() + timeout_s
+    while not condition():
+        assert CLOCK.now_s() < deadline_s, "waited in vain"
+        if each is not None:
+            each()
+        PAUSE.wait(0.02)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def ready(driver: MavlinkDriver) -> None:
+    until(lambda: driver.state is Lifecycle.READY)
+
+
+def active(driver: MavlinkDriver) -> None:
+    ready(driver)
+    driver.activate()
+    until(lambda: driver.state is Lifecycle.ACTIVE)

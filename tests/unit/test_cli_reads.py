@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+from fullswarm.launch.main import app
+
+DOERS = {
+    *("up", "hub", "core", "centralised", "agent", "sim", "console", "fixes", "init"),  # run, or make, something
+    *(
+        "stop",
+        "drive",
+        "mock",
+        "leases hold",
+        "joystick",
+        "joystick map",
+        "joystick test",
+        "shell",
+    ),  # move, or wait for, people
+    *("experiment replay", "results export", "results map", "results report", "scenario export"),  # write a file
+}
+
+
+def commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Yield all commands by the words that call them; a group that does something by itself too."""
+    verbs = getattr(command, "commands", {})
+    if not verbs or (path and command.invoke_without_command):
+        yield " ".join(path), command
+    for name, each in verbs.items():
+        yield from commands(each, (*path, name))
+
+
+def test_every_command_that_reads_can_print_json() -> None:
+    found = dict(commands(typer.main.get_command(app)))
+    assert {"status", "watch", "robots", "robots find", "info", "params get", "results list", "leases"} <= set(found)
+    silent = {name for name, each in found.items() if not any("--json" in parameter.opts for parameter in each.params)}
+    assert silent - DOERS == set()
+
+
+def test_every_command_and_option_says_what_it_is_for() -> None:
+    for name, each in commands(typer.main.get_command(app)):
+        assert each.help, name
+        for parameter in each.params:
+            assert getattr(parameter, "hidden", False) or getattr(parameter, "help", ""), (name, parameter.name)

@@ -1,0 +1,189 @@
+"""Driving from a page: never a twist without the dead-man, zero whatever happens to page, line or operator."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fullswarm.operator.console.desk import DEAD_MAN_S, Desk
+from tests.unit.console_bench import ConsoleBench, Page, health
+
+
+@pytest.fixture
+def bench() -> ConsoleBench:
+    bench = ConsoleBench()
+    bench.report(health("r1"), health("r2"))
+    bench.run(0.05)
+    return bench
+
+
+def drive(bench: ConsoleBench, desk: Desk, page: Page, robots: list[str], linear: float = 0.5) -> dict[str, Any]:
+    return bench.say(desk, page, "drive", behaviour="drive_bc", robots=robots, sticks={"linear": linear})
+
+
+def hold(bench: ConsoleBench, desk: Desk, page: Page, seconds: float) -> None:
+    for _ in range(round(seconds / 0.1)):
+        assert drive(bench, desk, page, ["r1"])["ok"]
+        bench.run(0.1)
+
+
+def zeros_only(bench: ConsoleBench) -> bool:
+    return all(each.parameters == {"linear": 0.0} for each in bench.requests())
+
+
+def test_a_held_stick_is_a_stream_of_20_hz_that_ends_in_zeros(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 1.0)
+    assert 18 <= len(bench.requests()) <= 24
+    assert {each.robots for each in bench.requests()} == {("r1",)}
+    bench.sent.clear()
+    assert bench.say(desk, page, "release")["ok"]
+    bench.run(1.0)
+    assert len(bench.requests()) == 3
+    assert zeros_only(bench)
+
+
+def test_a_page_that_falls_silent_lets_go(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.5)
+    bench.run(DEAD_MAN_S + 0.1)
+    bench.sent.clear()
+    bench.run(1.0)
+    assert zeros_only(bench)
+    assert len(bench.requests()) <= 2
+
+
+def test_a_line_that_breaks_lets_go_at_once(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.5)
+    bench.sent.clear()
+    bench.gateway.leave(desk, page)
+    bench.run(0.01)
+    assert bench.requests()[0].parameters == {"linear": 0.0}
+
+
+def test_another_window_of_the_same_operator_does_not_end_the_driving(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    other, same = bench.join()
+    assert same is desk
+    hold(bench, desk, page, 0.3)
+    assert "another window" in drive(bench, desk, other, ["r1"])["reason"]
+    bench.gateway.leave(desk, other)
+    hold(bench, desk, page, 0.3)
+    assert not zeros_only(bench)
+
+
+def test_who_is_no_longer_driven_is_told_zero(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.3)
+    bench.sent.clear()
+    for _ in range(5):
+        assert drive(bench, desk, page, ["r2"])["ok"]
+        bench.run(0.1)
+    left = [each.parameters for each in bench.requests() if each.robots == ("r1",)]
+    assert left == [{"linear": 0.0}] * 3
+    assert [each.parameters for each in bench.requests() if each.robots == ("r2",)][-1] == {"linear": 0.5}
+
+
+def test_a_robot_of_somebody_else_is_not_driven(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    bench.leases(r1="bert@lab")
+    bench.run(0.05)
+    assert drive(bench, desk, page, ["r1"])["reason"] == "r1 is held by bert@lab"
+    assert drive(bench, desk, page, [])["reason"] == "r1 is held by bert@lab"
+    assert drive(bench, desk, page, ["r2"])["ok"]
+
+
+def test_losing_a_robot_ends_the_driving(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.2)
+    bench.leases(r1=desk.name)
+    hold(bench, desk, page, 0.2)
+    bench.leases(r1="bert@lab")
+    bench.run(0.2)
+    bench.sent.clear()
+    assert not drive(bench, desk, page, ["r1"])["ok"]
+    bench.run(1.0)
+    assert zeros_only(bench)
+
+
+def test_a_stop_blocks_the_stick_until_it_is_let_go(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.3)
+    assert bench.say(desk, page, "stop", robots=["r2"])["ok"]
+    hold(bench, desk, page, 0.3)
+    assert bench.say(desk, page, "stop", robots=["@scouts"])["ok"]
+    bench.run(0.2)
+    bench.sent.clear()
+    for _ in range(20):
+        assert "let the dead-man switch go" in drive(bench, desk, page, ["r1"])["reason"]
+        bench.run(0.1)
+    assert bench.requests() == []
+    bench.run(2.0)  # a page that stutters has let nothing go
+    assert not drive(bench, desk, page, ["r1"])["ok"]
+    assert bench.say(desk, page, "release")["ok"]
+    assert drive(bench, desk, page, ["r1"])["ok"]
+
+
+def test_only_what_lapses_by_itself_can_be_driven(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    answer = bench.say(desk, page, "drive", behaviour="move_to_goal_bc", robots=["r1"], sticks={"gain": 1.0})
+    assert "does not end by itself" in answer["reason"]
+    bench.run(1.0)
+    assert bench.requests() == []
+
+
+def test_nobody_drives_before_the_core_has_spoken() -> None:
+    bench = ConsoleBench(core=False)
+    page, desk = bench.join()
+    assert "core" in drive(bench, desk, page, ["r1"])["reason"]
+
+
+def test_a_stream_is_one_line_of_the_log_and_a_refusal_one_frame(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 1.0)
+    for each in bench.requests():
+        bench.status(each.id, "refused", behaviour="drive_bc", reason="r1 is held by bert")
+    bench.run(0.1)
+    assert page.log("request") == [f"{desk.name}: drive_bc for r1"]
+    assert page.log("refused") == ["drive_bc refused: r1 is held by bert"]
+    assert len(page.all("request")) == 1
+
+
+acts = st.lists(
+    st.one_of(
+        st.tuples(st.just("drive"), st.sampled_from([["r1"], ["r2"], ["@scouts"], []]), st.floats(-1.0, 1.0)),
+        st.tuples(st.sampled_from(["release", "stop", "estop", "clear", "leave", "join"]), st.just([]), st.just(0.0)),
+        st.tuples(st.just("wait"), st.just([]), st.floats(0.0, 0.6)),
+    ),
+    max_size=30,
+)
+
+
+@settings(max_examples=20, deadline=None)
+@given(acts)
+def test_whatever_happens_it_ends_in_zero(story: list[tuple[str, list[str], float]]) -> None:
+    bench = ConsoleBench()
+    bench.report(health("r1"), health("r2"))
+    bench.run(0.05)
+    page, desk = bench.join()
+    for act, robots, number in story:
+        if act == "drive":
+            drive(bench, desk, page, robots, number)
+        elif act == "wait":
+            bench.run(number)
+        elif act == "leave":
+            bench.gateway.leave(desk, page)
+        elif act == "join":
+            page, desk = bench.join()
+        else:
+            bench.say(desk, page, act)
+    bench.run(DEAD_MAN_S + 0.25)
+    last = {each.robots: each.parameters for each in bench.requests()}
+    assert all(parameters == {"linear": 0.0} for parameters in last.values())
+    bench.sent.clear()
+    bench.run(2.0)
+    assert bench.requests() == []

@@ -1,0 +1,119 @@
+"""A runtime that another loop calls: nothing on foreign threads, nothing lost, nothing starved."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import pytest
+
+from fullswarm.clock import MonotonicClock, SimClock
+from fullswarm.operator.console.outbox import LONGEST, Outbox
+from fullswarm.operator.console.pump import Pump
+from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Runtime
+
+
+def test_serve_due_delivers_fires_and_says_when_to_come_again() -> None:
+    clock = SimClock()
+    runtime = Runtime(clock)
+    heard: list[object] = []
+    assert runtime.serve_due() == LONGEST_WAIT_S
+    runtime.every(0.5, lambda: heard.append("tick"))
+    runtime.mailbox.put(heard.append, "message")
+    assert runtime.serve_due() == pytest.approx(0.5)
+    assert heard == ["message"]
+    clock.advance_to(0.6)
+    assert runtime.serve_due() == pytest.approx(0.4)
+    assert heard == ["message", "tick"]
+
+
+def test_a_flood_of_messages_does_not_starve_a_timer() -> None:
+    clock = SimClock()
+    runtime = Runtime(clock)
+    heard: list[object] = []
+    runtime.after(0.1, lambda: heard.append("tick"))
+    for number in range(AT_ONCE + 10):
+        runtime.mailbox.put(heard.append, number)
+    clock.advance_to(0.2)
+    assert runtime.serve_due() == 0.0
+    assert heard[-1] == "tick"
+    runtime.serve_due()
+    assert len(heard) == AT_ONCE + 11
+
+
+def test_while_a_loop_serves_it_no_foreign_thread_runs_a_handler() -> None:
+    runtime = Runtime(MonotonicClock())
+    runtime.serve_due()
+    ran: list[bool] = []
+    thread = threading.Thread(target=lambda: ran.append(runtime.mailbox.run_now(lambda _: None, None)))
+    thread.start()
+    thread.join()
+    assert ran == [False]
+
+
+def test_what_other_threads_put_is_delivered_on_the_loop_in_order() -> None:
+    runtime = Runtime(MonotonicClock())
+    heard: list[int] = []
+    threads: set[int] = set()
+    done: list[BaseException] = []
+
+    def take(number: int) -> None:
+        heard.append(number)
+        threads.add(threading.get_ident())
+
+    def put_all() -> None:
+        for number in range(5000):
+            runtime.mailbox.put(take, number)
+
+    async def main() -> None:
+        pump = Pump(runtime, asyncio.get_running_loop(), done.append)
+        sender = threading.Thread(target=put_all)
+        sender.start()
+        async with asyncio.timeout(20.0):
+            while len(heard) < 5000:
+                await asyncio.sleep(0.005)
+        sender.join()
+        pump.close()
+
+    asyncio.run(main())
+    assert heard == list(range(5000))
+    assert threads == {threading.get_ident()}
+    assert done == []
+
+
+def test_a_page_that_was_busy_gets_the_newest_state_and_every_answer() -> None:
+    async def main() -> list[str]:
+        box = Outbox(lambda: 0.0)
+        for number in range(5):
+            box.put("state", f"state {number}")
+            box.put("answer", f"answer {number}")
+        sent: list[str] = []
+
+        async def send(text: str) -> None:
+            sent.append(text)
+
+        task = asyncio.create_task(box.run(send))
+        async with asyncio.timeout(5.0):
+            while len(sent) < 6:
+                await asyncio.sleep(0)
+        task.cancel()
+        return sent
+
+    assert asyncio.run(main()) == [*(f"answer {number}" for number in range(5)), "state 4"]
+
+
+def test_a_page_that_is_too_far_behind_is_given_up() -> None:
+    async def main() -> None:
+        box = Outbox(lambda: 0.0)
+        for _ in range(LONGEST + 1):
+            box.put("log", "x")
+        assert box.overrun
+        box.put("log", "x")
+        async with asyncio.timeout(5.0):
+            await box.run(_never)
+
+    asyncio.run(main())
+
+
+async def _never(_: str) -> None:
+    raise AssertionError("nothing is sent to a page that was given up")
