@@ -10,12 +10,15 @@ help:                  ## show the targets
 
 venv: $(VENV)/.dev     ## only set up .venv
 
-demo: $(VENV)/.user    ## eight robots drive, flock and meet (ARGS=--headless without the table)
+demo: $(VENV)/.user    ## eight robots, and the address of a page to drive them from (ARGS=--headless: a show only)
 	$(BIN)/fullswarm demo $(ARGS)
 
 test: $(VENV)/.dev     ## all tests that belong to a change
-	$(BIN)/pytest -q -n 2 tests/unit $(ARGS)
-	$(BIN)/pytest -q -m "not slow" tests/emulated tests/system $(ARGS)
+	$(BIN)/pytest -q -n 2 -m "not slow" tests/unit $(ARGS)
+	$(BIN)/pytest -q -n 2 --dist loadfile -m "untimed and not slow" tests/system $(ARGS)
+	$(BIN)/pytest -q -m "not untimed and not slow" tests/emulated tests/system $(ARGS)
+	$(BIN)/pytest -q -m "not slow" tests/fleet tests/machines $(ARGS)
+	$(BIN)/pytest -q -m "not slow" tests/browser $(ARGS)
 
 test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
 	HYPOTHESIS_PROFILE=searching $(BIN)/pytest -q tests $(ARGS)

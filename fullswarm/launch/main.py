@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,12 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
+from fullswarm.deploy.cli import deploy_app
+from fullswarm.launch.console import console as serve_console
 from fullswarm.launch.evaluate.experiment_cli import experiment_app
 from fullswarm.launch.evaluate.results_cli import results_app
 from fullswarm.launch.evaluate.scenario_cli import scenario_app
 from fullswarm.launch.evaluate.watch import replay, watch
 from fullswarm.launch.hardware import hardware_app
+from fullswarm.operator import completion
 from fullswarm.operator.cli import operator_app, run_guarded
+from fullswarm.operator.joystick.cli import joystick_app
 
 if TYPE_CHECKING:
     from fullswarm.config import SwarmConfig
@@ -26,6 +31,7 @@ app = typer.Typer(
     help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
 )
 app.add_typer(operator_app)
+app.add_typer(joystick_app, name="joystick")
 for each, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
     (results_app, "results", "Look at what experiments left: cells, figures, comparisons, reports."),
@@ -34,11 +40,22 @@ for each, name, text in (
     app.add_typer(each, name=name, rich_help_panel="Evaluate", help=text)
 experiment_app.command()(watch)
 experiment_app.command()(replay)
+app.add_typer(deploy_app, rich_help_panel="Deploy")
 app.add_typer(hardware_app)  # after the operator's: its `robots` has more verbs
 
-Fleet = Annotated[Path, typer.Option("--fleet", metavar="FILE", help="The fleet file (TOML).")]
+app.command("console")(serve_console)
+
+Fleet = Annotated[
+    Path, typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="The fleet file (TOML).")
+]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a setting: agent.control_rate_hz=20.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a setting: agent.control_rate_hz=20.",
+        autocompletion=completion.settings,
+    ),
 ]
 Insecure = Annotated[
     bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can drive the robots.")
@@ -89,11 +106,22 @@ def demo(
             help="A fleet file, or `mixed`: 3 Creates, 3 rovers, 2 CAN bases, emulated with real ports.",
         ),
     ] = None,
+    console: Annotated[
+        bool | None,
+        typer.Option("--console/--no-console", help="The web console. Default: on, unless --headless or --json."),
+    ] = None,
+    stay: Annotated[
+        bool | None,
+        typer.Option("--stay/--no-stay", help="Go on after the show. Default: in a terminal, with a console."),
+    ] = None,
+    open_browser: Annotated[
+        bool | None, typer.Option("--open/--no-open", help="Show the page. Default: in a terminal with a screen.")
+    ] = None,
     network: Network = None,
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
-    """Eight simulated robots drive to a goal, flock, and meet; then a summary."""
+    """Eight simulated robots drive to a goal, flock, and meet, and are yours as soon as you ask for anything."""
 
     def command() -> int:
         from fullswarm.launch import demo as show
@@ -101,7 +129,9 @@ def demo(
         config = show.demo_config(fleet, tuple(overrides or ()), network)
         if lockstep:
             return show.run_lockstep(config, seconds, seed, as_json)
-        return show.run_live(config, seconds, as_json, headless or as_json)
+        from fullswarm.launch.demo_live import Manner, run_live
+
+        return run_live(config, Manner(seconds, as_json, headless, console, stay, open_browser))
 
     _run(debug, command)
 
@@ -111,6 +141,7 @@ def up(
     fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
     overrides: Overrides = None,
     network: Network = None,
+    console: Annotated[bool, typer.Option("--console", help="The web console as well; prints its address.")] = False,
     insecure_network: Insecure = False,
     debug: Debug = False,
 ) -> None:
@@ -119,7 +150,40 @@ def up(
     def command() -> int:
         from fullswarm.launch.up import run
 
-        return run(_load(fleet, overrides), insecure_network, network)
+        return run(_load(fleet, overrides), insecure_network, network, console=console)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=START)
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new folder; its name is the lab's.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list the files.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Make a lab of your own: a fleet file, a behaviour with its test, a README; it works at once."""
+
+    def command() -> int:
+        from fullswarm.launch.init import run
+
+        return run(folder, dry_run=dry_run)
+
+    _run(debug, command)
+
+
+@app.command(rich_help_panel=START)
+def info(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    hub: Annotated[str | None, typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub.")] = None,
+    swarm: Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")] = "swarm",
+    debug: Debug = False,
+) -> None:
+    """Print what a bug report needs: versions, machine, extras, ports; nothing secret. Markdown, to be pasted."""
+
+    def command() -> int:
+        from fullswarm.launch.info import run
+
+        return run(hub, swarm, as_json=as_json)
 
     _run(debug, command)
 
@@ -169,7 +233,9 @@ def centralised(
 
 @app.command(rich_help_panel=RUN)
 def agent(
-    robot: Annotated[str, typer.Argument(help="The robot's id in the fleet file.")],
+    robot: Annotated[
+        str, typer.Argument(help="The robot's id in the fleet file.", autocompletion=completion.fleet_robots)
+    ],
     fleet: Fleet,
     overrides: Overrides = None,
     with_parent: WithParent = False,
@@ -240,4 +306,6 @@ def fixes(
 
 def main() -> None:
     """Run the command line; the entry point of the ``fullswarm`` script."""
+    if completion.SWITCH in os.environ and not os.environ[completion.SWITCH].startswith("source"):
+        raise SystemExit(completion.answer(lambda: app(prog_name="fullswarm")))
     app(prog_name="fullswarm")

@@ -1,0 +1,157 @@
+"""The agent's own verdict on itself, as a file: what a base, or a robot alone, judges a new release by.
+
+A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and somebody
+is heard, over any one link: the core or another robot. An e-stop is none of a release's business: it outlives them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fullswarm import __version__
+from fullswarm.agent import reports
+from fullswarm.drivers.base import Lifecycle
+from fullswarm.runtime import LoopStats
+
+if TYPE_CHECKING:
+    from fullswarm.agent.node import AgentNode
+
+PERIOD_S = 1.0
+RATE_SHARE = 0.9
+"""A control loop that keeps so much of its rate is a healthy one."""
+RATE_OVER_S = 3.0
+NEVER = -1.0
+UPTIME = Path("/proc/uptime")
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_QUIET = LoopStats(0, 0, 0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Vitals:
+    """How a robot is right now; ages in seconds, -1: never."""
+
+    robot: str
+    lifecycle: str
+    behaviour: str
+    moving: bool
+    estop: bool
+    fault: str
+    driver: str
+    driver_answers: bool
+    control_rate_hz: float
+    control_rate_wanted_hz: float
+    core_heard_s: float
+    neighbours: int  # heard lately
+    battery: float  # 0 to 1; -1: unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """Whose verdict it is. A reader knows a fresh one by `machine_s`, which no clock setting touches."""
+
+    release: str  # id; empty: not run from a release
+    pid: int
+    boot_id: str
+    machine_s: float  # since the machine was switched on, when this was written
+    uptime_s: float  # since the agent was started
+    version: str = __version__
+
+
+def why_not(vitals: Vitals, core_silence_s: float) -> tuple[str, ...]:
+    """Return what keeps a robot from being healthy, in words; empty when it is."""
+    why = []
+    if vitals.lifecycle not in (Lifecycle.READY, Lifecycle.ACTIVE):
+        why.append(f"the robot is {vitals.lifecycle}{f': {vitals.fault}' if vitals.fault else ''}")
+    if not vitals.driver_answers:
+        why.append("its driver does not answer")
+    if vitals.control_rate_hz < RATE_SHARE * vitals.control_rate_wanted_hz:
+        slow, wanted = vitals.control_rate_hz, vitals.control_rate_wanted_hz
+        why.append(f"its control loop runs at {slow:.1f} Hz instead of {wanted:g}")
+    if not 0.0 <= vitals.core_heard_s <= core_silence_s and vitals.neighbours == 0:
+        why.append("it hears neither the core nor another robot")
+    return tuple(why)
+
+
+class Rate:
+    """Ticks per second over the last `RATE_OVER_S`."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, int]] = deque()
+
+    def see(self, now_s: float, ticks: int) -> float:
+        """Take the count of all ticks so far; return the rate in Hz, 0 before there is one."""
+        self._seen.append((now_s, ticks))
+        while len(self._seen) > 2 and now_s - self._seen[1][0] >= RATE_OVER_S:
+            self._seen.popleft()
+        since_s, before = self._seen[0]
+        return (ticks - before) / (now_s - since_s) if now_s > since_s else 0.0
+
+
+def vitals_of(
+    agent: AgentNode, now_s: float, rate_hz: float, wanted_hz: float, patience_s: tuple[float, float]
+) -> Vitals:
+    """Read the state of the one robot of an agent on board.
+
+    Parameters
+    ----------
+    patience_s
+        How old a reading of the driver and a word of a neighbour may be, s.
+    """
+    (report,) = reports.health(agent, _QUIET, __version__, now_s).robots
+    reading = agent.reading
+    reading_age_s = now_s - float(reading.stamp_s[0]) if reading is not None else np.inf
+    core_heard_s = agent.inbox.core_age_s(now_s)
+    heard = now_s - agent.neighbours.arrival_s[: agent.neighbours.count]
+    return Vitals(
+        robot=report.robot,
+        lifecycle=report.lifecycle,
+        behaviour=report.behaviour,
+        moving=report.moving,
+        estop=report.estop,
+        fault=report.fault,
+        driver=report.driver,
+        driver_answers=reading_age_s <= patience_s[0],
+        control_rate_hz=round(rate_hz, 2),
+        control_rate_wanted_hz=wanted_hz,
+        core_heard_s=round(core_heard_s, 3) if np.isfinite(core_heard_s) else NEVER,
+        neighbours=int(np.count_nonzero(heard <= patience_s[1])),
+        battery=report.battery,
+    )
+
+
+def text_of(vitals: Vitals, process: Process, why: tuple[str, ...]) -> str:
+    """Return the file: JSON, one key a line, so that a shell can read it as well."""
+    value = {**asdict(vitals), **asdict(process), "healthy": not why, "why": list(why)}
+    return json.dumps(value, indent=1, allow_nan=False) + "\n"
+
+
+def write(path: Path, text: str) -> None:
+    """Replace the file in one step: a reader finds the old text or the new one.
+
+    Raises
+    ------
+    OSError
+        The folder is not there, not ours, or full.
+    """
+    fresh = path.with_name(f".{path.name}.new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(path)
+
+
+def machine_s() -> float:
+    """Return how long this machine has been up, seconds, asleep or not: a shell reads the same number."""
+    return float(UPTIME.read_text(encoding="ascii").split()[0])
+
+
+def boot_id() -> str:
+    """Return what tells this boot of the machine from any other; empty where the kernel does not say."""
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""

@@ -1,0 +1,193 @@
+"""Everything that is decided and checked before a byte is written: image, release, seeds, cards."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fullswarm.bus.endpoint import host_of, is_loopback
+from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.deploy.flash import fat, image, mtools, payload
+from fullswarm.deploy.flash.fat import Volume
+from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
+from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
+from fullswarm.deploy.release.keys import Keys, fingerprint, public
+from fullswarm.errors import ConfigError, did_you_mean
+
+_PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """One robot's boot partition, edited and checked, in a file of its own."""
+
+    robot: str
+    instance: str
+    host_key: str  # fingerprint
+    kind: str  # how its first boot is told
+    volume: Volume
+    edited: Path
+    judged: str  # by fsck.vfat
+    files: int
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The head of an image: everything up to the end of its boot partition, decompressed."""
+
+    disk: Path
+    volume: Volume
+    least_bytes: int  # end of its last partition
+
+
+def robots_of(config: SwarmConfig, names: Sequence[str]) -> tuple[RobotConfig, ...]:
+    """Return the robots that are named.
+
+    Raises
+    ------
+    ConfigError
+        There is no such robot, it is simulated, or named twice; or robots could not reach the hub.
+    """
+    robots = {each.id: each for each in config.robot}
+    found = []
+    for name in names:
+        if name not in robots:
+            raise ConfigError(f"no robot '{name}' in the fleet file", where="flash", hint=did_you_mean(name, robots))
+        if names.count(name) > 1:
+            raise ConfigError("is named twice", where=f"robot {name}", hint="one card per robot")
+        found.append(robots[name])
+    if is_loopback(host_of(config.hub.endpoint)):
+        hint = (
+            'write the base\'s own address: [hub] endpoint = "tcp/10.0.0.1:7447", and start it with --insecure-network'
+        )
+        raise ConfigError(f"no robot can reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
+    return tuple(found)
+
+
+def access_for(robot: RobotConfig, swarm: str, keys: Keys) -> Access:
+    """Return the keys of one robot; its host key is made here, so that there is no trust on first use."""
+    own = keys.host_key(swarm, robot.id)
+    return Access(
+        login_keys=(public(keys.fleet_key()),),
+        host_private=own.read_text("utf-8"),
+        host_public=public(own),
+        signers=keys.allowed_signers(),
+    )
+
+
+def release_for(release: str | None, target: str, picture: Path | None, keys: Keys) -> Shipment:
+    """Return the release that goes onto the cards, verified with the keys of this base.
+
+    Raises
+    ------
+    ConfigError
+        There is none, it is signed on another base, or was changed; or it is for another Python than the image's.
+    """
+    from fullswarm.deploy.release.signing import verify
+    from fullswarm.deploy.release.store import Store
+
+    store = Store.default()
+    name = "" if picture is None else picture.name.lower()
+    python = next((minor for codename, minor in _PYTHON_OF.items() if codename in name), None)
+    folder = store.latest(target, python) if release is None else store.get(release)
+    if folder is None:
+        option = f" --python {python}" if python else ""
+        what = f"there is no release for {target}" + (f" and Python {python}, as this image has it" if python else "")
+        raise ConfigError(what, where=str(store.folder), hint=f"fullswarm bundle --target {target}{option}")
+    verify(folder, keys.allowed_signers())
+    shipment = Shipment.pack(folder)
+    if python is not None and shipment.python != python:
+        hint = f"fullswarm bundle --target {target} --python {python}"
+        what = f"is for Python {shipment.python}; this image has {python}"
+        raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
+    return shipment
+
+
+def read_head(picture: Path, folder: Path, tell: Callable[[int], None]) -> Source:
+    """Decompress what comes before the end of the boot partition into `folder`.
+
+    Raises
+    ------
+    ConfigError
+        The image is damaged, or is none from which a robot can boot.
+    """
+    disk = folder / "head.img"
+    image.copy_head(picture, HEAD_BYTES, disk)
+    head = disk.read_bytes()
+    partitions = read_partitions(head, str(picture))
+    # The boot partition is one of the first; what comes behind it is large and is only read once, to the cards.
+    for upto in sorted({each.end_bytes for each in partitions}):
+        there = image.copy_head(picture, upto, disk, tell)
+        if there < upto:
+            what = f"ends after {there / 1e6:.0f} MB, within partition data that goes to {upto / 1e6:.0f} MB"
+            raise ConfigError(what, where=str(picture), hint="download it again")
+        volume = _boot_of(disk, str(picture), last=upto == max(each.end_bytes for each in partitions))
+        if volume is not None:
+            return Source(disk, volume, max(each.end_bytes for each in partitions))
+    raise AssertionError("the last partition has returned or raised")
+
+
+def _boot_of(disk: Path, where: str, *, last: bool) -> Volume | None:
+    number = os.open(disk, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        volume = fat.boot_volume(number, where)
+        # One without a usual name, an EFI system partition for one, is the choice only when nothing better follows.
+        return volume if last or volume.label.lower() in fat.BOOT_LABELS else None
+    except ConfigError:
+        if last:
+            raise
+        return None
+    finally:
+        os.close(number)
+
+
+def seed_files(
+    robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, disk: Path, volume: Volume, wanted: str
+) -> tuple[dict[str, bytes], str, str]:
+    """Return the files for a robot's boot partition, the instance id, and how its first boot is told."""
+    from fullswarm.deploy.robot.kit import kit
+
+    access = access_for(robot, around.config.swarm, keys)
+    wish = payload.wish_for(robot, access, around)
+    kind = payload.first_boot_kind(mtools.names(disk, volume), volume.label, wanted)
+    files = payload.build(
+        kind,
+        wish,
+        access,
+        shipment,
+        kit(robot, around.config, access.signers),
+        around.config.hub.endpoint,
+        volume.volume_id,
+        lambda path: mtools.get(disk, volume, path),
+    )
+    return files, wish.instance, kind
+
+
+def prepare(
+    robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, source: Source, wanted: str
+) -> Prepared:
+    """Edit a copy of the boot partition for one robot, and let fsck.vfat judge it.
+
+    Raises
+    ------
+    ConfigError
+        The seed is not sound, the partition has no room, or the result is not a sound FAT.
+    """
+    files, instance, kind = seed_files(robot, around, keys, shipment, source.disk, source.volume, wanted)
+    mtools.check_room(source.volume, files, f"image for {robot.id}")
+    edited = source.disk.with_name(f"{robot.id}.fat")
+    edited.touch(mode=0o600)
+    mtools.copy_range(source.disk, source.volume.start_bytes, source.volume.size_bytes, edited)
+    alone = _moved(source.volume, 0)
+    mtools.put(edited, alone, files)
+    judged = mtools.fsck(edited, alone)
+    key = fingerprint(keys.host_key(around.config.swarm, robot.id))
+    return Prepared(robot.id, instance, key, kind, source.volume, edited, judged, len(files))
+
+
+def _moved(volume: Volume, start_bytes: int) -> Volume:
+    from dataclasses import replace
+
+    return replace(volume, start_bytes=start_bytes)

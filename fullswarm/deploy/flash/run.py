@@ -1,0 +1,335 @@
+"""`fullswarm flash`: decide and check everything, ask, write, read back, remember, wait."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from fullswarm.config import RobotConfig, load_swarm
+from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
+from fullswarm.deploy.flash.card import Card
+from fullswarm.deploy.flash.payload import Shipment, Surroundings
+from fullswarm.deploy.flash.write import Job, Outcome, write_jobs
+from fullswarm.deploy.release.keys import Keys
+from fullswarm.errors import ConfigError, Unreachable
+from fullswarm.operator import output, session
+
+TELL_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the command line says."""
+
+    robots: tuple[str, ...]
+    fleet: Path
+    image: Path | None = None
+    devices: tuple[str, ...] = ()
+    outputs: tuple[Path, ...] = ()
+    seed_only: bool = False
+    release: str | None = None
+    target: str = "rpi-arm64"
+    wifi: tuple[str, ...] = ()
+    wifi_file: Path | None = None
+    country: str | None = None
+    static: str | None = None
+    sha256: str | None = None
+    first_boot: str = "auto"
+    agreed: tuple[str, ...] = ()
+    most_bytes: int = card.MOST_BYTES
+    wait_minutes: float | None = None
+    hub: str | None = None
+    dry_run: bool = False
+    as_json: bool = False
+
+
+@dataclass(slots=True)
+class Line:
+    """One row of the result: a robot, its card, and how it went."""
+
+    robot: str
+    target: str
+    state: str = "planned"
+    note: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def run(request: Request) -> int:
+    """Do it; return 0, 1 when a card failed.
+
+    Raises
+    ------
+    ConfigError
+        Anything is wrong; nothing has been written then.
+    Unreachable
+        All cards are written, but a robot was not heard within the time to wait.
+    """
+    config = load_swarm(request.fleet)
+    robots = plan.robots_of(config, request.robots)
+    targets = _targets(request, robots)
+    mtools.check_there()
+    networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
+    around = Surroundings(config, networks, country, request.static)
+    keys = Keys.default()
+    shipment = plan.release_for(request.release, request.target, request.image, keys)
+    output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")
+    if request.seed_only:
+        lines = seed_only.run(request, robots, targets, around, keys, shipment)
+    else:
+        lines = _flash(request, robots, targets, around, keys, shipment)
+    if request.dry_run:
+        return _show(request, lines, {})
+    good = [line.robot for line in lines if not line.state.startswith("FAILED")]
+    for robot in robots:
+        if robot.id in good and pins.pin(robot, config.swarm, keys):
+            output.progress(f"{robot.id}: another host key was known at its address; it is forgotten")
+    heard: dict[str, wait.Hello] = {}
+    silent: list[str] = []
+    if request.wait_minutes is not None and good:
+        target = session.Target(request.hub or config.hub.endpoint, config.swarm)
+        heard, silent = wait.wait(target, good, request.wait_minutes)
+    code = _show(request, lines, heard)
+    if silent:
+        what = f"nothing was heard within {request.wait_minutes:g} minutes"
+        raise Unreachable(what, where=", ".join(silent), hint=wait.ADVICE)
+    return code
+
+
+def _targets(request: Request, robots: Sequence[RobotConfig]) -> tuple[Card | Path, ...]:
+    if bool(request.devices) == bool(request.outputs):
+        hint = "--device /dev/sdX for a card, or --output FILE for an image"
+        raise ConfigError("name either devices or files to write", where="flash", hint=hint)
+    count = len(request.devices or request.outputs)
+    if count != len(robots):
+        hint = "one --device or --output per robot, in the same order"
+        raise ConfigError(f"{len(robots)} robots, but {count} cards", where="flash", hint=hint)
+    if request.image is None and not request.seed_only:
+        hint = "--image raspios.img.xz, or --seed-only for a card that was written before"
+        raise ConfigError("which image?", where="--image", hint=hint)
+    if request.devices:
+        return card.choose(card.list_cards(), request.devices, request.most_bytes)
+    if len(set(request.outputs)) != count:
+        raise ConfigError("a file is named twice", where="--output", hint="one per robot")
+    for path in request.outputs:
+        _check_output(path, seed_only=request.seed_only)
+    return request.outputs
+
+
+def _check_output(path: Path, *, seed_only: bool) -> None:
+    if path.is_block_device():
+        raise ConfigError("is a device", where=str(path), hint=f"--device {path}")
+    if seed_only and not path.exists():
+        raise ConfigError(
+            "no such file or folder", where=str(path), hint="without --seed-only it is made from an image"
+        )
+    if not seed_only and path.is_dir():
+        raise ConfigError("is a folder", where=str(path), hint="name a file; a folder goes with --seed-only")
+    if not path.parent.is_dir():
+        raise ConfigError(f"there is no folder {path.parent}", where=str(path), hint="make it first")
+
+
+def _ask_passphrase(ssid: str) -> str:
+    if not sys.stdin.isatty():
+        hint = f"put it into a --wifi-file, or into the environment as {wifi.PASSPHRASE}"
+        raise ConfigError(f"nobody is here to type the passphrase of '{ssid}'", where="--wifi", hint=hint)
+    import getpass
+
+    return getpass.getpass(f"Passphrase of Wi-Fi '{ssid}' (empty: open): ")
+
+
+# ---------------------------------------------------------------- writing
+def _flash(
+    request: Request,
+    robots: Sequence[RobotConfig],
+    targets: Sequence[Card | Path],
+    around: Surroundings,
+    keys: Keys,
+    shipment: Shipment,
+) -> list[Line]:
+    assert request.image is not None  # noqa: S101  (`_targets` has seen to it)
+    wanted = image.expected_sha256(request.image, request.sha256)
+    if not request.image.is_file():
+        with image.opened(request.image):
+            pass  # says what is wrong
+    if wanted is None:
+        output.progress("image: nobody said its SHA-256, so only its compression's own checks hold (--sha256)")
+    digest = image.check_sha256(request.image, wanted, _teller("checksum"))
+    with tempfile.TemporaryDirectory(prefix="fullswarm-flash-") as name:
+        source = plan.read_head(request.image, Path(name), _teller("reading the boot partition"))
+        _check_sizes(targets, source.least_bytes)
+        prepared = [plan.prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
+        lines = [
+            Line(
+                each.robot,
+                _title(target),
+                details={
+                    "instance": each.instance,
+                    "host_key": each.host_key,
+                    "first_boot": each.kind,
+                    "boot_partition": each.judged,
+                    "release": shipment.id,
+                    "image_sha256": digest,
+                    "wifi": [network.ssid for network in around.networks],
+                },
+            )
+            for each, target in zip(prepared, targets, strict=True)
+        ]
+        if request.dry_run:
+            return lines
+        agree(targets, request.agreed)
+        with _partial(targets) as paths:
+            jobs = [
+                Job(each.robot, path, each.edited, each.volume.start_bytes)
+                for each, path in zip(prepared, paths, strict=True)
+            ]
+            outcomes = _write(request.image, jobs)
+            _keep(targets, paths, outcomes)
+    for line, outcome in zip(lines, outcomes, strict=True):
+        _tell_outcome(line, outcome)
+    return lines
+
+
+def agree(targets: Sequence[Card | Path], agreed: Sequence[str]) -> None:
+    """Have somebody agree to lose what is on each card, by its serial number.
+
+    Raises
+    ------
+    ConfigError
+        Somebody did not, or a card is not the same any more.
+    """
+    cards = [each for each in targets if isinstance(each, Card)]
+    for each in card.check_agreed(cards, agreed):
+        what = f"everything on it will be lost: {each.title}"
+        if not sys.stdin.isatty():
+            raise ConfigError(what, where=each.path, hint=f"if that is meant: --yes {each.token}")
+        output.progress(what)
+        sys.stderr.write(f"Type {each.token} to write it: ")
+        sys.stderr.flush()
+        if sys.stdin.readline().strip() != each.token:
+            raise ConfigError("not confirmed; nothing was written", where=each.path, hint=f"type {each.token}")
+    for each in cards:
+        if not card.same_card(each):
+            raise ConfigError("is not the card that it was a moment ago", where=each.path, hint="start again")
+
+
+def _check_sizes(targets: Sequence[Card | Path], needed: int) -> None:
+    for each in targets:
+        free = each.size_bytes if isinstance(each, Card) else shutil.disk_usage(each.parent).free
+        what = _title(each)
+        if isinstance(each, Card) and free < needed:
+            hint = f"take one of {needed / 1e9:.0f} GB or more"
+            raise ConfigError(f"the image needs {needed / 1e9:.1f} GB", where=what, hint=hint)
+
+
+def _title(target: Card | Path) -> str:
+    return target.title if isinstance(target, Card) else str(target)
+
+
+@contextmanager
+def _partial(targets: Sequence[Card | Path]) -> Iterator[list[Path]]:
+    """Name what is written: cards themselves, files under a name that says they are not whole yet."""
+    paths = [Path(each.path) if isinstance(each, Card) else each.with_name(f"{each.name}.partial") for each in targets]
+    files = [path for path, each in zip(paths, targets, strict=True) if isinstance(each, Path)]
+    for path in files:
+        path.unlink(missing_ok=True)
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))  # it holds a private host key
+    try:
+        yield paths
+    finally:
+        for path in files:
+            path.unlink(missing_ok=True)
+
+
+def _keep(targets: Sequence[Card | Path], paths: Sequence[Path], outcomes: Sequence[Outcome]) -> None:
+    for target, path, outcome in zip(targets, paths, outcomes, strict=True):
+        if isinstance(target, Path) and outcome.error is None:
+            path.replace(target)
+
+
+def _write(picture: Path, jobs: Sequence[Job]) -> list[Outcome]:
+    teller = _Teller()
+    try:
+        with image.opened(picture) as stream:
+            return write_jobs(image.chunks(stream), jobs, teller)
+    except KeyboardInterrupt:
+        output.progress(f"half written, not usable: {', '.join(str(each.target) for each in jobs)}; flash again")
+        raise
+
+
+def _tell_outcome(line: Line, outcome: Outcome) -> None:
+    if outcome.error is not None:
+        line.state, line.note = "FAILED", str(outcome.error)
+        return
+    rate = outcome.bytes / 1e6 / max(outcome.write_s, 1e-3)
+    line.state = "written"
+    line.note = (
+        f"{outcome.bytes / 1e9:.2f} GB in {outcome.write_s:.0f} s ({rate:.0f} MB/s), "
+        f"read back in {outcome.verify_s:.0f} s: equal"
+    )
+    line.details |= {
+        "bytes": outcome.bytes,
+        "sha256": outcome.sha256,
+        "write_s": round(outcome.write_s, 3),
+        "verify_s": round(outcome.verify_s, 3),
+    }
+
+
+# ---------------------------------------------------------------- telling
+class _Teller:
+    """Tells how far cards are, every other second; called from the writers' threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._next: dict[tuple[str, str], float] = {}
+
+    def __call__(self, name: str, what: str, done: int) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            if now_s < self._next.setdefault((name, what), now_s + TELL_S):
+                return
+            self._next[name, what] = now_s + TELL_S
+        output.progress(f"{name}: {what}: {done / 1e6:.0f} MB")
+
+
+def _teller(what: str) -> image.Tell:
+    teller = _Teller()
+    return lambda done: teller("image", what, done)
+
+
+def _show(request: Request, lines: Sequence[Line], heard: dict[str, wait.Hello]) -> int:
+    failed = any(line.state.startswith("FAILED") for line in lines)
+    if request.as_json:
+        rows = [
+            {
+                "robot": line.robot,
+                "target": line.target,
+                "state": line.state,
+                "note": line.note,
+                **line.details,
+                "hello": asdict(heard[line.robot]) if line.robot in heard else None,
+            }
+            for line in lines
+        ]
+        output.data_json({"ok": not failed, "dry_run": request.dry_run, "cards": rows})
+    else:
+        table = Table(box=None, pad_edge=False)
+        for column in ("robot", "card", "state", "what"):
+            table.add_column(column, overflow="fold")
+        for line in lines:
+            note = line.note or f"{line.details['first_boot']}, release {line.details['release']}"
+            table.add_row(line.robot, line.target, line.state, note)
+        output.data_table(table, into_file=160)
+        if not failed and not request.dry_run:
+            output.progress("put the card in and switch the robot on; the first boot takes some minutes")
+    return 1 if failed else 0

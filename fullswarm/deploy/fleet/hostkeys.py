@@ -1,0 +1,116 @@
+"""Which host key a robot must show: pinned in ``known_hosts``, or made by us when its card was flashed."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from fullswarm.errors import FullswarmError
+
+SSH_PORT = 22
+
+
+class HostKeyProblem(FullswarmError):
+    """A computer is not, or not yet, who we think it is."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Pins:
+    """The keys that robots of one swarm are known by.
+
+    Parameters
+    ----------
+    known_hosts
+        In OpenSSH's format, so that ``ssh`` and ``ssh-keygen`` can use it too.
+    flashed
+        Folder of the host keys that were made on this machine, ``<robot>_ed25519.pub``.
+    """
+
+    known_hosts: Path
+    flashed: Path
+
+    def keys(self, robot: str, host: str, port: int) -> list[str]:
+        """Public keys (``ssh-ed25519 AAAA…``) that this robot may show; none: it is not known yet."""
+        name = name_of(host, port)
+        pinned = [key for names, key in _lines(self.known_hosts) if name in names.split(",")]
+        return pinned or self._made_here(robot)
+
+    def pin(self, host: str, port: int, key: str) -> None:
+        """Remember a key that the user has confirmed."""
+        self.known_hosts.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        line = f"{name_of(host, port)} {_bare(key)}\n".encode()
+        # One write to a file opened for appending: two commands at a time do not tear each other's lines.
+        file = os.open(self.known_hosts, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        try:
+            os.write(file, line)
+        finally:
+            os.close(file)
+
+    def pin_flashed(self, robot: str, host: str, port: int) -> None:
+        """Write down for ``ssh`` what is known of a robot flashed here."""
+        name = name_of(host, port)
+        if not any(name in names.split(",") for names, _ in _lines(self.known_hosts)):
+            for key in self._made_here(robot):
+                self.pin(host, port, key)
+
+    def changed(self, robot: str, host: str, port: int) -> HostKeyProblem:
+        """Return the error for a computer that shows another key than the pinned one."""
+        name = name_of(host, port)
+        if any(name in names.split(",") for names, _ in _lines(self.known_hosts)):
+            mend = f"ssh-keygen -R '{name}' -f '{self.known_hosts}'"
+        else:
+            mend = f"rm '{self.flashed / f'{robot}_ed25519.pub'}'"
+        return HostKeyProblem(
+            "shows another host key than the one that is known: another computer at its address, or somebody between",
+            where=f"{robot} ({host})",
+            hint=f"only if it was set up anew on purpose: {mend}, then `fullswarm deploy {robot}`",
+        )
+
+    def unknown(self, robot: str, host: str, key: str) -> HostKeyProblem:
+        """Return the error for a computer nobody has confirmed yet."""
+        return HostKeyProblem(
+            f"its host key is not known yet: {fingerprint(key)}",
+            where=f"{robot} ({host})",
+            hint=f"compare with `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` there, then `fullswarm deploy "
+            f"{robot}` and confirm, or --accept-new-host-keys on a network you trust",
+        )
+
+    def _made_here(self, robot: str) -> list[str]:
+        try:
+            return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
+        except FileNotFoundError:
+            return []
+
+
+def name_of(host: str, port: int) -> str:
+    """The name a host has in ``known_hosts``."""
+    return host if port == SSH_PORT else f"[{host}]:{port}"
+
+
+def fingerprint(key: str) -> str:
+    """``SHA256:…`` as ``ssh`` and ``ssh-keygen -l`` print it."""
+    digest = hashlib.sha256(base64.b64decode(key.split()[1])).digest()
+    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
+
+
+def _bare(key: str) -> str:
+    return " ".join(key.split()[:2])
+
+
+def _lines(file: Path) -> list[tuple[str, str]]:
+    """Names and key of each line; comments, markers and hashed names are not ours."""
+    try:
+        text = file.read_text("utf-8")
+    except FileNotFoundError:
+        return []
+    found = []
+    for line in text.splitlines():
+        words = line.split()
+        if len(words) >= 3 and not line.startswith(("#", "@", "|")):
+            found.append((words[0], f"{words[1]} {words[2]}"))
+    return found

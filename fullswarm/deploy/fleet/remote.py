@@ -1,0 +1,270 @@
+"""One robot's computer over SSH: run a command, feed it, hear its answer. Nothing here waits for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shlex
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fullswarm.deploy.fleet.untrusted import clean, last_words
+from fullswarm.errors import FullswarmError, MissingExtra, Unreachable
+
+if TYPE_CHECKING:
+    import asyncssh
+
+PROGRAM = '"${FULLSWARM_ROOT-}"/opt/fullswarm/bin/fullswarm-robot'
+"""Word of a shell script; only tests move the root."""
+BEGIN = "fullswarm-begin"
+CHUNK_BYTES = 64 * 1024
+ANSWER_BYTES = 4 * 1024 * 1024
+STALL_S = 45.0
+"""A robot that takes nothing for so long is as good as gone: 2 MB in flight take 16 s at 1 Mbit/s."""
+COMMAND_S = 60.0
+OPEN_S = 20.0
+CLOSE_S = 3.0
+
+Feed = bytes | Path
+Line = Callable[[bytes], None]
+
+
+class LinkBroke(Unreachable):
+    """The connection ended under a command: whether the command was carried out is not known."""
+
+
+class NoRoot(FullswarmError):
+    """We are logged in, but may not become root."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command said. `code` as in ``fullswarm-robot``: 0 ok, 1 negative, 2 usage, 3 refused, 4 rolled back."""
+
+    code: int
+    out: bytes
+    err: bytes
+
+    @property
+    def words(self) -> str:
+        """Why, in one line."""
+        return last_words(self.err) or last_words(self.out) or f"exit code {self.code}"
+
+
+@dataclass(slots=True)
+class Remote:
+    """A connection that is logged in.
+
+    Parameters
+    ----------
+    own_key
+        The user's own key opened it, not the fleet's.
+    sent_bytes
+        What commands were fed so far.
+    """
+
+    robot: str
+    connection: asyncssh.SSHClientConnection
+    sudo_password: str | None = None
+    own_key: bool = False
+    sent_bytes: int = field(default=0, init=False)
+
+    async def program(
+        self, *words: str, feed: Feed = b"", within_s: float | None = COMMAND_S, line: Line | None = None
+    ) -> Answer:
+        """Run ``fullswarm-robot`` as root.
+
+        Raises
+        ------
+        NoRoot
+            sudo wants a password, or the right one.
+        Unreachable, LinkBroke
+            As `run`.
+        """
+        return await self.as_root(f"{PROGRAM} {shlex.join(words)}", feed=feed, within_s=within_s, line=line)
+
+    async def as_root(
+        self, words: str, *, feed: Feed = b"", within_s: float | None = COMMAND_S, line: Line | None = None
+    ) -> Answer:
+        """Run words of a shell script as root; raises as `program`."""
+        script, first = root_script(words, self.sudo_password)
+        return await self.script_as_root(script, first=first, feed=feed, within_s=within_s, line=line)
+
+    async def script_as_root(
+        self,
+        script: str,
+        *,
+        first: bytes,
+        feed: Feed = b"",
+        within_s: float | None = COMMAND_S,
+        line: Line | None = None,
+    ) -> Answer:
+        """Run a script that ends in one of `root_script`; raises as `program`."""
+        answer = await self.run(script, first=first, feed=feed, within_s=within_s, line=line)
+        if answer.code in (1, 127) and b"sudo:" in answer.err[:4096]:
+            hint = (
+                "the password is wrong, or the user is no sudoer"
+                if self.sudo_password is not None
+                else "--ask-sudo-password, or let ssh_user be root"
+            )
+            raise NoRoot(f"may not become root there: {answer.words}", where=self.robot, hint=hint)
+        return answer
+
+    async def run(
+        self,
+        script: str,
+        *,
+        first: bytes = b"",
+        feed: Feed = b"",
+        within_s: float | None = COMMAND_S,
+        line: Line | None = None,
+    ) -> Answer:
+        """Run a shell script with `first` and `feed` on its stdin.
+
+        Parameters
+        ----------
+        within_s
+            How long it may take after it was fed; None: for ever. Fed, it must never stall for `STALL_S`.
+        line
+            Gets stdout line by line, which is then not part of the answer.
+
+        Raises
+        ------
+        Unreachable
+            It did not end in time, took nothing more, or said too much.
+        LinkBroke
+            The connection ended before the command did.
+        """
+        # The login shell may be any; what we say is for a POSIX shell.
+        command = f"exec sh -c {shlex.quote(script)}"
+        try:
+            return await self._talk(command, first, feed, line, within_s)
+        except TimeoutError:
+            hint = "it hangs or is very busy: try again, or look there"
+            raise Unreachable("stopped answering in the middle of a command", where=self.robot, hint=hint) from None
+
+    async def _talk(self, command: str, first: bytes, feed: Feed, line: Line | None, within_s: float | None) -> Answer:
+        import asyncssh
+
+        try:
+            async with asyncio.timeout(OPEN_S):
+                process = await self.connection.create_process(command, encoding=None)
+        except (asyncssh.Error, OSError) as error:
+            raise self._broke(error) from None
+        feeding = asyncio.create_task(self._feed(process.stdin, first, feed))
+        heard = asyncio.gather(_read(process.stdout, line), _read(process.stderr, None))
+        try:
+            # All three at a time: a robot that talks while it is fed must not wait for us, nor we for it.
+            both: set[asyncio.Future[Any]] = {feeding, heard}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            if feeding.done():
+                feeding.result()
+            async with asyncio.timeout(within_s):
+                out, err = await heard
+                await process.wait_closed()
+            if process.exit_status is None:
+                raise self._broke(None)
+            return Answer(process.exit_status, out, err)
+        except TimeoutError:
+            raise
+        except (asyncssh.Error, OSError) as error:
+            raise self._broke(error) from None
+        except ValueError as error:
+            raise Unreachable(str(error), where=self.robot, hint="is that a robot of ours?") from None
+        finally:
+            feeding.cancel()
+            heard.cancel()
+            process.close()
+            await asyncio.gather(feeding, heard, return_exceptions=True)
+
+    async def _feed(self, stdin: Any, first: bytes, feed: Feed) -> None:
+        """Write everything, never faster than the robot takes it, and say that it was all."""
+        # A command may end before it has read all it was meant to get, for one because it refuses. Its exit code
+        # tells, not our broken pipe; and when the link broke there is no exit code.
+        with contextlib.suppress(BrokenPipeError, ConnectionError):
+            for chunk in _chunks(first, feed):
+                stdin.write(chunk)
+                async with asyncio.timeout(STALL_S):
+                    await stdin.drain()
+                self.sent_bytes += len(chunk)
+            stdin.write_eof()
+
+    def _broke(self, error: Exception | None) -> LinkBroke:
+        why = clean(str(error)) if error is not None else ""
+        return LinkBroke(f"the link broke{f': {why}' if why else ''}", where=self.robot, hint="try again")
+
+
+async def _read(stream: Any, line: Line | None) -> bytes:
+    """Read to the end; `line` gets whole lines as they come."""
+    kept = bytearray()
+    while chunk := await stream.read(CHUNK_BYTES):
+        kept += chunk
+        if line is not None:
+            *whole, rest = kept.split(b"\n")
+            for each in whole:
+                line(bytes(each))
+            kept = bytearray(rest[-CHUNK_BYTES:])
+        elif len(kept) > ANSWER_BYTES:
+            raise ValueError(f"said more than {ANSWER_BYTES // 2**20} MB")
+    if line is not None and kept:
+        line(bytes(kept))
+    return b"" if line is not None else bytes(kept)
+
+
+def _chunks(first: bytes, feed: Feed) -> Iterator[bytes]:
+    if first:
+        yield first
+    if isinstance(feed, Path):
+        with feed.open("rb") as file:
+            while chunk := file.read(CHUNK_BYTES):
+                yield chunk
+        return
+    for start in range(0, len(feed), CHUNK_BYTES):
+        yield feed[start : start + CHUNK_BYTES]
+
+
+def root_script(words: str, password: str | None) -> tuple[str, bytes]:
+    """Shell script that runs `words` as root, and what must come first on its stdin.
+
+    A rule without a password may hold for the command, so that sudo never reads the one we send. Hence a line
+    that says where the command's own input begins, read by a shell behind sudo.
+    """
+    if password is None:
+        return f'set -- {words}; if [ "$(id -u)" -eq 0 ]; then exec "$@"; fi; exec sudo -n "$@"', b""
+    skip = f'while IFS= read -r l; do [ "$l" = {BEGIN} ] && break; done; exec "$@"'
+    script = (
+        f'set -- sh -c {shlex.quote(skip)} sh {words}; [ "$(id -u)" -eq 0 ] || set -- sudo -S -p "" "$@"; exec "$@"'
+    )
+    return script, f"{password}\n{BEGIN}\n".encode()
+
+
+@contextlib.asynccontextmanager
+async def closing(connection: asyncssh.SSHClientConnection) -> AsyncIterator[None]:
+    """Close a connection at the end, politely for three seconds."""
+    try:
+        yield
+    finally:
+        connection.close()
+        try:
+            async with asyncio.timeout(CLOSE_S):
+                await connection.wait_closed()
+        except TimeoutError:
+            connection.abort()
+
+
+def need_asyncssh() -> None:
+    """Say at once, and once, that SSH needs the extra.
+
+    Raises
+    ------
+    MissingExtra
+        asyncssh is not installed.
+    """
+    try:
+        import asyncssh  # noqa: F401
+    except ImportError:
+        raise MissingExtra("robots are reached over SSH by asyncssh", hint="pip install 'fullswarm[deploy]'") from None

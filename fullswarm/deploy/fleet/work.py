@@ -1,0 +1,203 @@
+"""What a rollout asks of one robot: take the release in, then switch to it and be found healthy, or go back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from fullswarm.deploy.fleet import steps
+from fullswarm.deploy.fleet.choose import choose
+from fullswarm.deploy.fleet.facts import Facts, facts_of
+from fullswarm.deploy.fleet.login import Address, Login
+from fullswarm.deploy.fleet.remote import LinkBroke, Remote
+from fullswarm.deploy.fleet.rollout import Stage
+from fullswarm.deploy.fleet.ship import Parcels
+from fullswarm.deploy.fleet.untrusted import clean
+from fullswarm.deploy.fleet.verdict import Verdict, Watch
+from fullswarm.deploy.release.manifest import Manifest
+from fullswarm.deploy.release.store import Store
+from fullswarm.errors import FullswarmError, Unreachable
+
+SHIP_ATTEMPTS = 4
+AGAIN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one robot, and what to do."""
+
+    stage: Stage
+    what: str
+    mend: str = ""
+    release: str = ""
+    shipped_bytes: int = 0
+    changed: tuple[str, ...] = ()
+    exit_code: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Kit:
+    """What stands on a robot outside every release, for one robot; `name` is what it says when it has it."""
+
+    archive: bytes
+    name: str
+
+
+@dataclass(slots=True)
+class Work:
+    """The hands of an update or a first install.
+
+    Parameters
+    ----------
+    named
+        The release that was asked for; None: the newest one that fits each robot.
+    kits
+        By robot; empty: leave what stands outside the releases alone.
+    public_key
+        Of the fleet: put where the user's own key got us in.
+    guard_s
+        A robot goes back by itself so long after its switch, unless it is told to stay.
+    """
+
+    login: Login
+    addresses: Mapping[str, Address]
+    store: Store
+    parcels: Parcels
+    tell: Callable[[str], None]
+    named: str | None = None
+    target: str | None = None
+    kits: Mapping[str, Kit] = field(default_factory=dict)
+    public_key: str = ""
+    guard_s: float = 60.0
+    force: bool = False
+    releases: dict[str, Path] = field(default_factory=dict)
+    before: dict[str, str | None] = field(default_factory=dict)
+    shipped: dict[str, int] = field(default_factory=dict)
+    changed: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    async def __call__(self, robot: str, stage: Stage) -> Outcome:
+        """Do what is due; every error of ours becomes an outcome, none ends the others' work."""
+        staging = stage is Stage.STAGING
+        try:
+            outcome = await (self._stage(robot) if staging else self._switch(robot))
+        except steps.Refused as error:
+            # Before the switch it minds the release, afterwards the moment.
+            mend = error.hint or ("" if staging else "stop it (`fullswarm stop`) and update again, or --force")
+            outcome = Outcome(Stage.FAILED if staging else Stage.REFUSED, error.what, mend, exit_code=error.exit_code)
+        except Unreachable as error:
+            outcome = Outcome(Stage.UNREACHABLE, error.what, error.hint, exit_code=error.exit_code)
+        except FullswarmError as error:
+            outcome = Outcome(Stage.FAILED, error.what, error.hint, exit_code=error.exit_code)
+        return replace(
+            outcome,
+            release=outcome.release or self.before.get(robot) or "",
+            shipped_bytes=self.shipped.get(robot, 0),
+            changed=self.changed.get(robot, ()),
+        )
+
+    async def look(self, robot: str) -> Outcome:
+        """Tell what would be done, and do nothing."""
+        try:
+            async with self.login.connect(self.addresses[robot]) as remote:
+                facts = await facts_of(remote)
+            name = Manifest.read(choose(self.store, self.named, facts, robot, self.target)).id
+        except FullswarmError as error:
+            return Outcome(Stage.WAITING, error.what, error.hint, exit_code=error.exit_code)
+        kit = self.kits.get(robot)
+        todo = (
+            ["install" if not facts.installed else "set up anew"] if kit is not None and facts.kit != kit.name else []
+        )
+        if facts.current != name or not facts.settled:
+            todo += [f"switch to {name}"] if name in facts.releases else [f"ship {name}", "switch to it"]
+        if facts.busy_with and todo:
+            return Outcome(Stage.WAITING, f"would be refused: it is {facts.busy_with}", release=facts.current or "")
+        what = "would " + ", ".join(todo) if todo else "nothing to do"
+        return Outcome(Stage.WAITING, what, release=facts.current or "", exit_code=0)
+
+    # ------------------------------------------------------------ no effect on what runs
+    async def _stage(self, robot: str) -> Outcome:
+        for attempt in range(1, SHIP_ATTEMPTS + 1):
+            try:
+                return await self._stage_once(robot)
+            except LinkBroke as error:
+                if attempt == SHIP_ATTEMPTS:
+                    raise
+                self.tell(f"{robot}: {error.what}; going on with what is missing")
+                await asyncio.sleep(AGAIN_S * attempt)
+        raise AssertionError("the last attempt has raised or returned")
+
+    async def _stage_once(self, robot: str) -> Outcome:
+        async with self.login.connect(self.addresses[robot]) as remote:
+            facts = await facts_of(remote)
+            self.before.setdefault(robot, facts.current)
+            folder = choose(self.store, self.named, facts, robot, self.target)
+            self.releases[robot], name = folder, Manifest.read(folder).id
+            try:
+                facts = await self._install(remote, facts)
+                if facts.current == name and facts.settled:
+                    return Outcome(Stage.CURRENT, self._unchanged(robot), release=name)
+                if name not in facts.releases:
+                    self.tell(f"{robot}: shipping {name}")
+                    await steps.stage(remote, folder, self.parcels, facts)
+            finally:
+                self.shipped[robot] = self.shipped.get(robot, 0) + remote.sent_bytes
+        self.tell(f"{robot}: has {name}")
+        return Outcome(Stage.STAGED, f"has {name}, runs {facts.current or 'nothing'}")
+
+    async def _install(self, remote: Remote, facts: Facts) -> Facts:
+        kit = self.kits.get(remote.robot)
+        if kit is None:
+            if not facts.installed:
+                hint = f"`fullswarm deploy {remote.robot}` puts it there"
+                raise FullswarmError("nothing of ours is installed there", where=remote.robot, hint=hint)
+            return facts
+        if remote.own_key:
+            await steps.admit(remote, self.public_key)
+        if facts.installed and facts.kit == kit.name:
+            return facts
+        if facts.busy_with and not self.force:
+            # New settings restart its agent.
+            raise steps.Refused(f"it is {facts.busy_with}", where=remote.robot, hint="stop it first, or --force")
+        self.tell(f"{remote.robot}: installing")
+        await steps.install(remote, kit.archive, installed=facts.installed)
+        self.changed[remote.robot] = ("installed" if not facts.installed else "set up anew",)
+        return await facts_of(remote)
+
+    def _unchanged(self, robot: str) -> str:
+        return "runs it already; " + (", ".join(self.changed.get(robot, ())) or "nothing was changed")
+
+    # ------------------------------------------------------------ the switch
+    async def _switch(self, robot: str) -> Outcome:
+        release, before = Manifest.read(self.releases[robot]).id, self.before.get(robot)
+        self.tell(f"{robot}: switching to {release}")
+        watch = Watch(self.login, self.addresses[robot], release, self.guard_s)
+        async with self.login.connect(self.addresses[robot]) as remote:
+            watch.rollback_before = (await facts_of(remote)).last_rollback
+            try:
+                await steps.switch(remote, release, self.guard_s, force=self.force)
+                watch.switched = True
+            except steps.WentBack as error:
+                return _rolled_back(error.what, before)
+            except Unreachable:
+                pass  # it may have switched: whoever watches finds out
+        verdict = await watch.until_settled()
+        self.tell(f"{robot}: {verdict.state}{f': {verdict.why}' if verdict.why else ''}")
+        return _judged(verdict, release, before)
+
+
+def _judged(verdict: Verdict, release: str, before: str | None) -> Outcome:
+    if verdict.state == "healthy":
+        return Outcome(Stage.HEALTHY, f"runs {release}", release=release)
+    if verdict.state == "back":
+        return _rolled_back(verdict.why, before)
+    if verdict.state == "never":
+        return Outcome(Stage.UNREACHABLE, "the link broke before it switched", "update again", before or "")
+    what = f"silent since the switch ({verdict.why})" if verdict.why else "silent since the switch"
+    return Outcome(Stage.LOST, what, f"its guard takes it back to {before or 'nothing'}; `fullswarm fleet` later")
+
+
+def _rolled_back(why: str, before: str | None) -> Outcome:
+    what = clean(why) or "it was not healthy in time"
+    return Outcome(Stage.ROLLED_BACK, what, "`fullswarm logs` says more; mend, bundle, update again", before or "none")

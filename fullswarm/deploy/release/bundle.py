@@ -1,0 +1,139 @@
+"""Makes a release: wheels for the target, fullswarm, the robot's files; then sums, a name, a signature, the store."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from fullswarm import __version__
+from fullswarm.deploy.release import layers, manifest, outside, own, signing, sums, trim, wheels
+from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release.manifest import Manifest, Target
+from fullswarm.deploy.release.store import Store
+from fullswarm.errors import ConfigError
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class BundleRequest:
+    """What somebody wants on his robots.
+
+    Attributes
+    ----------
+    packages
+        Outside behaviours and drivers: wheels, or folders with a ``pyproject.toml``.
+    upgrade
+        Take the newest versions; else those of the latest release for the target stay wherever they fit, so that an
+        update carries what changed and nothing else.
+    wheels
+        A folder to take all wheels from, instead of a package index.
+    """
+
+    target: Target
+    extras: tuple[str, ...] = ()
+    packages: tuple[Path, ...] = ()
+    upgrade: bool = False
+    wheels: Path | None = None
+
+
+def plan(request: BundleRequest, store: Store) -> Mapping[str, str]:
+    """Return ``{package: version}`` of what a release would hold; make nothing.
+
+    Raises
+    ------
+    FullswarmError
+        As :func:`make`.
+    """
+    with tempfile.TemporaryDirectory() as work:
+        return _planned(request, store, Path(work))[1]
+
+
+def make(request: BundleRequest, store: Store, keys: Keys, say: Say = lambda _: None) -> Path:
+    """Make a release, or the same one again; return its folder in the store. `say` is told of each step.
+
+    Raises
+    ------
+    ConfigError
+        The request cannot be met: an unknown extra, a package without a wheel for the target, versions too old.
+    Unreachable
+        No package index answers, and no folder of wheels is given.
+    MissingExtra
+        uv is not installed.
+    """
+    keys.release_key()  # before the work: without a key it would be for nothing
+    with tempfile.TemporaryDirectory() as scratch, staging(store) as fresh:
+        work = Path(scratch)
+        say(f"finding packages for {request.target.name}, Python {request.target.python} ...")
+        wanted, packages = _planned(request, store, work)
+        say(f"getting {len(packages)} packages ...")
+        lib, app = fresh / "lib", fresh / "app"
+        wheels.install(wanted, packages, work, lib)
+        wheels.install_outside(wanted, work, app)
+        trim.trim(lib)
+        trim.trim(app, whole=True)
+        layers.app(app / "fullswarm")
+        layers.robot(fresh / "robot")
+        say("signing ...")
+        outsiders = {each.name: each.version for each in wanted.outside}
+        everything = MappingProxyType(dict(sorted({**packages, **outsiders}.items())))
+        return seal(fresh, Manifest("", __version__, request.target, wanted.extras, everything), store, keys)
+
+
+def _planned(request: BundleRequest, store: Store, work: Path) -> tuple[wheels.Wanted, dict[str, str]]:
+    extras = tuple(sorted(set(request.extras)))
+    own.check_extras(extras)
+    if request.wheels is not None and not request.wheels.is_dir():
+        raise ConfigError("no such folder", where=f"--wheels {request.wheels}")
+    depot = None if request.wheels is None else request.wheels.absolute()
+    outsiders = tuple(outside.find(each, work, depot) for each in request.packages)
+    before = None if request.upgrade else store.latest(request.target.name, request.target.python)
+    versions = {} if before is None else Manifest.read(before).packages
+    wanted = wheels.Wanted(request.target, extras, outsiders, versions, depot)
+    return wanted, wheels.resolve(wanted, work)
+
+
+@contextmanager
+def staging(store: Store) -> Iterator[Path]:
+    """Give an empty folder to build a release in, on the store's own file system; what is left in it is removed.
+
+    Raises
+    ------
+    ConfigError
+        The store cannot be written.
+    """
+    try:
+        store.folder.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=store.folder))
+    except OSError as error:
+        hint = "name another folder: --out DIR"
+        raise ConfigError(
+            f"no release can be made here: {error.strerror}", where=str(store.folder), hint=hint
+        ) from error
+    try:
+        fresh = scratch / "release"
+        fresh.mkdir(mode=0o755)
+        yield fresh
+    finally:
+        shutil.rmtree(scratch)
+
+
+def seal(folder: Path, facts: Manifest, store: Store, keys: Keys) -> Path:
+    """Name, sum up and sign what lies in `folder`, and move it into the store; return its place there."""
+    _same_modes(folder)
+    named = replace(facts, id=manifest.id_for(facts, sums.of(folder, without=(manifest.FILE,))))
+    (folder / manifest.FILE).write_text(named.to_json(), "utf-8")
+    (folder / sums.FILE).write_text(sums.of(folder), "utf-8")
+    signing.sign(folder, keys.release_key())
+    return store.add(folder)
+
+
+def _same_modes(folder: Path) -> None:
+    """Make modes those of any other machine's build: 0755 for folders and what may run, 0644 for all else."""
+    for path in folder.rglob("*"):
+        path.chmod(0o755 if path.is_dir() or path.stat().st_mode & 0o100 else 0o644)

@@ -1,0 +1,129 @@
+"""The keys of a base station, in one folder that nobody else may read; each is made when it is first needed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import platformdirs
+
+from fullswarm.deploy.release import openssh
+from fullswarm.deploy.release.signing import IDENTITY, NAMESPACE
+from fullswarm.errors import ConfigError
+
+ENVIRONMENT = "FULLSWARM_KEYS"
+"""Names another folder for the keys."""
+_NAME = re.compile(r"[0-9A-Za-z_][0-9A-Za-z_.-]*")
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The release key signs, the fleet key logs in, a host key is a robot's own; all are Ed25519.
+
+    A backup of the folder is a backup of the power over the fleet: robots trust no other release key.
+    """
+
+    folder: Path
+
+    @classmethod
+    def default(cls) -> Keys:
+        """Return the keys of this user, or of the folder that ``FULLSWARM_KEYS`` names."""
+        named = os.environ.get(ENVIRONMENT)
+        return cls(Path(named) if named else platformdirs.user_config_path("fullswarm") / "keys")
+
+    def release_key(self) -> Path:
+        """Return the private key that signs releases."""
+        return self._key("release_ed25519", "fullswarm release")
+
+    def fleet_key(self) -> Path:
+        """Return the private key that logs in to robots."""
+        return self._key("fleet_ed25519", "fullswarm fleet")
+
+    def host_key(self, swarm: str, robot: str) -> Path:
+        """Return the private host key of a robot: made here, so that the base knows the robot before they meet.
+
+        Raises
+        ------
+        ConfigError
+            A name cannot be a file's.
+        """
+        for each in (swarm, robot):
+            if not _NAME.fullmatch(each):
+                raise ConfigError(f"'{each}' cannot be a file's name", hint="letters, digits, - and _")
+        return self._key(f"hosts/{swarm}/{robot}_ed25519", f"fullswarm {swarm} {robot}")
+
+    @property
+    def known_hosts(self) -> Path:
+        """The file of pinned host keys, in OpenSSH's format; it need not exist."""
+        return self.folder / "known_hosts"
+
+    def allowed_signers(self) -> str:
+        """Return the line that a robot keeps: whose signature it takes, and for what."""
+        kind, key = public(self.release_key()).split()[:2]
+        return f'{IDENTITY} namespaces="{NAMESPACE}" {kind} {key}\n'
+
+    def _key(self, name: str, comment: str) -> Path:
+        path = self.folder / name
+        if not path.exists():
+            with self._alone():
+                if not path.exists():
+                    _make(path, comment)
+        _private(path)
+        return path
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other processes out: two keys of one name would lock somebody out of the fleet."""
+        _folder(self.folder)
+        with (self.folder / ".lock").open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+
+def public(key: Path) -> str:
+    """Return the public half of a private key: ``ssh-ed25519 AAAA… comment``.
+
+    Raises
+    ------
+    ConfigError
+        The private key cannot be read, or needs a passphrase.
+    """
+    beside = Path(f"{key}.pub")
+    if beside.exists():
+        return beside.read_text("utf-8").strip()
+    return openssh.run("-y", "-P", "", "-f", str(key), why=f"read {key}").decode().strip()
+
+
+def fingerprint(key: Path) -> str:
+    """Return ``SHA256:…``, as every SSH tool shows it."""
+    return openssh.run("-l", "-f", str(key), why=f"read {key}").decode().split()[1]
+
+
+def _make(path: Path, comment: str) -> None:
+    _folder(path.parent)
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+        fresh = Path(scratch, path.name)
+        openssh.run("-q", "-t", "ed25519", "-N", "", "-C", comment, "-f", str(fresh), why=f"make {path}")
+        # The private half last: once it is there, the key is whole.
+        Path(f"{fresh}.pub").replace(f"{path}.pub")
+        fresh.replace(path)
+
+
+def _folder(path: Path) -> None:
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        hint = f"name another folder in {ENVIRONMENT}"
+        raise ConfigError(f"no keys can be kept here: {error.strerror}", where=str(path), hint=hint) from error
+
+
+def _private(path: Path) -> None:
+    """Refuse a key that others can read, as SSH does."""
+    if path.stat().st_mode & 0o077:
+        raise ConfigError("other users can read this private key", where=str(path), hint=f"chmod 600 {path}")

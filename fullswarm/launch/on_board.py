@@ -1,0 +1,152 @@
+"""What the agent's process does on a robot's own computer: it tells systemd and the health file how it is.
+
+Only where somebody asks: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
+loop that drives the wheels: when that hangs, nothing is said, and systemd starts the agent again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import structlog
+
+import fullswarm
+from fullswarm.agent import health_file
+from fullswarm.agent.health_file import Process, Rate
+from fullswarm.config import AgentConfig
+from fullswarm.launch.notify import Notifier
+from fullswarm.launch.unit import HEALTH
+from fullswarm.runtime import Runtime, Timer
+
+if TYPE_CHECKING:
+    from fullswarm.agent.node import AgentNode
+
+log = structlog.get_logger()
+
+LOOK_S = 0.05
+"""How soon after the first tick the agent says that it is ready."""
+SHARE_OF_WATCHDOG = 0.25
+
+
+def release() -> str:
+    """Return the id of the release that this code lies in, ``<id>/app/fullswarm``; empty when it lies in none."""
+    folder = Path(fullswarm.__file__).resolve().parents[2]
+    return folder.name if (folder / "SHA256SUMS").is_file() else ""
+
+
+class OnBoard:
+    """The agent's scheduler, watched: it knows the control loop's timer, the first one that an agent sets.
+
+    Parameters
+    ----------
+    path
+        The health file; None: nobody reads one.
+    notifier
+        The way to systemd; None: it did not start this process.
+    """
+
+    def __init__(self, runtime: Runtime, settings: AgentConfig, path: Path | None, notifier: Notifier | None) -> None:
+        self._runtime, self._settings, self._path, self._notifier = runtime, settings, path, notifier
+        self._control: Timer | None = None
+        self._ticks = 0
+        self._rate = Rate()
+        self._began_s = runtime.now_s()
+        self._release, self._boot_id = release(), health_file.boot_id()
+        self._agent: AgentNode | None = None
+        self._trouble = ""
+        self._timers: list[Timer] = []
+
+    @classmethod
+    def from_environment(
+        cls, runtime: Runtime, settings: AgentConfig, environment: Mapping[str, str] = os.environ
+    ) -> OnBoard | None:
+        """Return what the environment asks for, None when it asks for nothing."""
+        path, notifier = environment.get(HEALTH, ""), Notifier.from_environment(environment)
+        return cls(runtime, settings, Path(path) if path else None, notifier) if path or notifier else None
+
+    # ------------------------------------------------------------------ a scheduler
+    def now_s(self) -> float:
+        """Return the runtime's time."""
+        return self._runtime.now_s()
+
+    def every(self, period_s: float, callback: Callable[[], None], *, first_s: float | None = None) -> Timer:
+        """Pass on; keep the control loop's timer."""
+        timer = self._runtime.every(period_s, callback, first_s=first_s)
+        if self._control is None and period_s == 1.0 / self._settings.control_rate_hz:
+            self._control = timer
+        return timer
+
+    def after(self, delay_s: float, callback: Callable[[], None]) -> Timer:
+        """Pass on."""
+        return self._runtime.after(delay_s, callback)
+
+    # ------------------------------------------------------------------ the watch
+    def watch(self, agent: AgentNode) -> OnBoard:
+        """Tell how this agent is from now on; return self, to be closed before it."""
+        self._agent = agent
+        self._timers = [self._runtime.every(LOOK_S, self._until_ready, first_s=0.0)]
+        return self
+
+    def _until_ready(self) -> None:
+        if not self._ticked():
+            return
+        self._timers.pop().cancel()
+        self._tell()
+        if self._notifier is not None:
+            self._notifier.ready(self._status())
+            if self._notifier.watchdog_s is not None:
+                period_s = SHARE_OF_WATCHDOG * self._notifier.watchdog_s
+                self._timers.append(self._runtime.every(period_s, self._ping, first_s=0.0))
+        self._timers.append(self._runtime.every(health_file.PERIOD_S, self._tell))
+
+    def _ticked(self) -> bool:
+        """Tell whether the control loop has ticked since it was asked last."""
+        ticks = self._control.ticks if self._control is not None and self._control.active else 0
+        before, self._ticks = self._ticks, ticks
+        return ticks > before
+
+    def _ping(self) -> None:
+        if self._notifier is not None and self._ticked():
+            self._notifier.alive(self._status())
+
+    def _status(self) -> str:
+        agent = self._agent
+        return f"{agent.fleet.lifecycle(0)} {agent.fleet.fault(0)}".strip() if agent else ""
+
+    def _tell(self) -> None:
+        """Write the health file; a disk that does not take it ends nobody."""
+        if self._path is None or self._agent is None or self._control is None:
+            return
+        now_s, settings = self.now_s(), self._settings
+        vitals = health_file.vitals_of(
+            self._agent, now_s, self._rate.see(now_s, self._control.ticks), settings.control_rate_hz,
+            (settings.reading_timeout_s, settings.neighbour_timeout_s),
+        )  # fmt: skip
+        process = Process(
+            self._release,
+            os.getpid(),
+            self._boot_id,
+            round(health_file.machine_s(), 2),
+            round(now_s - self._began_s, 2),
+        )
+        why = health_file.why_not(vitals, settings.core_silence_s)
+        try:
+            health_file.write(self._path, health_file.text_of(vitals, process, why))
+            self._trouble = ""
+        except OSError as error:
+            if str(error) != self._trouble:
+                self._trouble = str(error)
+                log.warning("the health file cannot be written", reason=self._trouble)
+
+    def close(self) -> None:
+        """Say that it ends, and take the file away: what it says is over."""
+        for timer in self._timers:
+            timer.cancel()
+        if self._notifier is not None:
+            self._notifier.stopping()
+            self._notifier.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)

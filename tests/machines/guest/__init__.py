@@ -1,0 +1,1 @@
+"""What runs inside the devices guest, as root, with the kernel's own input, CAN and USB drivers."""
