@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help demo test test-all check bench clean venv
+.PHONY: help demo test test-fleet test-all check bench clean venv
 help:                  ## show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -17,8 +17,10 @@ test: $(VENV)/.dev     ## all tests that belong to a change
 	$(BIN)/pytest -q -n 2 -m "not slow" tests/unit $(ARGS)
 	$(BIN)/pytest -q -n 2 --dist loadfile -m "untimed and not slow" tests/system $(ARGS)
 	$(BIN)/pytest -q -m "not untimed and not slow" tests/emulated tests/system $(ARGS)
-	$(BIN)/pytest -q -m "not slow" tests/fleet tests/machines $(ARGS)
 	$(BIN)/pytest -q -m "not slow" tests/browser $(ARGS)
+
+test-fleet: $(VENV)/.dev ## deploy to 16 computers: containers with systemd and sshd (root, Debian packages)
+	$(BIN)/pytest -q -rs -m "not slow" tests/fleet $(ARGS)
 
 test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
 	HYPOTHESIS_PROFILE=searching $(BIN)/pytest -q tests $(ARGS)

@@ -39,6 +39,7 @@ class Fleet:
         before = self.moved_bytes()
         self.deployed = lab.cli("deploy", "--json")
         self.ready_s = lab.wait_ready()
+        self.deployed_releases = lab.releases()
         self.deployed_bytes = self.moved_bytes() - before
 
     # ------------------------------------------------------------------ releases
@@ -53,7 +54,10 @@ class Fleet:
         return self.lab.bundle({WORDS: BROKEN})
 
     def changed(self, name: str, *, kilobytes: int = 0) -> str:
-        """Make a release that differs from the first by a line, and by so much that cannot be packed."""
+        """Make a release that differs from the first by a line, and by so much that cannot be packed.
+
+        A test that wants robots to lack the release makes its own: who had `second` before may still have it.
+        """
         ballast = f"_BALLAST = '{secrets.token_hex(512 * kilobytes)}'\n" if kilobytes else ""
         return self.lab.bundle({WORDS: f"\n# {name}\n{ballast}"})
 

@@ -25,7 +25,7 @@ START_S = 90.0
 def test_the_first_deploy(whole_fleet: Fleet) -> None:
     fleet, done = whole_fleet, whole_fleet.deployed
     assert set(results(done).values()) == {"updated"}
-    assert set(fleet.lab.releases().values()) == {fleet.first}
+    assert set(fleet.deployed_releases.values()) == {fleet.first}
     robots = len(fleet.lab.robots)
     fleet.figures.note(f"first deploy of {robots}", f"{done.took_s:.1f} s", "60 s for 16")
     fleet.figures.note("  moved per robot", f"{fleet.deployed_bytes / robots / 1e6:.1f} MB")
@@ -34,7 +34,7 @@ def test_the_first_deploy(whole_fleet: Fleet) -> None:
 
 def test_the_second_deploy_moves_next_to_nothing_and_restarts_nothing(fleet: Fleet) -> None:
     starts, before = fleet.lab.starts(), fleet.moved_bytes()
-    done = fleet.lab.cli("deploy", "--json")
+    done = fleet.lab.cli("deploy", "--release", fleet.first, "--json")
     sent = (fleet.moved_bytes() - before) / len(fleet.lab.robots)
     assert set(results(done).values()) == {"unchanged"}
     assert fleet.lab.starts() == starts
@@ -135,9 +135,10 @@ def test_a_robot_that_is_cut_off_in_mid_update_goes_back_by_itself(fleet: Fleet)
 
 def test_one_that_cannot_take_it_is_named_and_the_rest_go_on(fleet: Fleet) -> None:
     lab, full, mute = fleet.lab, fleet.lab.robots[1], fleet.lab.robots[-1]
+    new = fleet.changed("for all but two", kilobytes=200)  # nobody has any of it yet
     lab.computers[full].fill()
     lab.mute(mute)
-    done = lab.cli("update", "--release", fleet.second, "--guard", str(GUARD_S), "--json", code=1)
+    done = lab.cli("update", "--release", new, "--guard", str(GUARD_S), "--json", code=1)
     said = results(done)
     assert said.pop(full) == "failed"
     assert "disk" in str(row_of(done, full)["what"])
@@ -146,7 +147,7 @@ def test_one_that_cannot_take_it_is_named_and_the_rest_go_on(fleet: Fleet) -> No
     assert set(said.values()) == {"updated"}
     runs = lab.releases()
     assert {runs.pop(full), runs.pop(mute)} == {fleet.first}
-    assert set(runs.values()) == {fleet.second}
+    assert set(runs.values()) == {new}
     lab.creates.order("speak", len(lab.robots) - 1)
     lab.wait_ready()
 

@@ -23,7 +23,7 @@ from tests.deploy_release import tiny_release
 PROGRAMS = Path(__file__).parents[2] / "fullswarm" / "deploy" / "robot"
 
 SYSTEMCTL = """#!/bin/sh
-# The agent "runs" the release that the file `agent` names; one that holds app/broken does not start.
+# The agent "runs" the release that the file `agent` names; app/broken keeps one from starting, app/hangs for a minute.
 echo "$*" >> "$FULLSWARM_ROOT/systemctl.log"
 cd "$FULLSWARM_ROOT" || exit 1
 case $1 in
@@ -31,6 +31,7 @@ restart | start)
     rm -f agent run/fullswarm/health.json
     [ -e opt/fullswarm/current/manifest.json ] || exit 0
     [ ! -e opt/fullswarm/current/app/broken ] || exit 1
+    [ ! -e opt/fullswarm/current/app/hangs ] || exec sleep 60
     id=$(readlink opt/fullswarm/current)
     echo "${id##*/}" > agent
     "$FULLSWARM_ROOT/tell" false READY ""

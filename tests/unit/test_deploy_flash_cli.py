@@ -228,7 +228,7 @@ def test_wifi_without_a_country_is_refused(lab: Lab) -> None:
 def test_robots_that_could_not_reach_the_hub_are_refused(lab: Lab) -> None:
     lab.fleet.write_text(FLEET.replace("10.0.0.1:7447", "127.0.0.1:7447"))
     result, _ = lab.to_file()
-    assert (result.exit_code, "no robot can reach tcp/127.0.0.1:7447" in result.stderr) == (2, True)
+    assert (result.exit_code, "r1 cannot reach tcp/127.0.0.1:7447" in result.stderr) == (2, True)
 
 
 def test_a_release_of_another_base_or_one_that_was_changed_is_refused(lab: Lab) -> None:

@@ -246,6 +246,14 @@ def test_a_release_that_does_not_start_is_taken_back_at_once(robot: Robot) -> No
     assert (robot.current, robot.agent, robot.pending) == (old.name, old.name, False)
 
 
+def test_one_that_hangs_at_its_start_is_taken_back_when_the_guard_is_due(robot: Robot) -> None:
+    old, hangs = robot.make("1.0.0"), robot.make("1.0.1", {"app/hangs": "x"})
+    robot.run_release(old)
+    robot.ship(hangs)
+    assert "did not start" in robot.no(4, "switch", hangs.name, "--guard", "1")
+    assert (robot.current, robot.agent, robot.pending) == (old.name, old.name, False)
+
+
 def test_a_guard_that_cannot_be_armed_changes_nothing(two: tuple[Robot, Path, Path]) -> None:
     robot, old, new = two
     (robot.root / "no-guards").touch()

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.deploy.flash import fat, image, mtools, payload
 from fullswarm.deploy.flash.fat import Volume
 from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
 from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
 from fullswarm.deploy.release.keys import Keys, fingerprint, public
+from fullswarm.deploy.robot import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
 
 _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
@@ -57,12 +57,8 @@ def robots_of(config: SwarmConfig, names: Sequence[str]) -> tuple[RobotConfig, .
             raise ConfigError(f"no robot '{name}' in the fleet file", where="flash", hint=did_you_mean(name, robots))
         if names.count(name) > 1:
             raise ConfigError("is named twice", where=f"robot {name}", hint="one card per robot")
+        check_hub(robots[name], config)
         found.append(robots[name])
-    if is_loopback(host_of(config.hub.endpoint)):
-        hint = (
-            'write the base\'s own address: [hub] endpoint = "tcp/10.0.0.1:7447", and start it with --insecure-network'
-        )
-        raise ConfigError(f"no robot can reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
     return tuple(found)
 
 

@@ -46,6 +46,14 @@ TimeoutStartSec=1800
 WantedBy=multi-user.target
 """
 
+WAIT_ONLINE = "/etc/systemd/system/systemd-networkd-wait-online.service.d/60-fullswarm.conf"
+# A port without a cable must not hold up each boot for two minutes.
+ANY_LINK = """\
+[Service]
+ExecStart=
+ExecStart=/lib/systemd/systemd-networkd-wait-online --any --timeout=10
+"""
+
 
 class _Quoted(str):
     """Text that YAML must not take for a number or a truth value: a key of digits, a network called `no`."""
@@ -161,6 +169,7 @@ def user_data(wish: Wish, card_env: str) -> dict[str, Any]:
             {"path": f"{HOME}/first_boot.sh", "permissions": "0755", "content": script},
             {"path": f"{HOME}/card.env", "permissions": "0644", "content": card_env},
             {"path": f"/etc/systemd/system/{SERVICE}", "permissions": "0644", "content": UNIT},
+            {"path": WAIT_ONLINE, "permissions": "0644", "content": ANY_LINK},
         ],
         # A unit instead of the commands themselves: it tries again after a power cut, cloud-init would not.
         "runcmd": [

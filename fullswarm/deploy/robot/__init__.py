@@ -9,10 +9,11 @@
 ``fullswarm-boot.service``    before it: undoes a switch that a power cut left without a verdict
 ``60-fullswarm-ports.rules``  stable names for serial adapters, for the group dialout
 ``60-fullswarm-journal.conf`` a cap on the journal
+``60-fullswarm-sshd.conf``    sshd notices that a base went away
 
 In flow a kit and releases over SSH or from a card; out flow JSON facts and an agent that runs.
 """
 
-from fullswarm.deploy.robot.kit import kit, kit_id
+from fullswarm.deploy.robot.kit import check_hub, kit, kit_id
 
-__all__ = ["kit", "kit_id"]
+__all__ = ["check_hub", "kit", "kit_id"]

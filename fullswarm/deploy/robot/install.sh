@@ -45,6 +45,7 @@ put() { # PATH: copies one file to its place in one step, unless it is there
     etc/systemd/system/*) units=yes ;;
     etc/udev/*) rules=yes ;;
     etc/systemd/journald.conf.d/*) journal=yes ;;
+    etc/ssh/sshd_config.d/*) ssh=yes ;;
     esac
     case $1 in
     etc/systemd/system/fullswarm-agent.service | etc/fullswarm/fleet.toml | etc/fullswarm/robot.env) agent=yes ;;
@@ -65,7 +66,25 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
     done
 }
 
-units='' rules='' journal='' agent=''
+reload_sshd() { # connections that are open stay; a server that minds our lines must not end without them
+    sshd=$(command -v sshd || command -v /usr/sbin/sshd) || return 0
+    if ! "$sshd" -t 2> /dev/null; then # is it for our lines, or was something missing before?
+        ours=/etc/ssh/sshd_config.d/60-fullswarm.conf
+        mv -f "$ours" "$ours.off~"
+        if "$sshd" -t 2> /dev/null; then
+            say "sshd does not take $ours; it is named $ours.off~ now"
+            return 0
+        fi
+        mv -f "$ours.off~" "$ours"
+    fi
+    for unit in ssh.service sshd.service; do
+        "$SYSTEMCTL" is-active --quiet "$unit" || continue
+        "$SYSTEMCTL" reload "$unit" || :
+        return 0
+    done
+}
+
+units='' rules='' journal='' ssh='' agent=''
 mkdir -p "$ROOT/opt/fullswarm/releases" "$ROOT/opt/fullswarm/bin"
 [ -n "$ROOT" ] || make_user
 while read -r _ path; do
@@ -101,6 +120,9 @@ if [ -n "$rules" ] && command -v udevadm > /dev/null; then
 fi
 if [ -n "$journal" ]; then
     "$SYSTEMCTL" try-restart systemd-journald.service || :
+fi
+if [ -n "$ssh" ] && [ -z "$ROOT" ]; then
+    reload_sshd
 fi
 if [ -n "$agent" ]; then
     "$SYSTEMCTL" try-restart fullswarm-agent.service || say "the agent does not start with the new settings"

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import tomlkit
 
+from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.errors import ConfigError
 
@@ -33,6 +34,7 @@ DESTINATIONS = {
     "fullswarm-boot.service": "etc/systemd/system/fullswarm-boot.service",
     "60-fullswarm-ports.rules": "etc/udev/rules.d/60-fullswarm-ports.rules",
     "60-fullswarm-journal.conf": "etc/systemd/journald.conf.d/60-fullswarm-journal.conf",
+    "60-fullswarm-sshd.conf": "etc/ssh/sshd_config.d/60-fullswarm.conf",
 }
 """Where each file of this folder belongs, from the root."""
 PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
@@ -79,6 +81,21 @@ def kit(
     sums = "".join(f"{hashlib.sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files))
     members = {f"files/{path}": files[path] for path in sorted(files)}
     return _tar({"install.sh": (tools / "install.sh").read_bytes(), "kit.sums": sums.encode(), **members})
+
+
+def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
+    """Refuse an endpoint of the hub that leads a robot to itself.
+
+    Raises
+    ------
+    ConfigError
+        The hub's address is this machine's own loopback, and the robot is another machine.
+    """
+    if is_loopback(host_of(config.hub.endpoint)) and not is_loopback(robot.host or robot.id):
+        hint = (
+            'write the base\'s own address: [hub] endpoint = "tcp/10.0.0.1:7447", and start it with --insecure-network'
+        )
+        raise ConfigError(f"{robot.id} cannot reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
 
 
 def kit_id(archive: bytes) -> str:
