@@ -88,6 +88,7 @@ class Lab:
             "FULLSWARM_HUB": HUB,
             "FULLSWARM_SWARM": SWARM,
             "PYTHONPATH": str(SOURCE.parent),
+            "PYTHONDONTWRITEBYTECODE": "",  # as on a user's base: our modules are compiled once
             "COLUMNS": "200",
         }
         self.computers: dict[str, Container] = {}
