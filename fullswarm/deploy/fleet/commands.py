@@ -113,6 +113,7 @@ def _run(order: Order, fleet: Fleet, plan: Plan, kits: dict[str, Kit]) -> int:
             Store.default(),
             Parcels(Path(scratch)),
             output.progress,
+            fleet.keys.allowed_signers(),
             named=order.release,
             target=order.target,
             kits=kits,

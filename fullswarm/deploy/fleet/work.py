@@ -16,6 +16,7 @@ from fullswarm.deploy.fleet.rollout import Stage
 from fullswarm.deploy.fleet.ship import Parcels
 from fullswarm.deploy.fleet.untrusted import clean
 from fullswarm.deploy.fleet.verdict import Verdict, Watch
+from fullswarm.deploy.release import signing
 from fullswarm.deploy.release.manifest import Manifest
 from fullswarm.deploy.release.store import Store
 from fullswarm.errors import FullswarmError, Unreachable
@@ -55,6 +56,8 @@ class Work:
         The release that was asked for; None: the newest one that fits each robot.
     kits
         By robot; empty: leave what stands outside the releases alone.
+    signers
+        Text of ``allowed_signers``: whose releases leave this machine.
     public_key
         Of the fleet: put where the user's own key got us in.
     guard_s
@@ -66,6 +69,7 @@ class Work:
     store: Store
     parcels: Parcels
     tell: Callable[[str], None]
+    signers: str
     named: str | None = None
     target: str | None = None
     kits: Mapping[str, Kit] = field(default_factory=dict)
@@ -76,6 +80,7 @@ class Work:
     before: dict[str, str | None] = field(default_factory=dict)
     shipped: dict[str, int] = field(default_factory=dict)
     changed: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _sound: dict[Path, asyncio.Task[None]] = field(default_factory=dict)
 
     async def __call__(self, robot: str, stage: Stage) -> Outcome:
         """Do what is due; every error of ours becomes an outcome, none ends the others' work."""
@@ -138,6 +143,7 @@ class Work:
                 facts = await self._install(remote, facts)
                 if facts.current == name and facts.settled:
                     return Outcome(Stage.CURRENT, self._unchanged(robot), release=name)
+                await self._verify(folder)
                 if name not in facts.releases:
                     self.tell(f"{robot}: shipping {name}")
                     await steps.stage(remote, folder, self.parcels, facts)
@@ -145,6 +151,12 @@ class Work:
                 self.shipped[robot] = self.shipped.get(robot, 0) + remote.sent_bytes
         self.tell(f"{robot}: has {name}")
         return Outcome(Stage.STAGED, f"has {name}, runs {facts.current or 'nothing'}")
+
+    async def _verify(self, folder: Path) -> None:
+        """Look once whether a release is whole and signed: robots look themselves, but at what they lack only."""
+        if folder not in self._sound:
+            self._sound[folder] = asyncio.create_task(asyncio.to_thread(signing.verify, folder, self.signers))
+        await asyncio.shield(self._sound[folder])
 
     async def _install(self, remote: Remote, facts: Facts) -> Facts:
         kit = self.kits.get(remote.robot)
