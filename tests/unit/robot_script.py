@@ -69,11 +69,10 @@ printf '%s\\n' "$@" > "$FULLSWARM_ROOT/guard"
 """
 SYNC = "#!/bin/sh\n"
 WRAPPER = """#!{sh}
-# Counts, and kills the whole group in place of the call that is due.
+# Counts, and kills the whole group in place of the call that is due. Programs of a pipe come here at the same time.
 PATH={path}
-n=$(($(cat "$FULLSWARM_ROOT/calls") + 1))
-echo $n > "$FULLSWARM_ROOT/calls"
-[ $n -ne "$KILL_AT" ] || kill -KILL 0
+printf x >> "$FULLSWARM_ROOT/calls"
+[ "$KILL_AT" -eq 0 ] || [ "$(wc -c < "$FULLSWARM_ROOT/calls")" -lt "$KILL_AT" ] || kill -KILL 0
 exec {program} "$@"
 """
 WRAPPED = """awk cat chmod cmp comm cp cut date dd df dirname find flock getconf grep gzip head ln mkdir mkfifo mktemp
@@ -255,10 +254,10 @@ class Robot:
 
     def call_killed(self, at: int, *arguments: str, feed: bytes = b"") -> subprocess.CompletedProcess[bytes]:
         """Call, and kill all of it in place of its `at`-th call of another program (0: never)."""
-        (self.root / "calls").write_text("0\n")
+        (self.root / "calls").write_text("")
         path = f"{self.folder / 'wrapped'}:{self.environment['PATH']}"
         return self.call(*arguments, feed=feed, environment={"PATH": path, "KILL_AT": str(at)})
 
     @property
     def calls(self) -> int:
-        return int((self.root / "calls").read_text())
+        return len((self.root / "calls").read_text())
