@@ -6,6 +6,7 @@ written. What that cannot show: pages that a real card had not yet got; here eve
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -76,6 +77,10 @@ class Container:
         """Take its power away: no process of it gets another instruction."""
         if not self.up or self._process is None:
             return
+        for pid in self.processes():  # nobody lives to see, and to act on, that another has gone
+            if pid != self.pid:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGSTOP)
         os.kill(self.pid, signal.SIGKILL)  # the kernel ends all others with the first
         try:
             self._process.wait(10.0)

@@ -92,7 +92,7 @@ class Lab:
             "COLUMNS": "200",
         }
         self.computers: dict[str, Container] = {}
-        self.served: list[subprocess.Popen[str]] = []
+        self.started: list[subprocess.Popen[str]] = []
         self._lock = LOCK.open("w")
 
     def __enter__(self) -> Self:
@@ -162,7 +162,7 @@ class Lab:
 
     def close(self) -> None:
         """Remove all of it."""
-        for process in self.served:
+        for process in self.started:
             end(process)
         for computer in self.computers.values():
             computer.remove()
@@ -211,12 +211,13 @@ class Lab:
         return said
 
     def start(self, *words: str | Path, log: str) -> subprocess.Popen[str]:
-        """Start a command of ours and go on; whoever starts it ends it."""
-        return start(self.command(*words), self.folder / log, self.environment)
+        """Start a command of ours and go on; it ends with the lab at the latest."""
+        self.started.append(start(self.command(*words), self.folder / log, self.environment))
+        return self.started[-1]
 
     def serve(self, *words: str) -> None:
         """Start something that the base needs all the time."""
-        self.served.append(self.start(*words, log=f"{words[0]}.log"))
+        self.start(*words, log=f"{words[0]}.log")
 
     def bundle(self, changed: dict[str, str] | None = None, **environment: str) -> str:
         """Make a release of our source, with these texts appended to files of it; return its id."""
