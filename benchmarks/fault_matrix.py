@@ -84,12 +84,19 @@ def table(measured: Sequence[Result]) -> str:
         own = ("sim", "create2") if names[0].startswith("agent") else tuple(BACKENDS.values())
         worst_s = max((each.zero_s for each in measured if each.fault in names and each.backend in own), default=0.0)
         lines.append(f"- {title}: zero after {worst_s:.3f} s (bound: {bound})")
+    lines.append(f"- nearest to its own bound: {nearest(measured)}")
     lines += ["", "Remarks:", ""]
     for fault in FAULTS.values():
         remarks = dict.fromkeys(fault.notes.values())
         lines += [f"- {fault.name}: {_who(fault, text)}{text}" for text in remarks]
         lines += [f"- {fault.name}, —: {fault.lacking}"] if fault.lacking else []
     return "\n".join(lines) + "\n"
+
+
+def nearest(measured: Sequence[Result]) -> str:
+    """Say which cell has the least to spare; one below zero missed its bound."""
+    cell = min((each for each in measured if math.isfinite(each.zero_s)), key=lambda each: each.bound_s - each.zero_s)
+    return f"{cell.fault}, {cell.backend}, zero after {cell.zero_s:.3f} s (bound: {cell.bound_s:.3f} s)"
 
 
 def _who(fault: Fault, text: str) -> str:

@@ -191,7 +191,8 @@ class AgentNode:
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
             self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look(),
-            now_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
+            # Judged for the middle of the period in which what is commanded now will be in force.
+            now_s + 0.5 * period_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
             self.reflexes,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)

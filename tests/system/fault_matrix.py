@@ -229,7 +229,9 @@ BATTERY = {robot: sensor_s + PERIOD_S for robot, sensor_s in BATTERY_S.items()}
 REFLEX = {robot: sensor_s + PERIOD_S for robot, sensor_s in SENSOR_S.items()}
 ALONE = {"m1": "the firmware's own time-out", "o1": "the axis' own watchdog", "v1": "the controller's own time-out"}
 GUARDED = {"c1": "its guardian", "s1": "the world's watchdog", **ALONE}
-DIES = {**{robot: wait_s + PERIOD_S for robot, wait_s in DEVICE_S.items()}, "c1": GUARDIAN_S + 0.02}
+OWN = {robot: wait_s + 3.0 * PERIOD_S for robot, wait_s in DEVICE_S.items()}
+"""The last set-point is on its way, is heard, and is seen to be old: a loop of the emulated firmware each."""
+DIES = {**OWN, "s1": DEVICE_S["s1"] + PERIOD_S, "c1": GUARDIAN_S + PERIOD_S}
 NO_SENSOR = "no such sensor"
 
 FAULTS = {
@@ -241,7 +243,7 @@ FAULTS = {
         Fault(
             "driver link lost", each(lambda rig, robot: rig.cut(robot, True)),
             each(lambda rig, robot: rig.cut(robot, False)),
-            {robot: wait_s + PERIOD_S for robot, wait_s in DEVICE_S.items()},
+            OWN,
             notes={"c1": "rolls on until the cable is back: nobody can tell it anything", "s1": GUARDED["s1"], **ALONE},
         ),
         Fault(

@@ -13,8 +13,10 @@ from tests.system.fault_rounds import Matrix
 
 pytestmark = pytest.mark.system
 
-LOOK_S = 0.2
-"""The world is stepped and looked at each 5 ms, on a machine that may be busy; docs/safety.md has the bare figures."""
+LOOK_S = 0.05
+"""The world is looked at each 5 ms, by a machine that has other work; docs/safety.md has the bare figures."""
+TRIES = 3
+"""What a busy machine delays comes in time in another round; a stop that is really late is late in each."""
 BRAKE_S = 1.2
 
 
@@ -25,14 +27,25 @@ def matrix() -> Iterator[Matrix]:
     made.close()
 
 
-def judge(happens: Round, results: list[Result], capsys: pytest.CaptureFixture[str]) -> None:
-    with capsys.disabled():
-        sys.stdout.write("\n" + "\n".join(map(str, results)) + "\n")
-    assert sorted(each.fault for each in results) == sorted(happens.values())
-    late = [each for each in results if not each.zero_s <= each.bound_s + LOOK_S]
-    assert not late, "\n".join(map(str, late))
-    rolls = [each for each in results if math.isfinite(each.bound_s) and not each.rest_s <= each.bound_s + BRAKE_S]
-    assert not rolls, "\n".join(map(str, rolls))
+def late(result: Result) -> bool:
+    if not result.zero_s <= result.bound_s + LOOK_S:
+        return True
+    return math.isfinite(result.bound_s) and not result.rest_s <= result.bound_s + BRAKE_S
+
+
+def judge(matrix: Matrix, happens: Round, capsys: pytest.CaptureFixture[str]) -> None:
+    missed = dict.fromkeys(BACKENDS.values(), 0)
+    for _ in range(TRIES):
+        results = matrix.run(happens)
+        with capsys.disabled():
+            sys.stdout.write("\n" + "\n".join(map(str, results)) + "\n")
+        assert sorted(each.fault for each in results) == sorted(happens.values())
+        for each in results:
+            missed[each.backend] += late(each)
+        if not any(map(late, results)):
+            return
+    always = [f"{each}: late in {TRIES} of {TRIES} rounds" for each in results if missed[each.backend] == TRIES]
+    assert not always, "\n".join(always)
 
 
 def test_quick_rounds_have_each_fault_once_and_each_backend_twice() -> None:
@@ -44,7 +57,7 @@ def test_quick_rounds_have_each_fault_once_and_each_backend_twice() -> None:
 
 @pytest.mark.parametrize("happens", quick_rounds(), ids=lambda each: "+".join(sorted(set(each.values()))))
 def test_each_fault_once(matrix: Matrix, happens: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    judge(happens, matrix.run(happens), capsys)
+    judge(matrix, happens, capsys)
 
 
 @pytest.mark.slow
@@ -52,4 +65,4 @@ def test_each_fault_once(matrix: Matrix, happens: dict[str, str], capsys: pytest
 def test_each_fault_on_each_backend(
     matrix: Matrix, happens: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    judge(happens, matrix.run(happens), capsys)
+    judge(matrix, happens, capsys)
