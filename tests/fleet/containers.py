@@ -24,6 +24,8 @@ FOLDER = Path("/run/fullswarm-fleet")
 DISK = "1500m"
 BOOT_S = 120.0
 PRELOAD, PRETENDED, STEADY = "/etc/ld.so.preload", "/etc/faketimerc", "FAKETIME_DONT_FAKE_MONOTONIC"
+AGAIN = 'while "$@"; [ $? -eq 133 ]; do :; done'
+"""So ends nspawn when the computer in it wants to boot again."""
 FAKETIME = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1"
 
 
@@ -45,14 +47,20 @@ class Container:
         self._process: subprocess.Popen[str] | None = None
         self._pid = 0
         self._home = FOLDER / name
-        self._disk, self.root = self._home / "disk", self._home / "root"
-        for place in (self._disk, self.root):
+        self._disk, self.root, self._rootfs = self._home / "disk", self._home / "root", rootfs
+        self._again = self._home / "again"  # the same, that nspawn does not make read-only
+        for place in (self._disk, self.root, self._again):
             place.mkdir(parents=True)
-        run("mount", "-t", "tmpfs", "-o", f"size={DISK},nr_inodes=0,mode=755", f"{name}-disk", self._disk)
+        self._format()
+
+    def _format(self) -> None:
+        name, disk = self.name, self._disk
+        run("mount", "-t", "tmpfs", "-o", f"size={DISK},nr_inodes=0,mode=755", f"{name}-disk", disk)
         for each in ("upper", "work"):
-            (self._disk / each).mkdir()
-        layers = f"lowerdir={rootfs},upperdir={self._disk}/upper,workdir={self._disk}/work"
+            (disk / each).mkdir()
+        layers = f"lowerdir={self._rootfs},upperdir={disk}/upper,workdir={disk}/work"
         run("mount", "-t", "overlay", "-o", layers, f"{name}-root", self.root)
+        run("mount", "--bind", self.root, self._again)
 
     # ------------------------------------------------------------------ power
     @property
@@ -60,13 +68,14 @@ class Container:
         """It has power; whether sshd answers is :meth:`answers`."""
         return self._process is not None and self._process.poll() is None
 
-    def boot(self) -> None:
-        """Give it power; does not wait."""
+    def boot(self, *, writable: Sequence[str] = ()) -> None:
+        """Give it power; does not wait. With folders in `writable` all others but /run and /tmp are read-only."""
         assert not self.up
         devices = [f"--bind={outside}:{inside}" for inside, outside in self._devices.items()]
+        devices += [f"--bind={self._again}{folder}:{folder}" for folder in writable] + ["--read-only"] * bool(writable)
         self._pid = 0
         self._process = start(
-            ["sh", "-c", f'{cgroups.entering(self.name)} && exec "$@"', "sh",
+            ["sh", "-c", f'{cgroups.entering(self.name)} || exit; {AGAIN}', "sh",
              "systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--boot", f"--directory={self.root}",
              f"--machine={self.name}", f"--network-namespace-path={self._namespace}", "--link-journal=no",
              "--resolv-conf=off", "--timezone=off", "--console=read-only", *devices],
@@ -90,8 +99,8 @@ class Container:
 
     @property
     def pid(self) -> int:
-        """Its first process, as seen from outside."""
-        if not self._pid:
+        """Its first process, as seen from outside; another one after a reboot."""
+        if not self._pid or not Path(f"/proc/{self._pid}/ns").exists():
             until(self._find, BOOT_S, f"{self.name} has a first process", self.console)
         return self._pid
 
@@ -182,6 +191,12 @@ class Container:
         return place.exists() and place.stat().st_size > 0
 
     # ------------------------------------------------------------------ the end
+    def wipe(self) -> None:
+        """Take the power away, and give it a card on which only the system is."""
+        self.pull()
+        _unmount(self._home)
+        self._format()
+
     def remove(self) -> None:
         """Take the power and the disk away."""
         self.pull()

@@ -251,6 +251,14 @@ class Lab:
         for robot in chosen:
             self.computers[robot].wait()
 
+    def blank(self, robot: str, sudoers: str = "") -> None:
+        """Give a robot a card on which nothing of ours is; `sudoers` instead of a sudo that asks nothing."""
+        computer = self.computers[robot]
+        computer.wipe()
+        self._flashed(computer)
+        if sudoers:
+            computer.put("etc/sudoers.d/010_lab", sudoers, 0o440)
+
     def mute(self, robot: str) -> None:
         """Let a robot's Create say nothing any more."""
         self.creates.order("mute", self.robots.index(robot))
