@@ -291,10 +291,11 @@ def main() -> int:
         print("robots clients  console  per client  bare, per client  ratio  frames/s    kB/s")
         for row in rows:
             # A server that costs less than the clock ticks of so short a run can show is no reference.
-            ratio = row.per_client / row.bare_per_client if row.bare_per_client > SEEN else float("nan")
+            seen = row.bare_per_client > SEEN
+            ratio = f"{row.per_client / row.bare_per_client:.1f}" if seen else "-"
             print(
                 f"{row.robots:6d} {row.clients:7d} {row.console:8.1%} {row.per_client:11.1%} "
-                f"{row.bare_per_client:17.1%} {ratio:6.1f} {row.frames_hz:9.1f} {row.bytes_hz / 1000:7.1f}"
+                f"{row.bare_per_client:17.1%} {ratio:>6} {row.frames_hz:9.1f} {row.bytes_hz / 1000:7.1f}"
             )
     dear = [row for row in rows if row.robots <= 32 and row.per_client > TARGET]
     return 1 if dear else 0
