@@ -7,6 +7,9 @@ import math
 WINDOW_S = 5.0
 """How long a fastest delivery counts; a sender that was suspended is believed again after two windows."""
 
+DRIFT = 1e-4
+"""By so much two computers' clocks may go apart: after hours of silence that is more than a message takes."""
+
 
 class Freshness:
     """Measures how much longer than usual a sender's message took.
@@ -27,7 +30,8 @@ class Freshness:
             self._sender, self._began_s = sender, -math.inf
             self._recent = self._before = math.inf
         if arrival_s - self._began_s > WINDOW_S:
-            self._before, self._recent, self._began_s = self._recent, math.inf, arrival_s
+            drift_s = DRIFT * (arrival_s - self._began_s) if self._began_s > -math.inf else 0.0
+            self._before, self._recent, self._began_s = self._recent + drift_s, math.inf, arrival_s
         offset_s = arrival_s - stamp_s
         self._recent = min(self._recent, offset_s)
         return offset_s - min(self._recent, self._before)

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 REMEMBERED_STOPS = 256
 
-UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT)
-"""Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it."""
+UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
+"""Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it. A
+switch is: what is asked for meanwhile would start when somebody who works on the robot turns it."""
 
 
 class Inbox:

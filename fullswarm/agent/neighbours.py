@@ -20,6 +20,8 @@ MANY_CELLS = 64
 
 SILENT_S = 0.3
 """Who has said nothing for so long may have left the cells that are listened to."""
+ANEW_S = 1.0
+"""Who says nothing newer for so long, and then counts from below, has booted: its clock began anew as well."""
 STRIDE_S = 0.2
 """So long a robot may go unheard while it leaves them: some state messages."""
 
@@ -46,7 +48,7 @@ class Neighbours:
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
-        self._newest: dict[str, tuple[int, float]] = {}
+        self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
         self._now_s, self._stale = 0.0, True
         self.count = 0
         self.names: list[str] = []
@@ -71,13 +73,14 @@ class Neighbours:
         if states.robots == self._alone:
             return
         newest = self._newest.get(states.host)
-        # A sequence that falls while the sender's clock goes on means that the host was restarted. The same
-        # sequence comes once per grid cell.
-        if newest and states.sequence < newest[0] and states.stamp_s <= newest[1]:
+        # A sequence that falls while the sender's clock goes on means that the agent was restarted; its computer
+        # too, when the clock falls as well. The same sequence comes once per grid cell.
+        older = newest and states.sequence < newest[0] and states.stamp_s <= newest[1]
+        if newest and older and now_s - newest[2] < ANEW_S:
             return
         if not _fits(states):
             return
-        self._newest[states.host] = (states.sequence, states.stamp_s)
+        self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
         if len(states.robots) == 1:
             self._hear_one(states, now_s)
             return

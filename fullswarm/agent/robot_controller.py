@@ -48,7 +48,7 @@ EXPLAIN: dict[int, str] = {
     Reason.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
     Reason.DRIVER: "the driver is not ready",
     Reason.READING: "the robot has told nothing new for too long",
-    Reason.HAZARD: "cliff, wheel drop, overcurrent or stop button",
+    Reason.HAZARD: "cliff, wheel drop, overcurrent, stop button or safety switch",
     Reason.IDLE: "",
     Reason.LAW: "the law failed",
     Reason.HUB: "the hub is lost",
@@ -61,7 +61,7 @@ EXPLAIN: dict[int, str] = {
     Reason.FENCE: "it would leave the arena",
 }
 
-STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON)
+STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON | Hazard.MOTORS_OFF)
 BUMP = int(Hazard.BUMP)
 STILL = 1e-3
 """m/s and rad/s: less is no motion."""

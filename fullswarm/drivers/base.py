@@ -44,7 +44,8 @@ class Hazard(enum.IntFlag):
     WHEEL_DROP = 4
     OVERCURRENT = 8
     BATTERY_LOW = 16
-    ESTOP_BUTTON = 32
+    ESTOP_BUTTON = 32  # a button, or a person who took over
+    MOTORS_OFF = 64  # a switch on the robot keeps its motors from power
 
 
 @dataclass(frozen=True, slots=True)

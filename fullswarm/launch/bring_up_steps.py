@@ -92,7 +92,7 @@ def _identity(bench: Bench) -> Step:
     charge = "battery unknown" if battery is None else f"battery {battery:.0%}"
     hazards = Hazard.NONE if reading is None else reading.hazards
     what = f"firmware {firmware or 'not told'}, {charge}"
-    if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT):
+    if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT | Hazard.MOTORS_OFF):
         return Step("state", "failed", f"{what}, {_names(hazards)}: mend that first")
     return Step("state", "passed", f"{what}, {_names(hazards)}" if hazards else what)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import msgspec
 
 from fullswarm.errors import ConfigError, RequestRefused, Unreachable
-from fullswarm.messages import RequestStatus, Value
+from fullswarm.messages import EStop, RequestStatus, StopRequest, Value
 from fullswarm.operator import output, session
 from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.mock import MockPublisher
@@ -148,15 +148,21 @@ def drive(
     *,
     take: bool = False,
 ) -> int:
-    """Stream the intent to drive for `seconds` or until Ctrl-C, then zero. Robots named are held meanwhile."""
+    """Stream the intent to drive for `seconds`, until Ctrl-C or until somebody stops them, then zero.
+
+    Robots named are held meanwhile.
+    """
     refused: RequestStatus | None = None
     answered = False
+    stopped = ""
     ids = robot_ids(robots, groups=True)
+    driven = set(ids)
     with session.connect(target) as line:
 
         def receive(status: RequestStatus) -> None:
             nonlocal refused, answered
             answered, teleop.take = True, False  # taken once; whoever takes it back shall have it
+            driven.update(status.robots)
             if status.phase == "refused" and refused is None:
                 refused = status
                 end()
@@ -168,6 +174,14 @@ def drive(
         def end() -> None:
             teleop.release(line.finish)
 
+        def halted(order: StopRequest | EStop) -> None:
+            nonlocal stopped
+            if teleop.held and (not order.robots or not driven.isdisjoint(order.robots)):
+                stopped = order.source or "an operator"
+                end()
+
+        line.bus.subscribe(line.keys.stop, StopRequest, halted)
+        line.bus.subscribe(line.keys.estop, EStop, halted)  # its release too: it must not start them
         holder = LeaseHolder(line.bus, line.keys, line.runtime, line.operator.name)
         teleop = Teleop(line.operator, line.runtime, ids, on_status=receive)
         line.on_interrupt = end
@@ -185,6 +199,9 @@ def drive(
             raise refusal(refused)
         if not answered:
             raise line.no_core(timeout_s)
+    if stopped:
+        output.progress(f"stopped by {stopped}")
+        return 1
     return 0
 
 

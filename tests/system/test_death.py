@@ -129,6 +129,18 @@ def test_an_operator_who_lets_go(swarm: LiveSwarm) -> None:
     driver.communicate(timeout=5)
 
 
+def test_a_stop_ends_the_driving_of_somebody_else(swarm: LiveSwarm) -> None:
+    driver = swarm.spawn("drive", "--linear", "0.8")
+    swarm.until(swarm.driven, 20.0, "all robots are driven by hand")
+    swarm.operator.stop()
+    time_to_zero_s(swarm, TTL_S + PERIOD_S)
+    _, err = driver.communicate(timeout=10)
+    assert driver.returncode == 1
+    assert "stopped by" in err
+    swarm.rest(1.0)
+    assert swarm.stands()
+
+
 def test_an_agent(swarm: LiveSwarm) -> None:
     start(swarm, "move_to_goal")
     swarm.supervisor.kill("r1")

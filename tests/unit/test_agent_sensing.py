@@ -95,6 +95,16 @@ def test_an_older_message_does_not_undo_a_newer_one_but_a_restarted_host_is_hear
     assert table.heard[0, 0] == 4.0
 
 
+def test_a_robot_whose_computer_has_booted_is_heard_at_its_new_place() -> None:
+    table = Neighbours(("me",), timeout_s=1.0)
+    table.hear(states("a", 9000, 900.0, a=(5.0, 0.0)), 10.0)
+    table.hear(states("a", 8999, 899.9, a=(6.0, 0.0)), 10.9)
+    assert table.heard[0, 0] == 5.0
+    table.hear(states("a", 1, 12.0, a=(1.0, 0.0)), 40.0)
+    table.hear(states("a", 2, 12.1, a=(1.1, 0.0)), 40.1)
+    assert table.heard[0, 0] == 1.1
+
+
 def test_the_table_grows_with_the_swarm() -> None:
     table = Neighbours(("r0",), timeout_s=1.0)
     for number in range(100):
@@ -144,8 +154,16 @@ def test_a_sender_that_was_suspended_is_believed_again() -> None:
     freshness = Freshness()
     freshness.delay_s("core", 0.0, 0.0)
     delays = [freshness.delay_s("core", 0.1 * tick, 0.1 * tick + 60.0) for tick in range(1, 150)]
-    assert delays[0] == pytest.approx(60.0)
+    assert delays[0] == pytest.approx(60.0, abs=0.01)
     assert delays[-1] == pytest.approx(0.0)
+
+
+def test_clocks_that_went_apart_in_a_long_silence_are_no_delay_but_a_queue_is() -> None:
+    for waited_s, delay_s in ((0.0, 0.0), (60.0, 57.7)):
+        freshness, silence_s = Freshness(), 8 * 3600.0
+        freshness.delay_s("core", 100.0, 0.0)
+        arrival_s = silence_s * (1.0 + 20e-6)
+        assert freshness.delay_s("core", 100.0 + silence_s - waited_s, arrival_s) == pytest.approx(delay_s, abs=0.1)
 
 
 def test_what_a_stranger_says_wrongly_is_not_heard() -> None:

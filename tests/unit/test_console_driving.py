@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fullswarm.messages import EStop
 from fullswarm.operator.console.desk import DEAD_MAN_S, Desk
-from tests.unit.console_bench import ConsoleBench, Page, health
+from tests.unit.console_bench import KEYS, ConsoleBench, Page, health
 
 
 @pytest.fixture
@@ -126,6 +127,33 @@ def test_a_stop_blocks_the_stick_until_it_is_let_go(bench: ConsoleBench) -> None
     assert not drive(bench, desk, page, ["r1"])["ok"]
     assert bench.say(desk, page, "release")["ok"]
     assert drive(bench, desk, page, ["r1"])["ok"]
+
+
+@pytest.mark.parametrize("addressed", [(), ("r1",)])
+def test_a_release_of_the_e_stop_does_not_start_who_has_the_stick_held(
+    bench: ConsoleBench, addressed: tuple[str, ...]
+) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.3)
+    bench.bus.publish(KEYS.estop, EStop(id="e1", engaged=False, robots=addressed, source="ben"))
+    bench.run(0.2)
+    bench.sent.clear()
+    assert "let the dead-man switch go" in drive(bench, desk, page, ["r1"])["reason"]
+    bench.run(0.2)
+    assert bench.requests() == []
+    assert bench.say(desk, page, "release")["ok"]
+    assert drive(bench, desk, page, ["r1"])["ok"]
+
+
+def test_what_the_core_refuses_is_not_asked_for_again_and_again(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    hold(bench, desk, page, 0.2)
+    bench.status(bench.requests()[-1].id, "refused", behaviour="drive_bc", reason="its battery is low")
+    bench.run(0.2)
+    bench.sent.clear()
+    assert drive(bench, desk, page, ["r1"])["reason"] == "its battery is low: let the dead-man switch go first"
+    bench.run(0.2)
+    assert bench.requests() == []
 
 
 def test_only_what_lapses_by_itself_can_be_driven(bench: ConsoleBench) -> None:

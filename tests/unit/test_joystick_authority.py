@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from fullswarm.messages import EStop, StopRequest
 from fullswarm.operator.joystick.state import BUTTONS
 from tests.unit.joystick_bench import LB, ME, Bench, fresh, sticks
 
@@ -128,6 +129,66 @@ def test_stop_stands_the_chosen_robots_and_the_dead_man_must_be_pressed_anew(ben
     bench.press("back")
     bench.run(0.3)
     assert not any(sticks(bench.newest()))
+
+
+@pytest.mark.parametrize(
+    ("order", "stands"),
+    [
+        (StopRequest(id="s", source="ben"), True),
+        (StopRequest(id="s", source="ben", robots=("r2",)), True),
+        (StopRequest(id="s", source="ben", robots=("r9",)), False),
+        (EStop(id="e", engaged=True, source="ben", robots=("r2",)), True),
+        (EStop(id="e", engaged=False, source="ben"), True),
+    ],
+)
+def test_who_somebody_else_stops_or_releases_is_let_go(bench: Bench, order: StopRequest | EStop, stands: bool) -> None:
+    bench.press(LB)
+    bench.push(leftx=1.0)
+    bench.bus.publish(bench.keys.stop if isinstance(order, StopRequest) else bench.keys.estop, order)
+    bench.run(0.5)
+    count = len(bench.requests)
+    bench.run(0.5)
+    assert (len(bench.requests) == count) is stands
+    assert any(sticks(bench.newest())) is not stands
+    assert ("by ben" in bench.note()) is stands
+    bench.release(LB)
+    bench.press(LB)
+    bench.run(0.1)
+    assert any(sticks(bench.newest()))
+
+
+def test_each_press_of_the_e_stop_is_a_new_one(bench: Bench) -> None:
+    bench.tap("b")
+    bench.run(1.0)
+    bench.bus.publish(bench.keys.estop, EStop(id="clear", engaged=False, source="ben"))
+    bench.run(0.1)
+    bench.tap("b")
+    bench.run(0.5)
+    pressed = [order.id for order in bench.estops if order.engaged]
+    assert len(set(pressed)) == 2
+    assert pressed.index(pressed[-1]) > len(pressed) // 2
+    assert len(set(pressed[pressed.index(pressed[-1]) :])) == 1
+
+
+def test_the_pad_that_was_chosen_by_number_stays_it_when_another_is_unplugged() -> None:
+    bench = Bench(pad="2")
+    first, second = bench.pad, bench.pads.plug()
+    bench.run(0.2)
+    bench.pad = second
+    bench.press(LB)
+    bench.push(leftx=1.0)
+    del bench.pads.pads[first]
+    bench.run(0.2)
+    assert any(sticks(bench.newest()))
+    bench.release(LB)
+    bench.run(0.3)
+    assert not any(sticks(bench.newest()))
+    count = len(bench.requests)
+    other = bench.pads.plug()
+    bench.run(0.2)
+    bench.press(LB, pad=other)
+    bench.run(0.3)
+    assert len(bench.requests) == count
 
 
 def test_e_stop_needs_neither_dead_man_nor_lease_nor_core_and_is_for_all(bench: Bench) -> None:

@@ -95,3 +95,4 @@ def test_the_safety_switch_is_an_emergency_stop() -> None:
         reading = bench.session.reading()
         assert reading is not None
         assert bool(reading.hazards & Hazard.ESTOP_BUTTON) is pressed
+        assert bool(reading.hazards & Hazard.MOTORS_OFF) is pressed

@@ -147,8 +147,11 @@ def test_several_spent_requests_are_remembered(bench: Bench) -> None:
         assert not drive(bench, name, core=f"late-{number}", sequence=1)
 
 
-def test_a_request_during_a_hazard_is_refused_and_does_not_start_when_the_hazard_ends(bench: Bench) -> None:
-    bench.simulated.hazards[0] = int(Hazard.WHEEL_DROP)
+@pytest.mark.parametrize("hazard", [Hazard.WHEEL_DROP, Hazard.ESTOP_BUTTON | Hazard.MOTORS_OFF])
+def test_a_request_during_a_hazard_is_refused_and_does_not_start_when_the_hazard_ends(
+    bench: Bench, hazard: Hazard
+) -> None:
+    bench.simulated.hazards[0] = int(hazard)
     bench.run(0.1)
     assert not drive(bench, "q")
     assert "wheel drop" in bench.acks[-1].reason

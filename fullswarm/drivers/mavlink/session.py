@@ -100,7 +100,8 @@ class Session:
         reading = self._vehicle.reading
         pressed = self.autopilot.tells_safety and self._vehicle.motors_off
         if reading is not None and (self._taken_over or pressed):
-            return replace(reading, hazards=reading.hazards | Hazard.ESTOP_BUTTON)
+            switch = Hazard.MOTORS_OFF if pressed else Hazard.NONE
+            return replace(reading, hazards=reading.hazards | Hazard.ESTOP_BUTTON | switch)
         return reading
 
     def activate(self, now_s: float) -> None:
@@ -339,8 +340,7 @@ class Session:
         texts = "; ".join(dict.fromkeys(self._vehicle.texts_since(now_s - 2.0)))
         self.fault = (
             f"{self._options.where}: {what} by the pilot, another station or the autopilot"
-            f"{f' ({texts})' if texts else ''}: hand back {autopilot.mode_name(autopilot.drive_mode)}, "
-            "or stop the behaviour and ask again"
+            f"{f' ({texts})' if texts else ''}: ask for a behaviour again to take it back"
         )
         self.lifecycle, self._command, self._wished_s = Lifecycle.READY, STAND, now_s
         self._taken_over, self._armed_by_us, self._wish = True, False, False

@@ -65,10 +65,10 @@ class Desk:
         self._place = place
         self._operator = Operator(place.bus, place.keys, place.scheduler, source, name=name)
         self._leases = LeaseHolder(place.bus, place.keys, place.scheduler, name, on_lost=self._lost)
-        self._teleop = Teleop(self._operator, place.scheduler)
+        self._teleop = self._new_teleop()
         self._driver: Listener | None = None
         self._drove_s = -math.inf
-        self._blocked = False  # stopped while driving: the dead-man must be let go first
+        self._blocked = ""  # why the dead-man must be let go first; empty: it need not
         self._watch: Timer | None = None
         self._pressed: list[EStopOrder] = []
 
@@ -78,7 +78,7 @@ class Desk:
         if listener in self.listeners:
             self.listeners.remove(listener)
         if self._driver is listener or not self.listeners:
-            self._blocked = False
+            self._blocked = ""
             self._let_go()
 
     def close(self) -> None:
@@ -105,7 +105,7 @@ class Desk:
             case frames.Drive():
                 reason = self._drive(command, listener)
             case frames.Release():
-                self._blocked = False
+                self._blocked = ""
                 self._let_go()
                 reason = ""
             case frames.Lease():
@@ -164,9 +164,22 @@ class Desk:
 
     def stopped(self, robots: tuple[str, ...]) -> None:
         """Note that somebody stopped `robots`, none: all: who drives one must let the dead-man go first."""
-        if self._teleop.held and (not robots or not set(self._teleop.robots).isdisjoint(robots)):
-            self._blocked = True
-            self._teleop.release()
+        mine = self._teleop.robots
+        if self._teleop.held and (not robots or not mine or not set(mine).isdisjoint(robots)):
+            self._block("stopped while driving")
+
+    def _block(self, why: str) -> None:
+        self._blocked = why
+        self._teleop.release()
+
+    def _new_teleop(self) -> Teleop:
+        def heard(status: RequestStatus) -> None:
+            # While it is held: afterwards it is the word on the zeros.
+            if status.phase == "refused" and teleop is self._teleop and teleop.held:
+                self._block(status.reason or "refused without a reason")
+
+        teleop = Teleop(self._operator, self._place.scheduler, on_status=heard)
+        return teleop
 
     # ---------------------------------------------------------------- driving
     def _drive(self, command: frames.Drive, listener: Listener) -> str:
@@ -186,13 +199,13 @@ class Desk:
         if self._watch is None:
             self._watch = self._place.scheduler.every(WATCH_S, self._check)
         if self._blocked:
-            return "stopped while driving: let the dead-man switch go first"
+            return f"{self._blocked}: let the dead-man switch go first"
         if self._driver not in (None, listener):
             return "another window of yours drives"
         if self._driver is None or self._teleop.robots != robots:
             if self._teleop.held:
                 self._teleop.release()
-                self._teleop = Teleop(self._operator, self._place.scheduler)  # the zeros go on for who was let go
+                self._teleop = self._new_teleop()  # the zeros go on for who was let go
             self._teleop.robots = robots
             self._leases.hold(robots)
         self._driver = listener
@@ -227,9 +240,9 @@ class Desk:
         return ""
 
     def _lost(self, robots: tuple[str, ...], operator: str) -> None:
-        if self._teleop.held and not set(self._teleop.robots).isdisjoint(robots):
-            self._blocked = True
-            self._teleop.release()
+        mine = self._teleop.robots
+        if self._teleop.held and (not mine or not set(mine).isdisjoint(robots)):
+            self._block(f"{', '.join(robots)} taken over by {operator}")
         self.tell("lost", {"t": "lost", "robots": robots, "by": operator})
 
     def _expand(self, robots: Iterable[str]) -> tuple[tuple[str, ...], str]:

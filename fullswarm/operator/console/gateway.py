@@ -302,9 +302,8 @@ class Gateway:
         text = f"{by} {act} {named(order.robots)}{reason}"
         self._requests.stopped(order.id, "the e-stop", by)
         self._journal.add(now_s, "estop", text, order.robots, request_id=order.id, by=by)
-        if order.engaged:
-            self._block_sticks(order.robots)
-        else:
+        self._block_sticks(order.robots)  # by a release too: a stick that is held at that moment must not start them
+        if not order.engaged:
             self._end_presses(order.robots)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
@@ -76,6 +77,7 @@ class Pilot:
         self._reins = Reins(bus, keys, scheduler, operator, self._roster, on_lost=self._refuse, on_note=self._tell)
         self._subscription = bus.subscribe(keys.intervention(), Interventions, self._on_interventions)
         self._pads: dict[int, PadState] = {}
+        self._numbers: dict[int, int] = {}  # each pad keeps its own while it is plugged in
         self._current: int | None = None
         self._stick: Directions | Stick | None = None
         self._await_centre = False
@@ -145,6 +147,7 @@ class Pilot:
         """Act on what all pads say now."""
         before, self._pads = self._pads, {state.id: state for state in states}
         for gone in before.keys() - self._pads.keys():
+            del self._numbers[gone]
             self._unplugged(before[gone])
         for state in states:
             if state.id not in before:
@@ -152,8 +155,8 @@ class Pilot:
         edges = {s.id: s.buttons - (before[s.id].buttons if s.id in before else frozenset()) for s in states}
         self._emergencies(frozenset().union(*edges.values()))
         self._reins.check()
-        for number, state in enumerate(states, 1):
-            if self._pad in ("", str(number), state.guid):
+        for state in states:
+            if self._may(state):
                 # A dead-man that is down when its pad comes, or taped, has not been pressed.
                 self._dead_man(state, edges[state.id] if state.id in before else frozenset())
         leader = self._leader(states)
@@ -164,10 +167,16 @@ class Pilot:
 
     def _leader(self, states: tuple[PadState, ...]) -> PadState | None:
         """Return the pad whose buttons count: the one that drives or drove last, else the first that may."""
-        may = (each for number, each in enumerate(states, 1) if self._pad in ("", str(number), each.guid))
-        return self._pads[self._current] if self._current is not None else next((e for e in may if e.known), None)
+        if self._current is not None:
+            return self._pads[self._current]
+        return next((each for each in states if each.known and self._may(each)), None)
+
+    def _may(self, state: PadState) -> bool:
+        return self._pad in ("", str(self._numbers[state.id]), state.guid)
 
     def _plugged(self, state: PadState) -> None:
+        taken = self._numbers.values()
+        self._numbers[state.id] = next(number for number in count(1) if number not in taken)
         what = "plugged in" if state.known else "is unknown to SDL: `fullswarm joystick map` teaches it"
         self._tell(f"{state.name} {what}")
 
@@ -186,10 +195,11 @@ class Pilot:
         buttons = self._bindings.buttons
         if buttons.estop in pressed:
             self._reins.let_go()
-            if self._estop is None or self._estop.done:
-                self._estop = self._operator.estop(
-                    True, (), "gamepad", known=self._roster.everybody, deadline_s=ESTOP_PATIENCE_S
-                )
+            if self._estop is not None:
+                self._estop.close()  # each press is an order of its own: somebody may have cleared the last one
+            self._estop = self._operator.estop(
+                True, (), "gamepad", known=self._roster.everybody, deadline_s=ESTOP_PATIENCE_S
+            )
         elif buttons.stop in pressed:
             selection = self._reins.selection or self._chooser.now()
             self._reins.let_go()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import Lease, RequestStatus, Value
+from fullswarm.messages import EStop, Lease, RequestStatus, StopRequest, Value
 from fullswarm.operator.client import Asked, Operator
 from fullswarm.operator.joystick.selection import Roster, Selection
 from fullswarm.operator.leases import LeaseHolder
@@ -42,6 +42,10 @@ class Reins:
         self._bus, self._scheduler, self._operator, self._roster = bus, scheduler, operator, roster
         self._on_lost, self._on_note = on_lost, on_note
         self._leases = LeaseHolder(bus, keys, scheduler, operator.name, on_change=self._leases_changed)
+        self._subscriptions = [
+            bus.subscribe(keys.stop, StopRequest, self._on_stop),
+            bus.subscribe(keys.estop, EStop, self._on_estop),
+        ]
         self._teleops: dict[tuple[str, ...], Teleop] = {}
         self._stream: Teleop | None = None
         self._asked: tuple[str, dict[str, float]] = "", {}
@@ -168,6 +172,8 @@ class Reins:
 
     def close(self) -> None:
         """Give everything back and hear nothing more."""
+        for subscription in self._subscriptions:
+            subscription.close()
         self._leases.close()
 
     # ------------------------------------------------------------------ answers
@@ -181,6 +187,20 @@ class Reins:
             others = self.holders(self.selection)
             if others:
                 self._lose(f"taken over: {held_by(others)}")
+
+    def _on_stop(self, order: StopRequest) -> None:
+        self._halted(order.robots, f"stopped by {order.source or 'an operator'}")
+
+    def _on_estop(self, order: EStop) -> None:
+        # Also its release: a stick that is held at that moment must not start them.
+        act = "pressed" if order.engaged else "cleared"
+        self._halted(order.robots, f"e-stop {act} by {order.source or 'an operator'}")
+
+    def _halted(self, robots: tuple[str, ...], why: str) -> None:
+        """Let go of robots that somebody has stopped: the next frame would be a new request, and start them again."""
+        mine = self.selection.robots if self.selection is not None else ()
+        if mine and (not robots or not set(robots).isdisjoint(mine)):
+            self._lose(why)
 
     def _lose(self, why: str) -> None:
         self.let_go()
