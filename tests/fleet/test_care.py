@@ -11,7 +11,7 @@ import subprocess
 import pytest
 
 from tests.fleet.fleet import Fleet, results, row_of
-from tests.fleet.lab import Lab
+from tests.fleet.lab import PYTHON, Lab
 from tests.fleet.rootfs import ADMIN
 from tests.fleet.terminal import Terminal
 from tests.fleet.tools import until
@@ -95,6 +95,20 @@ def test_the_preflight_of_a_real_computer(fleet: Fleet) -> None:
     lab.computers[robot].do("systemctl", "start", "fullswarm-agent")
     mends = [check.get("mend", "") for check in broken.json["checks"] if check["status"] == "failure"]
     assert any("fullswarm logs" in mend for mend in mends), broken.out
+
+
+@pytest.mark.parametrize("module", ["app/fullswarm/agent/node", "lib/msgspec/__init__"])
+def test_torn_bytecode_keeps_no_agent_from_starting(fleet: Fleet, module: str) -> None:
+    lab, robot = fleet.lab, fleet.lab.robots[1]
+    computer, tag = lab.computers[robot], PYTHON.replace(".", "")
+    torn = f"/var/cache/fullswarm/opt/fullswarm/releases/{fleet.first}/{module}.cpython-{tag}.pyc"
+    computer.do("rm", "-f", "/run/fullswarm/bytecode-dropped")
+    computer.do("truncate", "--size=64", torn)  # as by a full disk, which Python does not notice
+    computer.do("systemctl", "restart", "fullswarm-agent", check=False)
+    took_s = fleet.wait_runs(robot, fleet.first, BACK_S, f"{robot} starts in spite of it")
+    fleet.figures.note("torn bytecode, runs again", f"{took_s:.1f} s")
+    assert int(computer.do("stat", "-c", "%s", torn)) > 64
+    lab.wait_ready([robot])
 
 
 def test_an_update_of_a_computer_whose_root_is_read_only(fleet: Fleet) -> None:

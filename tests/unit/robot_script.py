@@ -23,14 +23,22 @@ from tests.deploy_release import tiny_release
 PROGRAMS = Path(__file__).parents[2] / "fullswarm" / "deploy" / "robot"
 
 SYSTEMCTL = """#!/bin/sh
-# The agent "runs" the release that the file `agent` names; app/broken keeps one from starting, app/hangs for a minute.
+# The agent "runs" the release that the file `agent` names; app/broken keeps one from starting, app/hangs for a minute,
+# and a swarm called "bad" does, too. Whoever asks what the file `dies-at` says is killed, once.
 echo "$*" >> "$FULLSWARM_ROOT/systemctl.log"
 cd "$FULLSWARM_ROOT" || exit 1
-case $1 in
+[ "$1" != "$(cat dies-at 2>/dev/null)" ] || { rm dies-at; kill -KILL 0; }
+job=$1
+if [ "$job" = try-restart ]; then
+    [ "$2" = fullswarm-agent.service ] && [ -e agent ] || exit 0
+    job=restart
+fi
+case $job in
 restart | start)
     rm -f agent run/fullswarm/health.json
     [ -e opt/fullswarm/current/manifest.json ] || exit 0
     [ ! -e opt/fullswarm/current/app/broken ] || exit 1
+    ! grep -q '"bad"' etc/fullswarm/fleet.toml || exit 1
     [ ! -e opt/fullswarm/current/app/hangs ] || exec sleep 60
     id=$(readlink opt/fullswarm/current)
     echo "${id##*/}" > agent
@@ -126,15 +134,31 @@ class Robot:
 
     def install_kit(self) -> str:
         """Install the kit as a base would; return what it said that it changed."""
+        done = self.install()
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def install(
+        self, *words: str, swarm: str = "lab", stdout: int = subprocess.PIPE
+    ) -> subprocess.CompletedProcess[str]:
+        """Run the installer of the kit for a fleet file."""
         robot = RobotConfig(id="r1", driver="null://r1")
-        config = SwarmConfig(robot=(robot,))
+        config = SwarmConfig(robot=(robot,)) if swarm == "lab" else SwarmConfig(swarm=swarm, robot=(robot,))
         spread = self.folder / f"kit-{uuid.uuid4().hex[:6]}"
         with tarfile.open(fileobj=io.BytesIO(kit(robot, config, self.keys.allowed_signers()))) as tar:
             tar.extractall(spread, filter="data")
-        done = subprocess.run(["sh", spread / "install.sh"], env=self.environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        done = subprocess.run(
+            ["sh", spread / "install.sh", *words], env=self.environment, check=False, start_new_session=True,
+            stdout=stdout, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
         shutil.rmtree(spread)
-        return done.stdout
+        return done
+
+    def program(self, name: str, script: str) -> None:
+        """Put a stand-in before one of the system's programs."""
+        path = self.bin / name
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
 
     # ------------------------------------------------------------------ the program
     def call(
@@ -257,6 +281,14 @@ class Robot:
         (self.root / "calls").write_text("")
         path = f"{self.folder / 'wrapped'}:{self.environment['PATH']}"
         return self.call(*arguments, feed=feed, environment={"PATH": path, "KILL_AT": str(at)})
+
+    @property
+    def asked(self) -> str:
+        """What systemd was asked since the last time."""
+        log = self.root / "systemctl.log"
+        text = log.read_text()
+        log.write_text("")
+        return text
 
     @property
     def calls(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -132,6 +133,21 @@ def test_what_mounts_the_system_is_never_taken_whatever_else_lsblk_says(column: 
     for each in card.parse_lsblk(json.dumps({"blockdevices": [raw]})):
         if each.kind == "disk" and each.mounts:
             assert card.refusal(each) is not None
+
+
+@pytest.mark.parametrize(("kind", "why"), [("MMC", "eMMC of this computer"), ("SD", None), (None, None)])
+@pytest.mark.parametrize("name", ["mmcblk1", "mmcblk1boot0"])
+def test_soldered_memory_is_no_card_though_lsblk_says_it_is_removable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str | None, why: str | None, name: str
+) -> None:
+    monkeypatch.setattr(card, "SYS_BLOCK", tmp_path)
+    if kind is not None:
+        (tmp_path / "mmcblk1/device").mkdir(parents=True)
+        (tmp_path / "mmcblk1/device/type").write_text(f"{kind}\n")
+    (found,) = card.parse_lsblk(json.dumps({"blockdevices": [entry(name, rm=False, tran=None)]}))
+    refused = card.refusal(found)
+    assert (refused is None) == (why is None)
+    assert refused is None or (why or "") in refused[0]
 
 
 def test_a_large_card_is_taken_when_somebody_says_so() -> None:

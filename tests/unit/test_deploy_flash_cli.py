@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import lzma
 import os
 import shutil
 import stat
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from fullswarm.deploy.fleet.hostkeys import Pins
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
 from fullswarm.launch.main import app
-from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, fsck, make_image, make_release
+from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, fsck, make_image, make_release, tool
 
 SECRET = "correct battery horse"
 FAT = 8 * MEGA
@@ -264,6 +266,70 @@ def test_a_card_is_written_only_when_its_serial_number_is_given(lab: Lab, monkey
     result = lab.flash(*words, "--yes", "0815")
     assert result.exit_code == 0, result.output
     assert "user-data" in files_of(fake)
+
+
+def test_seed_only_does_not_speak_of_losing_everything(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    lab.to_file()
+    fake = str(lab.folder / "r1.img")
+    device = card.Card(fake, 40 * MEGA, "Generic", "0815", "usb", removable=True)
+    monkeypatch.setattr(card, "list_cards", lambda: (device,))
+    words = ("r1", "--target", "x86_64", "--device", fake)
+    erased = lab.flash(*words, "--image", str(lab.image))
+    assert (erased.exit_code, "everything on it will be lost" in erased.stderr) == (2, True)
+    seeded = lab.flash(*words, "--seed-only")
+    assert (seeded.exit_code, "everything" in seeded.stderr) == (2, False)
+    assert "its system stays, the files that tell which robot it is will be lost" in seeded.stderr
+    assert "--yes 0815" in seeded.stderr
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".xz", ".zst"])
+def test_an_image_that_ends_too_early_fails_the_cards_that_it_was_written_to(lab: Lab, suffix: str) -> None:
+    packed, outs = lab.folder / f"cut.img{suffix}", [str(lab.folder / f"{name}.img") for name in ("a", "b")]
+    big = lab.plain.read_bytes() + os.urandom(9 * MEGA)
+    if suffix == ".zst":
+        packed.write_bytes(subprocess.run([tool("zstd"), "-qc"], input=big, capture_output=True, check=True).stdout)
+    else:
+        packed.write_bytes(lzma.compress(big, preset=0) if suffix == ".xz" else gzip.compress(big, 1))
+    os.truncate(packed, packed.stat().st_size - MEGA)
+    words = ("r1", "r2", "--target", "x86_64", "--image", str(packed), "--output", outs[0], "--output", outs[1])
+    result = lab.flash(*words, "--json")
+    assert result.exit_code == 1, result.output
+    for row, out in zip(json.loads(result.stdout)["cards"], outs, strict=True):
+        assert (row["target"], row["state"]) == (out, "FAILED")
+        assert "half written, not usable" in row["note"]
+        assert "cut.img" in row["note"]
+        assert "is damaged" in row["note"]
+        assert "download it again, then flash this card again" in row["note"]
+        assert not Path(out).exists()
+    assert not lab.keys.known_hosts.exists()
+
+
+def test_keys_that_root_has_left_are_named(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = Path.exists
+
+    def exists(path: Path) -> bool:
+        if path.name == "r1_ed25519":
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(Path, "exists", exists)
+    result, _ = lab.to_file()
+    assert result.exit_code == 2, result.output
+    assert f"{lab.keys.folder}/hosts/lab/r1_ed25519: cannot be read or written: permission denied" in result.stderr
+    assert "sudo chown -R" in result.stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root: it gives files away")
+def test_under_sudo_the_keys_are_the_users(lab: Lab) -> None:
+    def owners() -> set[int]:
+        return {each.lstat().st_uid for each in (lab.keys.folder, *lab.keys.folder.rglob("*"))}
+
+    lab.to_file(SUDO_UID="4711")
+    assert owners() == {0}  # nothing above the keys is that user's: they are root's own
+    os.chown(lab.folder, 4711, 4711)
+    lab.to_file(SUDO_UID="4711")
+    assert owners() == {4711}
+    assert lab.store.folder.stat().st_uid == 0
 
 
 def test_a_card_that_is_too_small_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -23,8 +24,21 @@ echo "$@" >>"$FULLSWARM_ROOT/asked"
 case "$*" in
 *is-enabled*) exit 1 ;;
 *"restart fullswarm-agent"*) [ ! -e "$FULLSWARM_ROOT/agent-fails" ] ;;
-esac
+esac || exit 1
+[ -e "$FULLSWARM_ROOT/says" ] && [ -e "$FULLSWARM_ROOT/opt/fullswarm/current" ] || exit 0
+release=$(readlink "$FULLSWARM_ROOT/opt/fullswarm/current")
+mkdir -p "$FULLSWARM_ROOT/run/fullswarm"
+cat >"$FULLSWARM_ROOT/run/fullswarm/health.json" <<HEALTH
+{
+ "release": "${release##*/}",
+ "machine_s": $(cut -d' ' -f1 /proc/uptime),
+$(cat "$FULLSWARM_ROOT/says")
+}
+HEALTH
 """
+WELL = ' "healthy": true,\n "why": []\n'
+LONELY = ' "healthy": false,\n "why": [\n  "it hears nobody",\n  "it is new"\n ]\n'
+IP = "#!/bin/sh\necho 'eth0 UP 10.0.0.2/24'\n"
 
 
 class Robot:
@@ -37,7 +51,7 @@ class Robot:
             (self.boot / name).write_bytes(content)
         for name in ("etc", "run", "var", "opt", "bin"):
             (self.root / name).mkdir()
-        for name, text in (("systemctl", SYSTEMCTL), ("systemd-run", "#!/bin/sh\nexit 0\n")):
+        for name, text in (("systemctl", SYSTEMCTL), ("systemd-run", "#!/bin/sh\nexit 0\n"), ("ip", IP)):
             (self.root / "bin" / name).write_text(text)
             (self.root / "bin" / name).chmod(0o755)
 
@@ -124,15 +138,86 @@ def test_the_first_boot_installs_everything_offline_and_forgets_its_secrets(robo
     assert private not in b"".join(each.read_bytes() for each in robot.boot.rglob("*") if each.is_file())
 
 
+@pytest.mark.parametrize(
+    ("says", "verdict"),
+    [(WELL, "OK"), (LONELY, "installed and running, but not healthy yet: it hears nobody; it is new")],
+)
+def test_the_report_says_whether_the_agent_is_well(robot: Robot, says: str, verdict: str) -> None:
+    (robot.root / "says").write_text(says)
+    assert robot.boot_once().returncode == 0
+    assert robot.report.splitlines()[0] == f"fullswarm, first boot of r1: {verdict}"
+    assert robot.current
+
+
+def test_a_release_that_was_there_before_stays_until_the_new_one_is_well(robot: Robot) -> None:
+    old = robot.root / "opt/fullswarm/releases/0.9-0123456789ab"
+    old.mkdir(parents=True)
+    (robot.root / "opt/fullswarm/current").symlink_to("releases/0.9-0123456789ab")
+    (robot.root / "says").write_text(LONELY)
+    assert robot.boot_once().returncode == 1
+    assert "FAILED while approving the release" in robot.report.splitlines()[0]
+    assert "is not healthy: it hears nobody" in robot.report
+    assert robot.current == "releases/0.9-0123456789ab"
+    (robot.root / "says").write_text(WELL)
+    assert robot.boot_once().returncode == 0
+    assert robot.report.splitlines()[0].endswith(": OK")
+    assert robot.current != "releases/0.9-0123456789ab"
+
+
+def test_a_power_cut_at_the_end_leaves_neither_a_key_nor_no_report(robot: Robot) -> None:
+    """The power goes with the first file that is forgotten."""
+    remove = robot.root / "bin/rm"
+    remove.write_text(
+        f'#!/bin/sh\ncase "$*" in *secret*) kill -KILL $PPID; exit ;; esac\nexec {shutil.which("rm")} "$@"\n'
+    )
+    remove.chmod(0o755)
+    assert robot.boot_once().returncode == -9
+    assert robot.report.startswith("fullswarm, first boot of r1: installed")
+    assert (robot.boot / "fullswarm/secret/host_key").exists()
+    remove.unlink()
+    (robot.root / "asked").unlink()
+    assert robot.boot_once().returncode == 0
+    assert not (robot.boot / "fullswarm/secret").exists()
+    assert not (robot.root / "asked").exists(), "it is not installed again"
+
+
+def test_files_that_are_all_here_already_still_make_a_release(robot: Robot, cards: dict[str, dict[str, bytes]]) -> None:
+    assert robot.boot_once().returncode == 0
+    releases, name = robot.root / "opt/fullswarm/releases", robot.current.split("/")[1]
+    (releases / name).rename(releases / "0.9-0123456789ab")  # another one that has all the files
+    (robot.root / "opt/fullswarm/current").unlink()
+    (robot.root / "opt/fullswarm/current").symlink_to("releases/0.9-0123456789ab")
+    (robot.root / "says").write_text(WELL)
+    reseed(robot, cards["cloud-init"])
+    assert robot.boot_once().returncode == 0, robot.report
+    assert robot.current == f"releases/{name}"
+
+
+def test_a_file_that_has_rotted_here_comes_from_the_card(robot: Robot, cards: dict[str, dict[str, bytes]]) -> None:
+    assert robot.boot_once().returncode == 0
+    releases, name = robot.root / "opt/fullswarm/releases", robot.current.split("/")[1]
+    (releases / name).rename(releases / "0.9-0123456789ab")
+    (releases / "0.9-0123456789ab/lib/thing/__init__.py").write_text("rotten")
+    (robot.root / "opt/fullswarm/current").unlink()
+    reseed(robot, cards["cloud-init"])
+    assert robot.boot_once().returncode == 0, robot.report
+    assert (releases / name / "lib/thing/__init__.py").read_text() == "x = 1\n"
+
+
+def reseed(robot: Robot, card: dict[str, bytes]) -> None:
+    """Do what `flash --seed-only` does for the same card."""
+    for name, content in card.items():
+        (robot.boot / name).parent.mkdir(parents=True, exist_ok=True)
+        (robot.boot / name).write_bytes(content.replace(b"fullswarm-r1-", b"fullswarm-r1-2"))
+    robot.seed()
+
+
 def test_it_runs_once_and_again_for_a_new_instance(robot: Robot, cards: dict[str, dict[str, bytes]]) -> None:
     assert robot.boot_once().returncode == 0
     (robot.root / "asked").unlink()
     assert robot.boot_once().returncode == 0
     assert not (robot.root / "asked").exists()
-    for name, content in cards["cloud-init"].items():  # `flash --seed-only` for the same card
-        (robot.boot / name).parent.mkdir(parents=True, exist_ok=True)
-        (robot.boot / name).write_bytes(content.replace(b"fullswarm-r1-", b"fullswarm-r1-2"))
-    robot.seed()
+    reseed(robot, cards["cloud-init"])
     assert robot.boot_once().returncode == 0
     assert (robot.root / "asked").exists()
 
@@ -192,6 +277,7 @@ def test_a_power_cut_in_the_middle_starts_over(robot: Robot, cards: dict[str, di
 
 def test_bookworm_is_set_up_by_firstrun(tmp_path: Path, cards: dict[str, dict[str, bytes]]) -> None:
     robot = Robot(tmp_path, cards["firstrun"])
+    seen = 'case "$*" in *firstrun.sh*) cp "$FULLSWARM_ROOT/boot/firmware/cmdline.txt" "$FULLSWARM_ROOT/at-rm" ;; esac'
     for name, text in (
         ("useradd", 'mkdir -p "$FULLSWARM_ROOT/home/$4"'),
         ("usermod", "exit 0"),
@@ -200,6 +286,7 @@ def test_bookworm_is_set_up_by_firstrun(tmp_path: Path, cards: dict[str, dict[st
         ("chown", "exit 0"),
         ("raspi-config", 'echo "$@" >>"$FULLSWARM_ROOT/asked"'),
         ("rfkill", "exit 0"),
+        ("rm", f'{seen}\nexec {shutil.which("rm")} "$@"'),
     ):
         (robot.root / "bin" / name).write_text(f"#!/bin/sh\n{text}\n")
         (robot.root / "bin" / name).chmod(0o755)
@@ -229,6 +316,7 @@ def test_bookworm_is_set_up_by_firstrun(tmp_path: Path, cards: dict[str, dict[st
     assert not (robot.boot / "firstrun.sh").exists()
     assert not list((robot.boot / "fullswarm/secret").glob("*.nmconnection"))
     line = (robot.boot / "cmdline.txt").read_text()
+    assert (robot.root / "at-rm").read_text() == line, "nothing names the script any more when it goes"
     assert ("systemd" in line, "root=PARTUUID=35684e8a-02" in line, line.count("\n")) == (False, True, 1)
 
     assert robot.boot_once().returncode == 0, robot.report  # the usual boot that follows

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
 import shutil
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
+import asyncssh
 import pytest
 
 from fullswarm.config import SwarmConfig
@@ -15,15 +20,16 @@ from fullswarm.deploy.fleet.choose import choose, misfit
 from fullswarm.deploy.fleet.desired import Desired
 from fullswarm.deploy.fleet.facts import Facts, Health, bare
 from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint, name_of
-from fullswarm.deploy.fleet.login import Address
-from fullswarm.deploy.fleet.people import pick
-from fullswarm.deploy.fleet.remote import root_script
+from fullswarm.deploy.fleet.login import Address, Login
+from fullswarm.deploy.fleet.people import login, pick
+from fullswarm.deploy.fleet.remote import Answer, NoRoot, Remote, root_script
 from fullswarm.deploy.fleet.report import size
 from fullswarm.deploy.fleet.ship import missing_of
 from fullswarm.deploy.fleet.status import line
 from fullswarm.deploy.fleet.terminal import json_line
 from fullswarm.deploy.fleet.untrusted import clean, clean_log_line, last_words, strict_json
 from fullswarm.deploy.release import sums
+from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest, Target
 from fullswarm.deploy.release.store import Store
 from fullswarm.errors import ConfigError, FullswarmError, MessageError
@@ -126,6 +132,103 @@ def test_fingerprints_are_those_of_ssh_keygen(tmp_path: Path) -> None:
     assert fingerprint(public.read_text()) in said.split()
 
 
+def forbid(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
+    """Let a file be another user's, for root too."""
+    real_open, real_read = os.open, Path.read_text
+
+    def refuse(path: object) -> None:
+        if Path(str(path)) == file:
+            raise PermissionError(13, "Permission denied", str(file))
+
+    def opened(path: Any, *rest: Any, **more: Any) -> int:
+        refuse(path)
+        return real_open(path, *rest, **more)
+
+    def read(path: Path, *rest: Any, **more: Any) -> str:
+        refuse(path)
+        return real_read(path, *rest, **more)
+
+    monkeypatch.setattr(os, "open", opened)
+    monkeypatch.setattr(Path, "read_text", read)
+
+
+def test_files_that_root_has_left_are_named_with_what_gives_them_back(
+    pins: Pins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uses: dict[Path, tuple[Callable[[], object], ...]] = {
+        pins.known_hosts: (
+            lambda: pins.keys("r1", "10.0.0.1", 22),
+            lambda: pins.pin("10.0.0.1", 22, KEY),
+            lambda: pins.pin_flashed("r1", "10.0.0.1", 22),
+            lambda: pins.changed("r1", "10.0.0.1", 22),
+        ),
+        pins.flashed / "r1_ed25519.pub": (lambda: pins.keys("r1", "10.0.0.1", 22),),
+    }
+    for file, calls in uses.items():
+        with monkeypatch.context() as patched:
+            forbid(patched, file)
+            for call in calls:
+                with pytest.raises(ConfigError, match="cannot be read or written: permission denied") as caught:
+                    call()
+                assert caught.value.where == str(file)
+                assert caught.value.hint == f"sudo chown -R \"$USER\" '{file.parent}'"
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs ssh-keygen: sudo apt install openssh-client")
+def test_a_fleet_key_that_root_has_left_is_no_robots_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = Keys(tmp_path / "keys")
+    key = keys.fleet_key()
+    assert login(FLEET, keys).fleet_key == key
+    real_open = Path.open
+
+    def opened(path: Path, *rest: Any, **more: Any) -> Any:
+        if path == key:
+            raise PermissionError(13, "Permission denied", str(key))
+        return real_open(path, *rest, **more)
+
+    monkeypatch.setattr(Path, "open", opened)
+    with pytest.raises(ConfigError, match=r"fleet_ed25519: cannot be read.*sudo chown"):
+        login(FLEET, keys)
+
+
+# ---------------------------------------------------------------- jump hosts
+@pytest.mark.parametrize(
+    ("error", "arrives", "says"),
+    [
+        (asyncssh.HostKeyNotVerifiable("Host key is not trusted for host hop"), False, "jump host hop, .*`ssh hop`"),
+        (asyncssh.KeyExchangeFailed("No matching host key algorithm found"), False, "jump host, .*`ssh JUMPHOST`"),
+        (asyncssh.HostKeyNotVerifiable("Host key is not trusted for host 10.0.0.1"), True, "another host key"),
+        (asyncssh.KeyExchangeFailed("No matching host key algorithm found"), True, "another host key"),
+    ],
+)  # fmt: skip
+def test_a_jump_host_nobody_knows_is_not_taken_for_the_robot(
+    pins: Pins, monkeypatch: pytest.MonkeyPatch, error: Exception, arrives: bool, says: str
+) -> None:
+    async def connect(*_: object, client_factory: Callable[[], object], **__: object) -> None:
+        if arrives:  # asyncssh makes the client when the connection stands, before host keys are shown
+            client_factory()
+        raise error
+
+    async def enter() -> None:
+        async with Login(pins, Path("no key")).connect(HERE):
+            pass
+
+    pins.pin(HERE.host, HERE.port, KEY)
+    monkeypatch.setattr(asyncssh, "connect", connect)
+    with pytest.raises(FullswarmError, match=says) as caught:
+        asyncio.run(enter())
+    assert ("ssh-keygen -R" in caught.value.hint) == arrives
+
+
+def test_who_only_asks_for_a_host_key_hears_of_the_jump_host_too(pins: Pins, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ask(*_: object) -> None:
+        raise asyncssh.HostKeyNotVerifiable("Host key is not trusted for host hop with alias bastion")
+
+    monkeypatch.setattr(asyncssh, "get_server_host_key", ask)
+    with pytest.raises(FullswarmError, match=r"jump host hop, .*`ssh hop` once"):
+        asyncio.run(Login(pins, Path("no key")).host_key(HERE))
+
+
 # ---------------------------------------------------------------- what is asked of a shell
 def test_a_password_is_taken_off_the_input_whether_sudo_reads_it_or_not(tmp_path: Path) -> None:
     script, first = root_script("cat", "s3cret")
@@ -155,6 +258,61 @@ def test_root_needs_no_sudo_and_others_are_never_asked_for_a_password() -> None:
     assert done.stdout == b"data"
 
 
+HOSTNAME = b"sudo: unable to resolve host r1: Name or service not known\n"
+
+
+def heard(answer: Answer, monkeypatch: pytest.MonkeyPatch) -> Answer:
+    """Let a robot answer a command that shall run as root."""
+
+    async def run(*_: object, **__: object) -> Answer:
+        return answer
+
+    monkeypatch.setattr(Remote, "run", run)
+    return asyncio.run(Remote("r1", cast(Any, None)).program("health"))
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (1, b"sudo: a password is required\n"),
+        (1, b"Sorry, try again.\nsudo: no password was provided\nsudo: 1 incorrect password attempt\n"),
+        (1, HOSTNAME + b"Sorry, try again.\nsudo: 3 incorrect password attempts\n"),
+        (1, b"pi is not in the sudoers file.  This incident will be reported.\n"),
+        (1, b"Sorry, user pi is not allowed to execute '/bin/sh' as root on r1.\n"),
+        (1, b"Sorry, user pi may not run sudo on r1.\n"),
+        (1, b"sudo: sorry, you must have a tty to run sudo\n"),
+        (1, b"sudo-rs: interactive authentication is required\n"),
+        (127, b"sh: 1: exec: sudo: not found\n"),
+        (127, b"bash: sudo: command not found\n"),
+    ],
+)
+def test_sudo_that_refuses_is_no_root(code: int, said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(NoRoot) as caught:
+        heard(Answer(code, b"", said), monkeypatch)
+    assert caught.value.what == f"may not become root there: {clean(said.splitlines()[-1])}"
+
+
+@pytest.mark.parametrize(
+    ("code", "out", "said", "why"),
+    [
+        (1, b"", b"fullswarm-robot: no health yet\n", "fullswarm-robot: no health yet"),
+        (1, b"", HOSTNAME + b"fullswarm-robot: 9 s old\n", "fullswarm-robot: 9 s old"),
+        (1, b"", b"sudo: no tty\nfullswarm-robot: 9 s old\n", "fullswarm-robot: 9 s old"),
+        (1, b"", HOSTNAME + b"install.sh: the kit is damaged\n", "install.sh: the kit is damaged"),
+        (1, b"lib/a.py\n", HOSTNAME, "sudo: unable to resolve host r1: Name or service not known"),
+        (1, b"", HOSTNAME, "sudo: unable to resolve host r1: Name or service not known"),
+        (1, b"", b"sudo: x: command not found\n", "sudo: x: command not found"),
+        (127, b"", HOSTNAME + b"sh: 1: exec: x: not found\n", "sh: 1: exec: x: not found"),
+        (3, b"", HOSTNAME + b"fullswarm-robot: refused: moving\n", "fullswarm-robot: refused: moving"),
+    ],
+)  # fmt: skip
+def test_what_ran_as_root_is_heard_whatever_sudo_warned_of(
+    code: int, out: bytes, said: bytes, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = heard(Answer(code, out, said), monkeypatch)
+    assert (answer.code, answer.words) == (code, why)
+
+
 # ---------------------------------------------------------------- who and what
 FLEET = SwarmConfig.model_validate(
     {
@@ -173,6 +331,15 @@ def test_robots_by_name_and_group() -> None:
     assert ids("@all", "r1") == ["r1", "s1"]
     with pytest.raises(ConfigError, match=r"lab.toml: no robot 'r3' in this fleet \(known: @all, r1, r2, s1\)"):
         ids("r3")
+
+
+@pytest.mark.parametrize("named", [("",), (",",), ("@spare",), ("@spare", "")])
+def test_a_name_that_stands_for_nobody_is_not_the_whole_fleet(named: tuple[str, ...]) -> None:
+    fleet = FLEET.model_copy(update={"groups": {"spare": ()}})
+    with pytest.raises(ConfigError) as caught:
+        pick(fleet, named, Path("lab.toml"))
+    assert f"'{' '.join(named)}' stands for no robot" in str(caught.value)
+    assert [each.id for each in pick(fleet, (*named, "r1"), Path("lab.toml"))] == ["r1"]
 
 
 def test_a_host_that_is_not_named_is_found_by_its_id() -> None:
@@ -203,6 +370,15 @@ def test_what_robots_should_run_is_kept(tmp_path: Path) -> None:
     assert desired.read() == {"r3": "1.1-0123456789ab"}
     desired.file.write_text("{")
     assert desired.read() == {}
+
+
+def test_what_cannot_be_kept_is_a_warning_for_the_robots_have_done_their_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "state").write_text("no folder")
+    desired = Desired(tmp_path / "state/lab.json")
+    desired.want({"r1": RELEASE})
+    assert f"warning: {desired.file}: cannot keep what robots should run" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- the table

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import re
+import shutil
 import subprocess
 import tarfile
 from pathlib import Path
@@ -81,6 +83,76 @@ def test_a_damaged_kit_changes_nothing(robot: Robot, tmp_path: Path) -> None:
     assert 'ROBOT="r1"' in (robot.root / "etc/fullswarm/robot.env").read_text()
 
 
+def test_a_file_that_cannot_be_written_ends_the_installation_and_says_so(robot: Robot) -> None:
+    rules, whole = robot.root / "etc/udev/rules.d/60-fullswarm-ports.rules", robot.facts["kit"]
+    rules.write_text("# somebody was here\n")
+    robot.program("cp", f'case "$*" in *ports.rules*) exit 1 ;; esac\nexec {shutil.which("cp")} "$@"')
+    done = robot.install()
+    assert (done.returncode, "changed" in done.stdout) == (1, False)
+    assert "60-fullswarm-ports.rules: is the file system read-only or full?" in done.stderr
+    assert robot.facts["kit"] != whole
+
+
+def test_an_installation_that_was_killed_is_made_good_by_the_next(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    (robot.root / "etc/systemd/system/fullswarm-agent.service").write_text("# somebody was here\n")
+    for dies_at in ("daemon-reload", "try-restart"):
+        (robot.root / "dies-at").write_text(dies_at)
+        assert robot.install(swarm="other").returncode == -9
+    assert robot.asked
+    assert robot.install(swarm="other").returncode == 0
+    asked = robot.asked
+    assert "daemon-reload" in asked
+    assert "try-restart fullswarm-agent.service" in asked
+    assert robot.install(swarm="other").returncode == 0
+    assert "restart" not in robot.asked
+    assert not list(robot.root.rglob("*~"))
+
+
+def test_a_reader_that_is_gone_does_not_stop_an_installation(robot: Robot) -> None:
+    (robot.root / "etc/systemd/system/fullswarm-agent.service").unlink()
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = robot.install(stdout=writer)
+    os.close(writer)
+    assert done.returncode == 0, done.stderr
+    assert robot.facts["kit"] is not None
+
+
+def test_settings_that_the_agent_does_not_take_are_taken_back(two: tuple[Robot, Path, Path]) -> None:
+    robot, old, _ = two
+    fleet = robot.root / "etc/fullswarm/fleet.toml"
+    before = fleet.read_text()
+    robot.program("journalctl", "echo 'no driver for bad://'")
+    done = robot.install(swarm="bad")
+    assert done.returncode == 1
+    assert "the old ones are back" in done.stderr.splitlines()[-1]
+    assert "It said: no driver for bad://" in done.stderr.splitlines()[-1]
+    assert (fleet.read_text(), robot.agent) == (before, old.name)
+    assert not list(robot.root.rglob("*~"))
+    assert robot.install().returncode == 0
+    assert robot.install_kit() == ""
+
+
+def test_settings_that_were_never_proven_are_taken_back_after_a_kill(two: tuple[Robot, Path, Path]) -> None:
+    robot, old, _ = two
+    before = (robot.root / "etc/fullswarm/fleet.toml").read_text()
+    (robot.root / "dies-at").write_text("try-restart")
+    assert robot.install(swarm="bad").returncode == -9
+    assert robot.install(swarm="bad").returncode == 1
+    assert ((robot.root / "etc/fullswarm/fleet.toml").read_text(), robot.agent) == (before, old.name)
+
+
+def test_settings_stay_when_no_agent_ran_or_a_card_says_so(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    done = robot.install("--settings-stay", swarm="bad")
+    assert (done.returncode, robot.agent) == (0, None)
+    assert "does not start with the new settings" in done.stderr
+    assert robot.install(swarm="other").returncode == 0
+    assert robot.install(swarm="bad").returncode == 0
+    assert '"bad"' in (robot.root / "etc/fullswarm/fleet.toml").read_text()
+
+
 @pytest.mark.parametrize("value", ['a"b', "a$b", "a\nb"])
 def test_an_environment_that_a_shell_would_misread_is_refused(value: str) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1"),))
@@ -119,6 +191,44 @@ def test_a_file_that_rotted_comes_again(two: tuple[Robot, Path, Path]) -> None:
     done = robot.call("receive", third.name, feed=b"".join(pack.plain(third, missing)))
     assert (done.returncode, done.stdout.decode().split()) == (1, ["lib/big.py"])
     robot.ok("receive", third.name, feed=b"".join(pack.plain(third, ["lib/big.py"])))
+
+
+def test_a_file_that_cannot_be_read_comes_again_too(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    third = robot.make("1.0.2")
+    missing = robot.want(third)
+    (robot.root / "rot").touch()
+    robot.program(
+        "sha256sum",
+        f"""
+        [ -e "$FULLSWARM_ROOT/rot" ] && case "$*" in
+        *--status*) exit 1 ;;
+        *--quiet*) rm "$FULLSWARM_ROOT/rot"; echo 'lib/big.py: FAILED open or read'; exit 1 ;;
+        esac
+        exec {shutil.which("sha256sum")} "$@\"""",
+    )
+    done = robot.call("receive", third.name, feed=b"".join(pack.plain(third, missing)))
+    assert (done.returncode, done.stdout.decode().split()) == (1, ["lib/big.py"])
+    robot.ok("receive", third.name, feed=b"".join(pack.plain(third, ["lib/big.py"])))
+    robot.check()
+
+
+def test_nothing_is_called_a_release_that_is_damaged_for_good(robot: Robot) -> None:
+    release = robot.make("1.0.0")
+    missing = robot.want(release)
+    robot.program("sha256sum", f'case "$*" in *-c*) exit 1 ;; esac\nexec {shutil.which("sha256sum")} "$@"')
+    robot.no(1, "receive", release.name, feed=b"".join(pack.plain(release, missing)))
+    assert robot.releases == set()
+
+
+def test_room_that_two_releases_share_counts_once(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    third = robot.make("1.0.2")
+    free_kb = 65536 + 5  # beyond what stays free: 5 kB, for 20 kB of which 8 are there already, in two releases
+    robot.program("df", f"printf 'head\\nx 1 1 {free_kb} 1 /\\n'")
+    said = robot.no(3, "want", third.name, "--bytes", str(20 * 1024), feed=pack.head(third))
+    assert "too full" in said
+    robot.ok("want", third.name, "--bytes", str(12 * 1024), feed=pack.head(third))
 
 
 def test_a_foreign_or_stale_signature_is_refused_before_anything_is_written(robot: Robot, tmp_path: Path) -> None:
@@ -261,6 +371,32 @@ def test_a_guard_that_cannot_be_armed_changes_nothing(two: tuple[Robot, Path, Pa
     assert (robot.current, robot.pending) == (old.name, False)
 
 
+def test_a_repeated_switch_that_cannot_be_guarded_approves_nothing(two: tuple[Robot, Path, Path]) -> None:
+    robot, old, new = two
+    robot.ok("switch", new.name)
+    (robot.root / "no-guards").touch()
+    assert f"{old.name} stays" in robot.no(1, "switch", new.name)
+    assert (robot.current, robot.agent, robot.pending) == (old.name, old.name, False)
+
+
+def test_a_guard_stands_until_the_next_one_does(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, new = two
+    robot.program(
+        "systemd-run",
+        """
+        unit=$(printf '%s\\n' "$@" | sed -n 's/^--unit=//p')
+        echo "run $unit" >> "$FULLSWARM_ROOT/systemctl.log"
+        [ ! -e "$FULLSWARM_ROOT/$unit" ] && touch "$FULLSWARM_ROOT/$unit\"""",
+    )
+    robot.ok("switch", new.name)
+    robot.asked  # noqa: B018  (empties it)
+    robot.ok("switch", new.name)
+    order = [line for line in robot.asked.splitlines() if "run " in line or line.startswith("stop ")]
+    assert order[:3] == [
+        "run fullswarm-guard", "run fullswarm-guard-2", "stop fullswarm-guard.timer fullswarm-guard.service"
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("moving", "lifecycle", "behaviour"), [(True, "READY", ""), (True, "ACTIVE", "flock"), (False, "ACTIVE", "flock")]
 )
@@ -323,6 +459,31 @@ def test_new_settings_restart_the_agent_only_if_they_are_new(two: tuple[Robot, P
     assert robot.facts["kit"] is not None
 
 
+def test_new_settings_whose_restart_was_killed_are_told_again(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    config = SwarmConfig(swarm="other", robot=(RobotConfig(id="r1", driver="null://r1"),))
+    (robot.root / "dies-at").write_text("restart")
+    assert robot.call("configure", feed=fleet_file(config).encode()).returncode == -9
+    robot.asked  # noqa: B018  (empties it)
+    robot.ok("configure", feed=fleet_file(config).encode())
+    assert "restart fullswarm-agent.service" in robot.asked
+    assert robot.facts["kit"] is not None
+    robot.ok("configure", feed=fleet_file(config).encode())
+    assert "restart" not in robot.asked
+
+
+def test_health_is_asked_for_as_a_word_or_as_a_verdict(two: tuple[Robot, Path, Path]) -> None:
+    robot, _, _ = two
+    robot.tell(False)
+    robot.ok("health", "--healthy")
+    path = robot.root / "run/fullswarm/health.json"
+    path.write_text(path.read_text().replace('"healthy": true', '"healthy": false'))
+    robot.ok("health")
+    done = robot.call("health", "--healthy")
+    assert (done.returncode, b'"healthy": false' in done.stdout) == (1, True)
+    robot.no(2, "health", "--well")
+
+
 def test_health_that_is_old_or_of_another_release_is_none(two: tuple[Robot, Path, Path]) -> None:
     robot, _, new = two
     (robot.root / "agent").write_text(new.name)
@@ -337,3 +498,27 @@ def test_health_that_is_old_or_of_another_release_is_none(two: tuple[Robot, Path
 def test_wrong_words_are_usage(robot: Robot) -> None:
     for words in ([], ["fly"], ["switch"], ["switch", "1-2", "--guard"], ["rollback", "x"], ["logs", "--root=/"]):
         robot.no(2, *words)
+
+
+# ---------------------------------------------------------------------- bytecode
+@pytest.mark.parametrize(
+    ("result", "status", "dropped"),
+    [
+        ("exit-code", "70", True),
+        ("exit-code", "1", True),
+        ("exit-code", "2", False),
+        ("success", "0", False),
+        ("watchdog", "ABRT", False),
+        ("signal", "KILL", False),
+    ],
+)
+def test_an_agent_that_failed_gets_new_bytecode_but_not_each_time(
+    robot: Robot, result: str, status: str, dropped: bool
+) -> None:
+    torn = robot.root / "var/cache/fullswarm/opt/fullswarm/releases/x/app/a.pyc"
+    ended = {"SERVICE_RESULT": result, "EXIT_STATUS": status}
+    for again in (False, True):
+        torn.parent.mkdir(parents=True, exist_ok=True)
+        torn.write_bytes(b"half")
+        assert robot.call("ended", environment=ended).returncode == 0
+        assert torn.exists() is (again or not dropped)

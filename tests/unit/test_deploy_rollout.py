@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.deploy.fleet import update
-from fullswarm.deploy.fleet.rollout import BAD, GOOD, IN_HAND, Plan, Rollout, Stage, share
+from fullswarm.deploy.fleet.rollout import BAD, IN_HAND, Plan, Rollout, Stage, share
 from fullswarm.deploy.fleet.update import Board, perform
 from fullswarm.deploy.fleet.work import Outcome
 from fullswarm.errors import ConfigError
@@ -80,11 +80,15 @@ def test_failures_stop_it_and_the_rest_keep_what_they_run(failure: Stage) -> Non
     assert list(rollout.stages.values()).count(Stage.STAGED) == 6
 
 
-def test_who_runs_it_already_stands_for_the_canary() -> None:
-    rollout = Rollout.of(robots(4), Plan())
-    for robot in ("r1", "r2", "r3", "r4"):
-        rollout = rollout.begun(robot).after(robot, Stage.CURRENT if robot == "r4" else Stage.STAGED)
-    assert list(rollout.due()) == ["r1", "r2", "r3"]
+def test_who_runs_it_already_is_no_canary_and_no_wave() -> None:
+    rollout = Rollout.of(robots(16), Plan())
+    for robot in robots(16):
+        rollout = rollout.begun(robot).after(robot, Stage.CURRENT if robot in robots(4) else Stage.STAGED)
+    waves = []
+    while not rollout.over:
+        rollout, due = finish(rollout)
+        waves.append(len(due))
+    assert waves == [1, 2, 9]  # a quarter of the twelve that do not
 
 
 def test_events_out_of_turn_are_mistakes() -> None:
@@ -127,13 +131,13 @@ def test_whatever_robots_do_in_whatever_order(data: st.DataObject) -> None:
                 assert Stage.WAITING not in stages
                 assert Stage.STAGING not in stages
                 assert sum(each in BAD for each in stages) < plan.stop_at
-                good = sum(each in GOOD for each in stages)
+                good, others = stages.count(Stage.HEALTHY), count - stages.count(Stage.CURRENT)
                 tried = good + sum(each in BAD for each in stages)
                 switching = stages.count(Stage.SWITCHING)
-                if good < min(plan.canary, count):
+                if good < min(plan.canary, others):
                     assert good + switching < plan.canary
-                elif tried < math.ceil(plan.wave * count):
-                    assert tried + switching < max(math.ceil(plan.wave * count), plan.canary)
+                elif tried < math.ceil(plan.wave * others):
+                    assert tried + switching < max(math.ceil(plan.wave * others), plan.canary)
                 assert robot not in switched
                 switched.add(robot)
             rollout = rollout.begun(robot)
@@ -186,6 +190,45 @@ def test_an_interrupted_one_says_where_each_robot_stands() -> None:
     board = asyncio.run(main())
     assert "goes back by itself within 60 s" in board.outcomes["r1"].what
     assert board.outcomes["r2"].what == "has it"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device", "/tmp/x"), TimeoutError()])
+def test_a_fault_of_this_computer_is_one_robots_and_ends_no_others_work(error: OSError) -> None:
+    async def hands(robot: str, stage: Stage) -> Outcome:
+        if stage is Stage.STAGING:
+            return Outcome(Stage.STAGED, "")
+        if robot == "r1":
+            raise error
+        for _ in range(5):
+            await asyncio.sleep(0)
+        return Outcome(Stage.HEALTHY, "")
+
+    board = Board(Rollout.of(robots(3), Plan(canary=0, wave=1.0)))
+    asyncio.run(perform(board, hands))
+    assert list(board.rollout.stages.values()) == [Stage.FAILED, Stage.HEALTHY, Stage.HEALTHY]
+    why = "No space left on device: /tmp/x" if error.errno else "OSError"
+    assert board.outcomes["r1"].what == f"this computer fails: {why}"
+    assert "its guard takes it back" in board.outcomes["r1"].mend
+
+
+def test_a_bug_lets_those_finish_that_are_in_hand_and_begins_with_nobody() -> None:
+    begun = []
+
+    async def hands(robot: str, stage: Stage) -> Outcome:
+        if stage is Stage.STAGING:
+            return Outcome(Stage.STAGED, "")
+        begun.append(robot)
+        if robot == "r1":
+            raise KeyError("a bug")
+        for _ in range(5):
+            await asyncio.sleep(0)
+        return Outcome(Stage.HEALTHY, "")
+
+    board = Board(Rollout.of(robots(4), Plan(canary=0, wave=1.0)))
+    with pytest.raises(KeyError, match="a bug"):
+        asyncio.run(perform(board, hands, at_a_time=2))
+    assert begun == ["r1", "r2"]
+    assert board.rollout.stages["r2"] is Stage.HEALTHY
 
 
 def test_who_was_away_is_tried_again_for_so_long(monkeypatch: pytest.MonkeyPatch) -> None:

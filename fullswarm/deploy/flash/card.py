@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from fullswarm.errors import ConfigError
 MOST_BYTES = 300_000_000_000
 """Cards are smaller; what is larger is somebody's backup disk until they say otherwise."""
 
+SYS_BLOCK = Path("/sys/block")
 _SYSTEM = frozenset({"/", "/boot", "/boot/firmware", "/boot/efi", "/home", "/usr", "/var", "[SWAP]"})
 _OWNED = frozenset({"crypt", "lvm", "raid0", "raid1", "raid5", "raid10", "mpath", "dm"})
 
@@ -33,6 +35,7 @@ class Card:
     kind: str = "disk"  # lsblk's type
     parent: str = ""  # of a partition: its disk
     removable: bool = False
+    soldered: bool = False  # eMMC: lsblk calls it mmc and hot-pluggable, as it does a card in its slot
     read_only: bool = False
     mounts: tuple[tuple[str, str], ...] = ()  # device, where; its own and its partitions'
     owners: tuple[str, ...] = ()  # encrypted volumes, RAIDs and the like that live on it
@@ -86,12 +89,22 @@ def _cards(entry: dict[str, Any], disk: dict[str, Any]) -> Iterator[Card]:
         kind=_text(entry, "type") or "disk",
         parent="" if entry is disk else _text(disk, "path"),
         removable=_flag(disk.get("rm")) or _flag(disk.get("hotplug")),
+        soldered=_is_emmc(_text(disk, "name")),
         read_only=_flag(entry.get("ro")),
         mounts=tuple((_text(each, "path"), where) for each in below for where in _mounts(each)),
         owners=tuple(_text(each, "name") for each in below if _text(each, "type") in _OWNED),
     )
     for child in entry.get("children", ()):
         yield from _cards(child, disk)
+
+
+def _is_emmc(name: str) -> bool:
+    """Tell eMMC (the kernel's ``MMC``) from a card (``SD``); its boot partitions look like disks of their own."""
+    disk = re.match(r"mmcblk\d+", name)
+    try:
+        return disk is not None and (SYS_BLOCK / disk[0] / "device/type").read_text("ascii").strip() == "MMC"
+    except (OSError, ValueError):
+        return False
 
 
 def _walk(entry: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -151,6 +164,8 @@ def refusal(card: Card, most_bytes: int = MOST_BYTES) -> tuple[str, str] | None:
         return f"it is a partition of {card.parent}", f"name the whole card: --device {card.parent}"
     if card.kind != "disk":
         return f"it is a {card.kind} device, not a card", "to write a file use --output"
+    if card.soldered:
+        return "it is the eMMC of this computer, no card", "plug a card in and name that"
     if not card.removable and card.transport not in ("usb", "mmc"):
         what = f"it is built in ({card.transport or 'no USB, no card reader'})"
         return what, "plug a card in with a reader; `lsblk -o PATH,RM,TRAN,SIZE,MODEL` shows what is there"

@@ -14,6 +14,7 @@ HERE=$ROOT/opt/fullswarm/flash
 TOOL=$ROOT/opt/fullswarm/bin/fullswarm-robot
 . "$HERE/card.env" # ROBOT RELEASE FILES BYTES HUB VOLUME INSTANCE: plain words only
 DONE=$HERE/done-$INSTANCE
+FORGOTTEN=$HERE/forgotten-$INSTANCE
 boot='' work='' mounted='' step='looking for the card'
 
 there() { command -v "$1" >/dev/null 2>&1; }
@@ -61,6 +62,8 @@ advice() {
     *reading*) echo "The card loses data: take another one, or another card reader, and flash again." ;;
     *taking*) echo "The software does not fit this image (64 bit? Python version?) or was signed on another base." \
         "fullswarm-robot says which, below: bundle for this image with 'fullswarm bundle', flash again." ;;
+    *approving*) echo "The robot goes back to the release that it had; the last lines below say why this one was not" \
+        "approved. Does the base run, at the address of 'hub' above?" ;;
     *agent*) echo "The software is on the robot, but does not start; the journal below says why. A missing robot on" \
         "the cable is no reason; a fleet file that does not fit the release is." ;;
     *) echo "See the last lines below. Switching the robot off and on tries again." ;;
@@ -126,61 +129,100 @@ keep_host_key() { # the one that the base knows; the image's own first boot may 
     echo "no SSH server is installed: the robot runs, but cannot be updated over the network"
 }
 
-install_kit() { # short: in memory
-    mkdir "$work/kit" && tar -xf "$boot/fullswarm/kit.tar" -C "$work/kit" && sh "$work/kit/install.sh"
+install_kit() { # short: in memory. A release that was here before need not like the new settings: the next one comes
+    mkdir "$work/kit" && tar -xf "$boot/fullswarm/kit.tar" -C "$work/kit" && sh "$work/kit/install.sh" --settings-stay
 }
 
 take_release() {
     rm -rf "$ROOT/opt/fullswarm/releases/.incoming-$RELEASE" # of a try that was cut; the card has all of it
     "$TOOL" want "$RELEASE" --bytes "$BYTES" <"$boot/fullswarm/head.tar" >"$work/missing" || return 1
-    [ -s "$work/missing" ] || return 0
-    if [ "$(wc -l <"$work/missing")" -eq "$FILES" ]; then
-        "$TOOL" receive "$RELEASE" <"$boot/fullswarm/release.tar.gz" | head -n 5
-    else # a release that was here before has some of it, and the robot takes only what it asked for
-        mkdir "$work/some" &&
-            tar -xzf "$boot/fullswarm/release.tar.gz" -C "$work/some" --verbatim-files-from -T "$work/missing" &&
-            tar -cf - -C "$work/some" --verbatim-files-from -T "$work/missing" | "$TOOL" receive "$RELEASE" | head -n 5
-    fi
+    for _ in 1 2; do # what it has of a release that was here before may turn out to be damaged
+        [ ! -d "$ROOT/opt/fullswarm/releases/$RELEASE" ] || return 0
+        give_missing >"$work/still" || return 1
+        head -n 5 "$work/still"
+        mv -f "$work/still" "$work/missing"
+    done
     [ -d "$ROOT/opt/fullswarm/releases/$RELEASE" ]
+}
+
+give_missing() { # the robot takes only what it asked for, and says what it still lacks
+    if [ "$(wc -l <"$work/missing")" -eq "$FILES" ]; then
+        "$TOOL" receive "$RELEASE" <"$boot/fullswarm/release.tar.gz"
+    else
+        mkdir -p "$work/some" &&
+            tar -xzf "$boot/fullswarm/release.tar.gz" -C "$work/some" --verbatim-files-from -T "$work/missing" &&
+            tar -cf - -C "$work/some" --verbatim-files-from -T "$work/missing" | "$TOOL" receive "$RELEASE"
+    fi
+    [ $? -le 1 ]
+}
+
+approve() { # at once where nothing older is there to go back to; else only what is well
+    if [ -n "$was" ] && [ "$was" != "$RELEASE" ] && ! until_well "$TOOL" health --healthy; then
+        echo "$RELEASE is not healthy: $(why_not)"
+        "$TOOL" rollback --because "not healthy at its first boot from the card: $(why_not)"
+        return 1
+    fi
+    "$TOOL" commit "$RELEASE"
 }
 
 forget() { # what is not needed again, the robot's private host key above all
     [ ! -f "$boot/fullswarm/after-user-data" ] || mv -f "$boot/fullswarm/after-user-data" "$boot/user-data"
-    rm -rf "$boot/fullswarm/secret" "$boot/fullswarm/release.tar.gz" "$boot/fullswarm/head.tar" "$boot/fullswarm/kit.tar"
+    rm -rf "$boot/fullswarm/secret" "$boot/fullswarm/release.tar.gz" "$boot/fullswarm/head.tar" "$boot/fullswarm/kit.tar" &&
+        sync && : >"$FORGOTTEN"
 }
 
-verdict() {
+until_well() { # COMMAND...
     tries=0
-    until "$TOOL" health >/dev/null 2>&1 && has_address; do
+    until "$@" >/dev/null 2>&1; do
         tries=$((tries + 1))
-        [ "$tries" -lt "$HEALTH_TRIES" ] || break
+        [ "$tries" -lt "$HEALTH_TRIES" ] || return 1
         sleep 1
     done
+}
+
+why_not() { # what the agent says, or that it says nothing
+    if said=$("$TOOL" health 2>&1); then
+        printf '%s\n' "$said" | sed -n '/^ "why": \[/,/^ \]/s/^  "\(.*\)",\{0,1\}$/\1/p' | tr '\n' ';' | sed 's/;$//; s/;/; /g'
+    else
+        printf '%s' "${said#fullswarm-robot: }"
+    fi
+}
+
+well() { "$TOOL" health --healthy && has_address; }
+
+verdict() {
+    until_well well || :
     if ! has_address; then
         report "installed, but NO NETWORK" "Is the Wi-Fi name right (upper and lower case), its passphrase, the country? \
 Is the access point on, does it have 2.4 GHz? Write them anew: fullswarm flash $ROBOT --seed-only --device /dev/sdX …"
-    elif "$TOOL" health >/dev/null 2>&1; then
+    elif "$TOOL" health --healthy >/dev/null 2>&1; then
         report "OK" "nothing; 'fullswarm status' shows the robot while the base runs"
     else
-        report "installed, the agent is not healthy yet" "Does the base run, at the address of 'hub' above, and let \
+        state="installed, the agent is not healthy yet"
+        ! "$TOOL" health >/dev/null 2>&1 || state="installed and running, but not healthy yet"
+        report "$state: $(why_not)" "Nothing, if the base was off. Does the base run, at the address of 'hub' above, and let \
 others in (--insecure-network)? Is the robot's cable plugged in? 'agent' below says what it waits for."
     fi
 }
 
-[ ! -e "$DONE" ] || exit 0
+if [ -e "$DONE" ]; then
+    [ -e "$FORGOTTEN" ] || { find_card && forget; } # the power went in between
+    leave 0
+fi
 mkdir -p "$HERE" && : >"$HERE/log"
 find_card || { say "no card with a folder 'fullswarm': volume $VOLUME"; leave 1; }
 mkdir -p "$ROOT/var/tmp"
 work=$(mktemp -d "$ROOT/var/tmp/fullswarm-first-boot.XXXXXX") || fail
+was=$(readlink "$ROOT/opt/fullswarm/current") && was=${was##*/} || was=''
 run "reading the card" read_card
 run "giving the robot the key that the base knows" keep_host_key
 run "installing what stands outside the release" install_kit
 run "taking the release" take_release
-run "starting the agent" "$TOOL" switch "$RELEASE"
-run "approving the release" "$TOOL" commit "$RELEASE" # nothing older is there to go back to
+run "starting the agent" "$TOOL" switch "$RELEASE" --guard $((HEALTH_TRIES + 120))
+run "approving the release" approve
+verdict # before it is done: after a power cut all of this is soon done again, and the report is not lost
 echo "$RELEASE" >"$DONE"
-forget
 sync
-verdict
+forget
 say "done"
 leave 0

@@ -95,7 +95,9 @@ if [ -n "$failed" ]; then
 else
     rm -rf "$CARD/secret/authorized_keys" "$CARD"/secret/*.nmconnection
 fi
-rm -f "$BOOT/firstrun.sh"
-sed -i 's| systemd\.[^ ]*||g' "$BOOT/cmdline.txt"
+# In this order, each on the disk before the next: a command line that runs a script which is gone boots for ever.
+sed 's| systemd\.[^ ]*||g' "$BOOT/cmdline.txt" >"$BOOT/cmdline.txt.new" && sync &&
+    mv -f "$BOOT/cmdline.txt.new" "$BOOT/cmdline.txt" && sync &&
+    rm -f "$BOOT/firstrun.sh"
 sync
 exit 0

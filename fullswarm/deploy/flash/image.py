@@ -24,7 +24,7 @@ Tell = Callable[[int], None]
 """Is told how many bytes have been dealt with."""
 
 _HASH = re.compile(r"\b[0-9a-fA-F]{64}\b")
-_AGAIN = "download it again"
+AGAIN = "download it again"
 
 
 @contextmanager
@@ -53,7 +53,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         with opener(path, "rb") as stream:
             yield stream
     except (lzma.LZMAError, gzip.BadGzipFile, zlib.error, EOFError) as error:
-        raise ConfigError(f"is damaged: {error}", where=str(path), hint=_AGAIN) from error
+        raise ConfigError(f"is damaged: {error}", where=str(path), hint=AGAIN) from error
 
 
 @contextmanager
@@ -75,7 +75,7 @@ def _zstd(path: Path) -> Iterator[IO[bytes]]:
         if process.wait() != 0:
             errors.seek(0)
             said = errors.read().decode("utf-8", "replace").strip()
-            raise ConfigError(f"is damaged: {said}", where=str(path), hint=_AGAIN)
+            raise ConfigError(f"is damaged: {said}", where=str(path), hint=AGAIN)
 
 
 def chunks(stream: IO[bytes], size: int = CHUNK_BYTES) -> Iterator[bytes]:
@@ -134,7 +134,7 @@ def check_sha256(path: Path, wanted: str | None, tell: Tell) -> str:
     found = file_sha256(path, tell)
     if wanted is not None and found != wanted:
         what = f"its SHA-256 is {found}, not {wanted}"
-        raise ConfigError(what, where=str(path), hint=f"{_AGAIN}; nothing was written")
+        raise ConfigError(what, where=str(path), hint=f"{AGAIN}; nothing was written")
     return found
 
 

@@ -20,7 +20,8 @@ from fullswarm.config import RobotConfig, load_swarm
 from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
-from fullswarm.deploy.flash.write import Job, Outcome, write_jobs
+from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, write_jobs
+from fullswarm.deploy.fleet.hostkeys import usable
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import output, session
@@ -75,13 +76,21 @@ def run(request: Request) -> int:
     Unreachable
         All cards are written, but a robot was not heard within the time to wait.
     """
+    keys = Keys.default()
+    try:
+        with usable(keys.folder):
+            return _run(request, keys)
+    finally:
+        _hand_over(keys.folder)
+
+
+def _run(request: Request, keys: Keys) -> int:
     config = load_swarm(request.fleet)
     robots = plan.robots_of(config, request.robots)
     targets = _targets(request, robots)
     mtools.check_there()
     networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
     around = Surroundings(config, networks, country, request.static)
-    keys = Keys.default()
     shipment = plan.release_for(request.release, request.target, request.image, keys)
     output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")
     if request.seed_only:
@@ -104,6 +113,20 @@ def run(request: Request) -> int:
         what = f"nothing was heard within {request.wait_minutes:g} minutes"
         raise Unreachable(what, where=", ".join(silent), hint=wait.ADVICE)
     return code
+
+
+def _hand_over(folder: Path) -> None:
+    """Give what root has made among a user's keys to that user, whose next command runs without sudo."""
+    user = int(os.environ.get("SUDO_UID") or "0")
+    if os.geteuid() != 0 or not user:
+        return
+    line = (folder, *folder.parents)
+    own = next((each for each in line if each.exists() and each.stat().st_uid == user), None)
+    if own is None or not folder.exists():  # the keys are root's own, or none were made
+        return
+    for each in (*line[: line.index(own)], *folder.rglob("*")):
+        if each.lstat().st_uid == 0:
+            os.lchown(each, user, own.stat().st_gid)
 
 
 def _targets(request: Request, robots: Sequence[RobotConfig]) -> tuple[Card | Path, ...]:
@@ -187,7 +210,7 @@ def _flash(
         ]
         if request.dry_run:
             return lines
-        agree(targets, request.agreed)
+        agree(targets, request.agreed, "everything on it will be lost")
         with _partial(targets) as paths:
             jobs = [
                 Job(each.robot, path, each.edited, each.volume.start_bytes)
@@ -200,8 +223,17 @@ def _flash(
     return lines
 
 
-def agree(targets: Sequence[Card | Path], agreed: Sequence[str]) -> None:
-    """Have somebody agree to lose what is on each card, by its serial number.
+def agree(
+    targets: Sequence[Card | Path],
+    agreed: Sequence[str],
+    loss: str = "its system stays, the files that tell which robot it is will be lost",
+) -> None:
+    """Have somebody agree to lose something of each card, by its serial number.
+
+    Parameters
+    ----------
+    loss
+        What; by default no more than ``--seed-only`` writes over.
 
     Raises
     ------
@@ -210,7 +242,7 @@ def agree(targets: Sequence[Card | Path], agreed: Sequence[str]) -> None:
     """
     cards = [each for each in targets if isinstance(each, Card)]
     for each in card.check_agreed(cards, agreed):
-        what = f"everything on it will be lost: {each.title}"
+        what = f"{loss}: {each.title}"
         if not sys.stdin.isatty():
             raise ConfigError(what, where=each.path, hint=f"if that is meant: --yes {each.token}")
         output.progress(what)
@@ -262,6 +294,11 @@ def _write(picture: Path, jobs: Sequence[Job]) -> list[Outcome]:
     try:
         with image.opened(picture) as stream:
             return write_jobs(image.chunks(stream), jobs, teller)
+    except (ConfigError, OSError) as error:  # of the image: what goes wrong with a card stands in its outcome
+        what = error.what if isinstance(error, ConfigError) else f"cannot be read: {error.strerror or error}"
+        hint = f"{image.AGAIN}, then flash this card again"
+        failed = CardFailed(f"half written, not usable: {picture} {what}", hint=hint)
+        return [Outcome(each.name, error=failed) for each in jobs]
     except KeyboardInterrupt:
         output.progress(f"half written, not usable: {', '.join(str(each.target) for each in jobs)}; flash again")
         raise

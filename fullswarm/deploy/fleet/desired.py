@@ -11,7 +11,7 @@ from pathlib import Path
 import platformdirs
 
 from fullswarm.deploy.release import manifest
-from fullswarm.errors import ConfigError
+from fullswarm.operator import output
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +38,8 @@ class Desired:
     def want(self, releases: Mapping[str, str]) -> None:
         """Remember releases of some robots, and leave the others as they are.
 
-        Raises
-        ------
-        ConfigError
-            Nothing can be written there.
+        When nothing can be written there it only warns: the robots have done their part, and what became of each is
+        still to be told.
         """
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
@@ -51,4 +49,4 @@ class Desired:
                 fresh.write_text(json.dumps({**self.read(), **releases}, indent=1, sort_keys=True) + "\n", "utf-8")
                 fresh.replace(self.file)
         except OSError as error:
-            raise ConfigError(f"cannot keep what robots should run: {error.strerror}", where=str(self.file)) from error
+            output.progress(f"warning: {self.file}: cannot keep what robots should run: {error.strerror}")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fullswarm.errors import FullswarmError
+from fullswarm.errors import ConfigError, FullswarmError
 
 SSH_PORT = 22
 
@@ -29,6 +31,11 @@ class Pins:
         In OpenSSH's format, so that ``ssh`` and ``ssh-keygen`` can use it too.
     flashed
         Folder of the host keys that were made on this machine, ``<robot>_ed25519.pub``.
+
+    Raises
+    ------
+    ConfigError
+        In each method: these files are not this user's to read or write.
     """
 
     known_hosts: Path
@@ -36,32 +43,30 @@ class Pins:
 
     def keys(self, robot: str, host: str, port: int) -> list[str]:
         """Public keys (``ssh-ed25519 AAAA…``) that this robot may show; none: it is not known yet."""
-        name = name_of(host, port)
-        pinned = [key for names, key in _lines(self.known_hosts) if name in names.split(",")]
-        return pinned or self._made_here(robot)
+        return self._pinned(name_of(host, port)) or self._made_here(robot)
 
     def pin(self, host: str, port: int, key: str) -> None:
         """Remember a key that the user has confirmed."""
-        self.known_hosts.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         line = f"{name_of(host, port)} {_bare(key)}\n".encode()
-        # One write to a file opened for appending: two commands at a time do not tear each other's lines.
-        file = os.open(self.known_hosts, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-        try:
-            os.write(file, line)
-        finally:
-            os.close(file)
+        with usable(self.known_hosts.parent, self.known_hosts):
+            self.known_hosts.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # One write to a file opened for appending: two commands at a time do not tear each other's lines.
+            file = os.open(self.known_hosts, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            try:
+                os.write(file, line)
+            finally:
+                os.close(file)
 
     def pin_flashed(self, robot: str, host: str, port: int) -> None:
         """Write down for ``ssh`` what is known of a robot flashed here."""
-        name = name_of(host, port)
-        if not any(name in names.split(",") for names, _ in _lines(self.known_hosts)):
+        if not self._pinned(name_of(host, port)):
             for key in self._made_here(robot):
                 self.pin(host, port, key)
 
     def changed(self, robot: str, host: str, port: int) -> HostKeyProblem:
         """Return the error for a computer that shows another key than the pinned one."""
         name = name_of(host, port)
-        if any(name in names.split(",") for names, _ in _lines(self.known_hosts)):
+        if self._pinned(name):
             mend = f"ssh-keygen -R '{name}' -f '{self.known_hosts}'"
         else:
             mend = f"rm '{self.flashed / f'{robot}_ed25519.pub'}'"
@@ -80,11 +85,43 @@ class Pins:
             f"{robot}` and confirm, or --accept-new-host-keys on a network you trust",
         )
 
+    def _pinned(self, name: str) -> list[str]:
+        with usable(self.known_hosts.parent):
+            return [key for names, key in _lines(self.known_hosts) if name in names.split(",")]
+
     def _made_here(self, robot: str) -> list[str]:
         try:
-            return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
+            with usable(self.flashed):
+                return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
         except FileNotFoundError:
             return []
+
+
+@contextmanager
+def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
+    """Say which file of `folder` this user may not read or write: `sudo fullswarm` leaves root's among a user's.
+
+    Parameters
+    ----------
+    writing
+        The file that an error without a name is about.
+
+    Raises
+    ------
+    ConfigError
+        In place of the system's own error, unless that is of a file elsewhere or of one that is not there.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        file = Path(os.fsdecode(error.filename)) if error.filename else writing
+        if file is None or not file.is_relative_to(folder):
+            raise
+        hint = f"sudo chown -R \"$USER\" '{folder}'" if isinstance(error, PermissionError) else ""
+        what = f"cannot be read or written: {(error.strerror or str(error)).lower()}"
+        raise ConfigError(what, where=str(file), hint=hint) from error
 
 
 def name_of(host: str, port: int) -> str:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,22 +120,29 @@ class Login:
             keys.append({})
         for number, which in enumerate(keys, start=1):
             try:
-                with _told(address, self.pins):
+                met: list[str] = []
+                with _told(address, self.pins, met):
                     async with asyncio.timeout(self.connect_s):
-                        return await self._dial(address, which), number > 1
+                        return await self._dial(address, which, met), number > 1
             except LoginRefused:
                 if number == len(keys):
                     raise
         raise AssertionError("the last key has raised or returned")
 
-    async def _dial(self, address: Address, keys: dict[str, Any]) -> Any:
+    async def _dial(self, address: Address, keys: dict[str, Any], met: list[str]) -> Any:
+        """Connect; `met` gets the robot's name once its own computer is at the other end, behind all jump hosts."""
         import asyncssh
+
+        def arrived() -> asyncssh.SSHClient:
+            met.append(address.robot)
+            return asyncssh.SSHClient()
 
         pinned = self.pins.keys(address.robot, address.host, address.port)
         trusted = [asyncssh.import_public_key(each) for each in pinned]
         return await asyncssh.connect(
             address.host,
             address.port,
+            client_factory=arrived,
             username=address.user,
             known_hosts=(trusted, [], []),
             preferred_auth="publickey",
@@ -147,14 +154,22 @@ class Login:
 
 
 @contextlib.contextmanager
-def _told(address: Address, pins: Pins) -> Any:
-    """Turn what asyncssh and sockets raise into our errors; the cause stays, to decide whether to try again."""
+def _told(address: Address, pins: Pins, met: Sequence[str] | None = None) -> Any:
+    """Turn what asyncssh and sockets raise into our errors; the cause stays, to decide whether to try again.
+
+    Parameters
+    ----------
+    met
+        Empty until the robot's own computer was at the other end; None: any host key of that one is taken.
+    """
     import asyncssh
 
     check = "is it switched on and in this network? `host` in the fleet file says where"
     try:
         yield
-    except (asyncssh.HostKeyNotVerifiable, asyncssh.KeyExchangeFailed):
+    except (asyncssh.HostKeyNotVerifiable, asyncssh.KeyExchangeFailed) as error:
+        if not met and (met is not None or isinstance(error, asyncssh.HostKeyNotVerifiable)):
+            raise _jump_host(address, error.reason) from None
         # Without a key of the kind that is pinned, the two find no algorithm in common.
         raise pins.changed(address.robot, address.host, address.port) from None
     except asyncssh.PermissionDenied:
@@ -171,6 +186,17 @@ def _told(address: Address, pins: Pins) -> Any:
         raise Unreachable(_words_for(error), where=address.where, hint=check) from cause
     except (asyncssh.Error, ValueError) as error:
         raise Unreachable(clean(str(error)), where=address.where, hint=check) from None
+
+
+def _jump_host(address: Address, reason: str) -> HostKeyProblem:
+    """Return the error for a jump host whose key ``~/.ssh/known_hosts`` has not; asyncssh ends with `for host NAME`."""
+    _, found, name = reason.rpartition(" for host ")
+    name = clean(name).split()[0] if found and name.strip() else ""
+    return HostKeyProblem(
+        f"is behind the jump host{f' {name}' if name else ''}, whose host key is not in ~/.ssh/known_hosts",
+        where=address.where,
+        hint=f"`ssh {name or 'JUMPHOST'}` once, by its name in ~/.ssh/config if it has one, and confirm its key",
+    )
 
 
 def _words_for(error: Exception) -> str:

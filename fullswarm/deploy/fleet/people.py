@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint
+from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint, usable
 from fullswarm.deploy.fleet.login import Address, Login
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.operator import output
@@ -27,16 +27,20 @@ def pick(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple[RobotC
     Raises
     ------
     ConfigError
-        A name is not in the fleet file, or nobody is left.
+        A name is not in the fleet file, or those named stand for nobody: an empty word, an empty group.
     """
+    words = tuple(named)
     by_id = {each.id: each for each in config.robot}
     picked: dict[str, RobotConfig] = {}
-    for name in (part for each in named for part in each.split(",") if part):
+    for name in (part for each in words for part in each.split(",") if part):
         members = config.groups.get(name[1:]) if name.startswith("@") else (name,)
         if members is None or any(each not in by_id for each in members):
             known = [*by_id, *(f"@{each}" for each in config.groups)]
             raise ConfigError(f"no robot '{name}' in this fleet", where=str(where), hint=did_you_mean(name, known))
         picked.update({each: by_id[each] for each in members})
+    if words and not picked:  # an unset variable of a script must not mean the whole fleet
+        hint = "an empty word or group; leave the robots out for all of them"
+        raise ConfigError(f"'{' '.join(words)}' stands for no robot", where=str(where), hint=hint)
     chosen = tuple(picked.values()) or tuple(each for each in config.robot if each.host or not each.simulated)
     if not chosen:
         raise ConfigError("no robot with a computer of its own", where=str(where), hint='host = "10.0.0.11" names one')
@@ -44,13 +48,22 @@ def pick(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple[RobotC
 
 
 def login(config: SwarmConfig, keys: Keys, *, ask_password: bool = False, own_keys: bool = False) -> Login:
-    """Return how to log in to the robots of a fleet; asks for sudo's password once if it shall."""
+    """Return how to log in to the robots of a fleet; asks for sudo's password once if it shall.
+
+    Raises
+    ------
+    ConfigError
+        The keys are not this user's to read.
+    """
     password = None
     if ask_password:
         password = getpass.getpass("sudo's password on the robots: ") if sys.stdin.isatty() else sys.stdin.readline()
         password = password.rstrip("\n")
     pins = Pins(keys.known_hosts, keys.folder / "hosts" / config.swarm)
-    return Login(pins, keys.fleet_key(), own_keys, password)
+    with usable(keys.folder):
+        key = keys.fleet_key()
+        key.open("rb").close()  # each robot would say it otherwise, and as if it were the robot's fault
+    return Login(pins, key, own_keys, password)
 
 
 async def get_to_know(entrance: Login, addresses: Sequence[Address], *, accept: bool) -> dict[str, FullswarmError]:

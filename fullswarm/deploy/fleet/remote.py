@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import shlex
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
@@ -26,6 +27,12 @@ STALL_S = 45.0
 COMMAND_S = 60.0
 OPEN_S = 20.0
 CLOSE_S = 3.0
+_OURS = (b"fullswarm-robot:", b"install.sh:")
+"""Who speaks so was run by sudo."""
+_SUDO = re.compile(rb"sudo(-rs)?: |Sorry, user .* (may not|is not allowed)|\S+ is not in the sudoers file")
+_HARMLESS = re.compile(rb"unable to resolve host|unable to send audit message|setrlimit\(|command not found")
+"""sudo says it and goes on; and a program that is not there is no matter of who may run it."""
+_NO_SUDO = re.compile(rb"\bsudo: (command )?not found")
 
 Feed = bytes | Path
 Line = Callable[[bytes], None]
@@ -105,13 +112,13 @@ class Remote:
     ) -> Answer:
         """Run a script that ends in one of `root_script`; raises as `program`."""
         answer = await self.run(script, first=first, feed=feed, within_s=within_s, line=line)
-        if answer.code in (1, 127) and b"sudo:" in answer.err[:4096]:
+        if said := sudo_refusal(answer):
             hint = (
                 "the password is wrong, or the user is no sudoer"
                 if self.sudo_password is not None
                 else "--ask-sudo-password, or let ssh_user be root"
             )
-            raise NoRoot(f"may not become root there: {answer.words}", where=self.robot, hint=hint)
+            raise NoRoot(f"may not become root there: {said}", where=self.robot, hint=hint)
         return answer
 
     async def run(
@@ -240,6 +247,21 @@ def root_script(words: str, password: str | None) -> tuple[str, bytes]:
         f'set -- sh -c {shlex.quote(skip)} sh {words}; [ "$(id -u)" -eq 0 ] || set -- sudo -S -p "" "$@"; exec "$@"'
     )
     return script, f"{password}\n{BEGIN}\n".encode()
+
+
+def sudo_refusal(answer: Answer) -> str:
+    """What sudo, or the shell that finds no sudo, said instead of running the command; empty: it was run.
+
+    1 is what sudo ends with when it refuses, and also an answer of the programs that it runs.
+    """
+    lines = answer.err.splitlines()
+    if answer.code == 127:
+        said = [each for each in lines if _NO_SUDO.search(each)]
+    elif answer.code == 1 and not answer.out and not any(each.startswith(_OURS) for each in lines):
+        said = [each for each in lines if _SUDO.match(each) and not _HARMLESS.search(each)]
+    else:
+        return ""
+    return clean(said[-1]) if said else ""
 
 
 @contextlib.asynccontextmanager

@@ -58,7 +58,7 @@ class Plan:
     canary
         So many robots run the release first; all of them must be healthy.
     wave
-        Share of the robots, 0 to 1, that may run it before the rest.
+        Share of the robots that do not run it yet, 0 to 1, that may do so before the rest.
     stop_at
         With so many failures no further robot switches.
     """
@@ -123,8 +123,9 @@ class Rollout:
 
     def _room(self) -> int:
         """How many more robots may switch, by what has become of those before."""
-        switching, good, bad = self._count({Stage.SWITCHING}), self._count(GOOD), self._count(BAD)
-        everybody = len(self.stages)
+        # Who ran the release before says nothing of how the others take the switch.
+        everybody = len(self.stages) - self._count({Stage.CURRENT})
+        switching, good, bad = self._count({Stage.SWITCHING}), self._count({Stage.HEALTHY}), self._count(BAD)
         if good < min(self.plan.canary, everybody):
             return max(0, self.plan.canary - good - switching)
         # Good and bad: the wave is over when all of it has been heard of, not when it has been sent.

@@ -78,21 +78,33 @@ async def perform(board: Board, hands: Hands, at_a_time: int = AT_A_TIME, keep_t
 
 async def _round(board: Board, hands: Hands, at_a_time: int) -> None:
     running: dict[asyncio.Task[Outcome], str] = {}
+    bug: Exception | None = None
     try:
         while True:
-            for robot in list(board.rollout.due())[: at_a_time - len(running)]:
+            for robot in list(board.rollout.due())[: at_a_time - len(running)] if bug is None else ():
                 stage = board.begin(robot)
                 running[asyncio.ensure_future(_hand(hands, robot, stage))] = robot
             if not running:
-                return
+                break
             done, _ = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
             for each in done:
-                board.end(running.pop(each), each.result())
+                robot = running.pop(each)
+                try:
+                    board.end(robot, each.result())
+                except Exception as error:  # others may be in the midst of their switch: nobody begins, they finish
+                    bug = bug or error
     finally:
         for each in running:
             each.cancel()
         await asyncio.gather(*running, return_exceptions=True)
+    if bug is not None:
+        raise bug
 
 
 async def _hand(hands: Hands, robot: str, stage: Stage) -> Outcome:
-    return await hands(robot, stage)
+    try:
+        return await hands(robot, stage)
+    except OSError as error:  # this computer's: a full disk, a key file, too many open files
+        what = ": ".join(filter(None, (error.strerror or str(error) or "OSError", str(error.filename or ""))))
+        mend = "if it switched, its guard takes it back; " if stage is Stage.SWITCHING else ""
+        return Outcome(Stage.FAILED, f"this computer fails: {what}", f"{mend}update again")

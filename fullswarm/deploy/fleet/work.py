@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import gettempdir
 
 from fullswarm.deploy.fleet import steps
 from fullswarm.deploy.fleet.choose import choose
@@ -23,6 +24,11 @@ from fullswarm.errors import FullswarmError, Unreachable
 
 SHIP_ATTEMPTS = 4
 AGAIN_S = 1.0
+POLL_S = 0.5
+SILENT_S = 30.0
+"""An agent that was restarted says how it is within this time, on the slowest card too."""
+SICK_S = 5.0
+"""What keeps an agent from being healthy for so long, a core that nobody has started, for one, may stay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +101,9 @@ class Work:
             outcome = Outcome(Stage.UNREACHABLE, error.what, error.hint, exit_code=error.exit_code)
         except FullswarmError as error:
             outcome = Outcome(Stage.FAILED, error.what, error.hint, exit_code=error.exit_code)
+        except OSError as error:  # of our own disk: what a link says is one of the above
+            what = f"this computer could not read or pack the release: {error.strerror or error}"
+            outcome = Outcome(Stage.FAILED, what, f"is its disk full? `df -h {gettempdir()}`; then again")
         return replace(
             outcome,
             release=outcome.release or self.before.get(robot) or "",
@@ -142,7 +151,7 @@ class Work:
             try:
                 facts = await self._install(remote, facts)
                 if facts.current == name and facts.settled:
-                    return Outcome(Stage.CURRENT, self._unchanged(robot), release=name)
+                    return await self._current(remote, facts, name)
                 await self._verify(folder)
                 if name not in facts.releases:
                     self.tell(f"{robot}: shipping {name}")
@@ -174,11 +183,28 @@ class Work:
             raise steps.Refused(f"it is {facts.busy_with}", where=remote.robot, hint="stop it first, or --force")
         self.tell(f"{remote.robot}: installing")
         await steps.install(remote, kit.archive, installed=facts.installed)
+        now = await facts_of(remote)
+        if now.kit != kit.name:
+            hint = "is its root file system read-only, or does another program write there? deploy again"
+            raise FullswarmError("it says that it was set up, and its files are other ones", hint=hint)
         self.changed[remote.robot] = ("installed" if not facts.installed else "set up anew",)
-        return await facts_of(remote)
+        return now
 
-    def _unchanged(self, robot: str) -> str:
-        return "runs it already; " + (", ".join(self.changed.get(robot, ())) or "nothing was changed")
+    async def _current(self, remote: Remote, facts: Facts, release: str) -> Outcome:
+        """It has what it should have: does it run? One that is well is not asked again, a restarted one gets time."""
+        now = asyncio.get_running_loop().time
+        began_s, restarts = now(), facts.agent.restarts
+        while why := _why_not_well(facts, release):
+            runs = _says(facts, release) and facts.agent.restarts == restarts
+            if now() - began_s >= (SICK_S if runs else SILENT_S):
+                break
+            await asyncio.sleep(POLL_S)
+            facts = await facts_of(remote)
+        if why and not runs:
+            raise FullswarmError(f"its agent does not run: {why}", hint=f"`fullswarm logs {remote.robot}`")
+        changed = ", ".join(self.changed.get(remote.robot, ())) or "nothing was changed"
+        what = f"runs it already; {changed}{f'; not healthy: {why}' if why else ''}"
+        return Outcome(Stage.CURRENT, what, release=release)
 
     # ------------------------------------------------------------ the switch
     async def _switch(self, robot: str) -> Outcome:
@@ -197,6 +223,22 @@ class Work:
         verdict = await watch.until_settled()
         self.tell(f"{robot}: {verdict.state}{f': {verdict.why}' if verdict.why else ''}")
         return _judged(verdict, release, before)
+
+
+def _says(facts: Facts, release: str) -> bool:
+    """Whether its agent runs, and says so itself, of this release."""
+    return facts.agent.active and facts.health is not None and facts.health.release == release
+
+
+def _why_not_well(facts: Facts, release: str) -> str:
+    said = facts.health
+    if not facts.agent.active:
+        return f"{clean(facts.agent.state, 60) or 'not started'}, restarted {facts.agent.restarts} times"
+    if said is None:
+        return "it says nothing of its health"
+    if said.release != release:
+        return f"it still runs {clean(said.release or 'another release', 60)}"
+    return "" if said.healthy else clean("; ".join(said.why)) or "it does not say why"
 
 
 def _judged(verdict: Verdict, release: str, before: str | None) -> Outcome:

@@ -2,6 +2,9 @@
 # Spreads a kit; run as root in the folder that its tar was unpacked to. Safe to run again: it prints `changed: …` for
 # what it changed, and nothing when all is as it should be. Afterwards only /opt/fullswarm, /var/lib/fullswarm and /run
 # need to be writable; the root file system may be read-only.
+#
+# An agent that ran before and does not start with new settings gets its old ones back, and this exits with 1. With
+# --settings-stay (a card's first boot, which switches the release next) the new ones hold whatever the agent says.
 set -eu
 LC_ALL=C
 export LC_ALL
@@ -9,10 +12,19 @@ umask 022
 
 ROOT=${FULLSWARM_ROOT:-}
 SYSTEMCTL=${FULLSWARM_SYSTEMCTL:-systemctl}
+# The line of a file stands here once whoever must know of this file has been told.
+TOLD=$ROOT/opt/fullswarm/bin/kit.sums
+AGENT=fullswarm-agent.service
+SETTINGS="etc/systemd/system/$AGENT etc/fullswarm/fleet.toml etc/fullswarm/robot.env"
+START_S=60
+stay=''
+[ "${1-}" != --settings-stay ] || stay=yes
 cd "$(dirname "$(readlink -f "$0")")"
+trap '' PIPE HUP # a link that breaks takes our words, not our work
 
-say() { printf '%s\n' "install.sh: $*" >&2; }
-changed() { printf 'changed: %s\n' "$*"; }
+say() { printf '%s\n' "install.sh: $*" >&2 || :; }
+changed() { printf 'changed: %s\n' "$*" 2> /dev/null || :; }
+cannot() { say "cannot write $1: is the file system read-only or full?"; exit 1; }
 
 (cd files && sha256sum -c --quiet ../kit.sums >&2) || { say "the kit is damaged; nothing was changed"; exit 1; }
 if [ -z "$ROOT" ] && [ "$(id -u)" -ne 0 ]; then
@@ -31,25 +43,48 @@ mode_of() {
     esac
 }
 
-put() { # PATH: copies one file to its place in one step, unless it is there
+untell() { # PATH: before it changes, so that the run after a killed one tells what that one did not
+    grep -q "  $1\$" "$TOLD" 2> /dev/null || return 0
+    sed "\\|  $1\$|d" "$TOLD" > "$TOLD.new~" && mv -fT "$TOLD.new~" "$TOLD" || cannot "$TOLD"
+}
+
+keep() { # PATH: with what the agent runs now, until it runs with what comes
+    case " $SETTINGS " in *" $1 "*) ;; *) return 0 ;; esac
+    [ -n "$running" ] && [ -e "$ROOT/$1" ] && [ ! -e "$ROOT/$1.was~" ] || return 0
+    cp -p "$ROOT/$1" "$ROOT/$1.new~" && mv -fT "$ROOT/$1.new~" "$ROOT/$1.was~" || cannot "$ROOT/$1.was~"
+}
+
+put_back() { # what was kept; fails when nothing was
+    back=''
+    for path in $SETTINGS; do
+        [ -e "$ROOT/$path.was~" ] || continue
+        mv -fT "$ROOT/$path.was~" "$ROOT/$path" || cannot "$ROOT/$path"
+        back=yes
+    done
+    [ -n "$back" ]
+}
+
+put() { # PATH LINE: copies one file to its place in one step, unless it is there
     to=$ROOT/$1
     mode=$(mode_of "$1")
-    if cmp -s "files/$1" "$to" && [ "$(stat -c 0%a "$to")" = "$mode" ]; then
+    if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ]; then
+        untell "$1"
+        keep "$1"
+        # A name with a dot in it: neither sudo nor udev nor systemd reads a half-written one.
+        mkdir -p "$(dirname "$to")" && cp "files/$1" "$to.new~" && chmod "$mode" "$to.new~" &&
+            mv -fT "$to.new~" "$to" || cannot "$to"
+        changed "$1"
+    fi
+    if grep -qxF "$2" "$TOLD" 2> /dev/null; then
         return 0
     fi
-    mkdir -p "$(dirname "$to")"
-    # A name with a dot in it: neither sudo nor udev nor systemd reads a half-written one.
-    cp "files/$1" "$to.new~" && chmod "$mode" "$to.new~" && mv -fT "$to.new~" "$to"
-    changed "$1"
     case $1 in
     etc/systemd/system/*) units=yes ;;
     etc/udev/*) rules=yes ;;
     etc/systemd/journald.conf.d/*) journal=yes ;;
     etc/ssh/sshd_config.d/*) ssh=yes ;;
     esac
-    case $1 in
-    etc/systemd/system/fullswarm-agent.service | etc/fullswarm/fleet.toml | etc/fullswarm/robot.env) agent=yes ;;
-    esac
+    case " $SETTINGS " in *" $1 "*) agent=yes ;; esac
 }
 
 make_user() { # the agent's own, with the groups of ports and gamepads that this system has
@@ -59,6 +94,7 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
     fi
     for group in dialout input plugdev gpio i2c spi; do
         if getent group "$group" > /dev/null && ! id -nG fullswarm | tr ' ' '\n' | grep -qx "$group"; then
+            untell etc/fullswarm/robot.env
             usermod -aG "$group" fullswarm
             changed "group $group"
             agent=yes
@@ -84,10 +120,22 @@ reload_sshd() { # connections that are open stay; a server that minds our lines 
     done
 }
 
-units='' rules='' journal='' ssh='' agent=''
+start_agent() { # restart|try-restart: waits until it says READY, has failed, or hangs
+    timeout --foreground "$START_S" "$SYSTEMCTL" "$1" "$AGENT"
+}
+
+its_last_word() { # SINCE: of the agent, in seconds since the epoch
+    ! command -v journalctl > /dev/null ||
+        journalctl -q --no-pager -o cat -n 1 --since "@$1" "_SYSTEMD_UNIT=$AGENT" 2> /dev/null | tail -n 1 | cut -c1-160
+}
+
+units='' rules='' journal='' ssh='' agent='' running=''
+if [ -e "$ROOT/opt/fullswarm/current" ] && [ -z "$stay" ] && "$SYSTEMCTL" is-active --quiet "$AGENT"; then
+    running=yes
+fi
 mkdir -p "$ROOT/opt/fullswarm/releases" "$ROOT/opt/fullswarm/bin"
 [ -n "$ROOT" ] || make_user
-while read -r _ path; do
+while read -r digest path; do
     case $path in
     etc/sudoers.d/*)
         if command -v visudo > /dev/null && ! visudo -cqf "files/$path" > /dev/null; then
@@ -96,11 +144,13 @@ while read -r _ path; do
         fi
         ;;
     esac
-    put "$path"
+    put "$path" "$digest  $path"
 done < kit.sums
 if [ -z "$ROOT" ]; then
     for folder in /var/lib/fullswarm /var/cache/fullswarm; do
-        [ -d "$folder" ] || { install -d -o fullswarm -g fullswarm -m 0755 "$folder" && changed "$folder"; }
+        [ ! -d "$folder" ] || continue
+        install -d -o fullswarm -g fullswarm -m 0755 "$folder" || cannot "$folder"
+        changed "$folder"
     done
 fi
 sync
@@ -109,7 +159,7 @@ sync
 if [ -n "$units" ]; then
     "$SYSTEMCTL" daemon-reload
 fi
-for unit in fullswarm-boot.service fullswarm-agent.service; do
+for unit in fullswarm-boot.service "$AGENT"; do
     if ! "$SYSTEMCTL" is-enabled --quiet "$unit" 2>/dev/null; then
         "$SYSTEMCTL" enable --quiet "$unit"
         changed "$unit enabled"
@@ -124,12 +174,25 @@ fi
 if [ -n "$ssh" ] && [ -z "$ROOT" ]; then
     reload_sshd
 fi
-if [ -n "$agent" ]; then
-    "$SYSTEMCTL" try-restart fullswarm-agent.service || say "the agent does not start with the new settings"
+began=$(date +%s)
+if [ -n "$agent" ] && ! start_agent try-restart; then
+    why="the agent does not start with the new settings"
+    said=$(its_last_word "$began")
+    if [ -z "$stay" ] && put_back; then
+        "$SYSTEMCTL" daemon-reload
+        why="$why; the old ones are back"
+        start_agent restart || why="$why, and it does not start with them either"
+        say "$why; do they need a newer release? \`fullswarm update\` first, deploy then.${said:+ It said: $said}"
+        exit 1
+    fi
+    say "$why${said:+: $said}"
+    [ -z "$running" ] || exit 1
 fi
+for path in $SETTINGS; do
+    rm -f "$ROOT/$path.was~"
+done
 
 # Last: whoever finds it finds the rest, too.
-if ! cmp -s kit.sums "$ROOT/opt/fullswarm/bin/kit.sums"; then
-    cp kit.sums "$ROOT/opt/fullswarm/bin/kit.sums.new~"
-    mv -fT "$ROOT/opt/fullswarm/bin/kit.sums.new~" "$ROOT/opt/fullswarm/bin/kit.sums"
+if ! cmp -s kit.sums "$TOLD"; then
+    cp kit.sums "$TOLD.new~" && mv -fT "$TOLD.new~" "$TOLD" || cannot "$TOLD"
 fi

@@ -136,9 +136,23 @@ facts() { # one JSON object
 FACTS
 }
 
-health() { # the health file while it is new and of the release that should run
+health() { # [--healthy]: the health file while it is new and of the release that should run; 1: it does not say it is well
+    case $#${1:-} in 0 | 1--healthy) ;; *) usage "health [--healthy]" ;; esac
     [ -s "$HEALTH" ] || fail "the agent has written no health yet"
     fresh || fail "the agent's health is $(health_age_s 2>/dev/null || printf '?') s old"
     [ "$(say_field release)" = "$(current)" ] || fail "the agent still runs $(say_field release)"
     cat "$HEALTH"
+    [ $# -eq 0 ] || [ "$(say_field healthy)" = true ]
+}
+
+logs() {
+    format=short-iso
+    if [ "${1-}" = --json ]; then
+        format=json
+        shift
+    fi
+    for each in "$@"; do
+        case $each in -f | -n | [0-9]*) ;; *) usage "logs [--json] [-f] [-n LINES]" ;; esac
+    done
+    exec journalctl --unit="$AGENT" --no-pager --output="$format" "$@"
 }

@@ -83,8 +83,8 @@ check_machine() { # MANIFEST
     python_for "$python" > /dev/null || refuse "it needs python $python; here: $(pythons | tr '\n' ' ')"
 }
 
-free_kb() {
-    df -Pk "$HOME_DIR" | awk 'NR == 2 { print $4 }'
+free_kb() { # [FOLDER]
+    df -Pk "${1:-$HOME_DIR}" | awk 'NR == 2 { print $4 }'
 }
 
 missing() { # FOLDER: what its SHA256SUMS lists and it has not
@@ -93,11 +93,17 @@ missing() { # FOLDER: what its SHA256SUMS lists and it has not
     done
 }
 
-drop_damaged() { # FOLDER: remove what has not the digest that was signed, and what is not a plain file
+plain_files() { # FOLDER: neither links nor devices: what is not there comes over the air
     find "$1" ! -type d ! -type f -exec rm -f {} +
-    (cd "$1" && sha256sum -c --quiet SHA256SUMS 2>/dev/null) | sed -n 's/: FAILED$//p' | while IFS= read -r path; do
-        rm -f "$1/$path"
-    done
+}
+
+whole() { # FOLDER: all that was signed is there, and has its digest
+    (cd "$1" && sha256sum -c --status SHA256SUMS 2>/dev/null)
+}
+
+drop_damaged() { # FOLDER: remove what has not the digest that was signed, or cannot be read
+    (cd "$1" && sha256sum -c --quiet SHA256SUMS 2>/dev/null |
+        sed -n 's/: FAILED\( open or read\)\{0,1\}$//p' | xargs -r -d '\n' rm -f)
 }
 
 link_from() { # RELEASE FOLDER: what RELEASE has the same, as hard links
@@ -160,19 +166,20 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the 
         cp "$work/$name" "$incoming/.$name" && mv -fT "$incoming/.$name" "$incoming/$name" ||
             fail "cannot write $incoming"
     done
-    drop_damaged "$incoming" # of an earlier try that was cut
+    plain_files "$incoming" # of an earlier try that was cut
+    drop_damaged "$incoming"
     for each in ${bases:-}; do
         link_from "$each" "$incoming"
     done
     missing "$incoming"
 }
 
-shared_kb() { # SUMS FOLDER…: how much of a release need not be written again
+shared_kb() { # SUMS FOLDER…: how much of a release need not be written again; what several have counts once
     sort "$1" > "$work/wanted"
     shift
     for each in "$@"; do
-        (cd "$each" && sort SHA256SUMS | comm -12 - "$work/wanted" | cut -c67- | xargs -r -d '\n' stat -c %s)
-    done | awk '{ sum += $1 } END { printf "%d\n", sum / 1024 }'
+        (cd "$each" && sort SHA256SUMS | comm -12 - "$work/wanted" | cut -c67- | xargs -r -d '\n' stat -c '%s %n')
+    done | sort -u -k 2 | awk '{ sum += $1 } END { printf "%d\n", sum / 1024 }'
 }
 
 check_listing() { # LISTING: of a tar -tv; plain files that were asked for, and folders on the way to them
@@ -212,9 +219,11 @@ receive() { # stdin: tar of missing files; stdout: what is still missing (exit 1
         rm -rf "$incoming"
         refuse "the disk is full; the shipment was removed, $(current) goes on"
     fi
-    drop_damaged "$incoming"
-    missing "$incoming" > "$work/missing"
-    if [ -s "$work/missing" ]; then
+    plain_files "$incoming"
+    if ! whole "$incoming"; then
+        drop_damaged "$incoming"
+        missing "$incoming" > "$work/missing"
+        [ -s "$work/missing" ] || fail "$incoming holds damaged files that cannot be removed: is the disk failing?"
         cat "$work/missing"
         exit 1
     fi
