@@ -71,6 +71,17 @@ def test_a_refused_request_shows_its_reason(calm: Console, observer: Observer, s
     assert observer.all_stand_with("")
 
 
+def test_a_selection_that_nobody_has_heard_starts_nobody(calm: Console, observer: Observer) -> None:
+    calm.page.evaluate("sessionStorage.setItem('selection', '[\"r77\"]')")  # of a group that is switched off
+    calm.faultless()
+    calm.page.reload()
+    calm.until(lambda: len(calm.state["robots"]) == 8, 10.0, "the others are there")
+    calm.start("flocking_bc")
+    expect(calm.named("refusal")).to_contain_text("none of them has been heard")
+    observer.rest(1.0)
+    assert observer.all_stand_with(""), "none named must not become all"
+
+
 def test_robots_of_somebody_else_are_refused_until_they_are_taken_over(
     calm: Console, demo: Demo, observer: Observer
 ) -> None:

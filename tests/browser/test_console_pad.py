@@ -24,12 +24,47 @@ window.pad = {
 navigator.getGamepads = () => [window.pad, null, null, null];
 window.dispatchEvent(Object.assign(new Event("gamepadconnected"), { gamepad: window.pad }));
 """
+SECOND = """
+window.second = { ...window.pad, id: "Second pad", index: 1, axes: [0.6, -0.5, 0, 0] };
+window.second.buttons = window.pad.buttons.map((button, n) => ({ ...button, pressed: n === 4 }));
+navigator.getGamepads = () => [window.pad, window.second, null, null];
+window.dispatchEvent(Object.assign(new Event("gamepadconnected"), { gamepad: window.second }));
+"""
+"""Another pad, its dead-man held and its stick pushed."""
+UNPLUG_FIRST = """
+navigator.getGamepads = () => [null, window.second, null, null];
+window.dispatchEvent(Object.assign(new Event("gamepaddisconnected"), { gamepad: window.pad }));
+"""
+UNPLUG_SECOND = """
+navigator.getGamepads = () => [null, null, null, null];
+window.dispatchEvent(Object.assign(new Event("gamepaddisconnected"), { gamepad: window.second }));
+"""
+STIR = """(seconds) => new Promise((resolve) => {
+  const send = WebSocket.prototype.send;
+  let frames = 0;
+  WebSocket.prototype.send = function (text) {
+    frames += 1;
+    return send.call(this, text);
+  };
+  const began_ms = performance.now();
+  const thumb = setInterval(() => {
+    const passed_s = (performance.now() - began_ms) / 1000;
+    window.pad.axes = [0.7 + 0.2 * Math.sin(7 * passed_s), -0.4, 0, 0];
+    if (passed_s < seconds) return;
+    clearInterval(thumb);
+    WebSocket.prototype.send = send;
+    resolve(frames / passed_s);
+  }, 20);
+})"""
+"""Moves the stick at each look for some seconds; frames that were sent in each."""
 UNPLUG = """
 navigator.getGamepads = () => [null, null, null, null];
 window.dispatchEvent(Object.assign(new Event("gamepaddisconnected"), { gamepad: window.pad }));
 """
 LOOKED_AT = "new Promise((resolve) => setTimeout(resolve, 200))"
 """The page has looked at the pad meanwhile: what is held when it is plugged in does not count as pressed."""
+MOST_FRAMES_HZ = 32.0
+"""The page says 30 at most, and timers of a browser are not exact; the console allows 60."""
 LEFT_BEHIND_S = 0.3
 """A stick's intent lapses on the robot after so long, whatever has become of the operator's side."""
 SLACK_S = 0.7
@@ -100,6 +135,48 @@ def test_a_pad_that_is_unplugged_stops_it(calm: Console, pad: Pad, observer: Obs
     calm.page.evaluate(PLUG.replace("pressed: false", "pressed: true"))  # plugged in again, all buttons held
     observer.rest(0.7)
     assert observer.stand(["r6"]), "the dead-man must be let go first"
+
+
+def test_another_pad_does_not_drive_on_in_its_place(calm: Console, pad: Pad, observer: Observer) -> None:
+    pad.stick(0.6, 0.5)
+    pad.button(LB, down=True)
+    observer.until(lambda: drives(observer), 5.0, "it drives")
+    calm.page.evaluate(SECOND)
+    observer.rest(0.5)
+    assert drives(observer), "a pad more changes nothing"
+    calm.page.evaluate(UNPLUG_FIRST)
+    took_s = observer.until(lambda: not drives(observer), 5.0, "it stands")
+    assert took_s < LEFT_BEHIND_S + SLACK_S
+    observer.rest(0.7)
+    assert observer.stand(["r6"]), "the other pad's dead-man was down already"
+    calm.page.evaluate(UNPLUG_SECOND)
+
+
+def test_a_stick_that_moves_all_the_time_is_told_thirty_times_a_second(
+    calm: Console, pad: Pad, observer: Observer
+) -> None:
+    pad.button(LB, down=True)
+    frames_hz = calm.page.evaluate(STIR, 5.0)
+    assert MOST_FRAMES_HZ / 2 < frames_hz < MOST_FRAMES_HZ
+    observer.fresh()
+    assert drives(observer)
+    expect(calm.named("driving")).to_have_text("driving r6")
+
+
+def test_a_stop_while_it_drives_is_told_and_needs_a_new_press(calm: Console, pad: Pad, observer: Observer) -> None:
+    pad.stick(0.6, 0.5)
+    pad.button(LB, down=True)
+    observer.until(lambda: drives(observer), 5.0, "it drives")
+    observer.operator.stop(("r6",))
+    expect(calm.named("driving")).to_contain_text("not driving: stopped while driving")
+    observer.until(lambda: not drives(observer), 5.0, "it stands")
+    observer.rest(0.7)
+    assert observer.stand(["r6"]), "although the dead-man is still held"
+    pad.button(LB, down=False)
+    calm.page.evaluate(LOOKED_AT)
+    pad.button(LB, down=True)
+    observer.until(lambda: drives(observer), 5.0, "a new press drives")
+    pad.button(LB, down=False)
 
 
 def test_its_e_stop_needs_no_dead_man(calm: Console, pad: Pad, observer: Observer) -> None:

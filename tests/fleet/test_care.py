@@ -102,7 +102,7 @@ def test_torn_bytecode_keeps_no_agent_from_starting(fleet: Fleet, module: str) -
     lab, robot = fleet.lab, fleet.lab.robots[1]
     computer, tag = lab.computers[robot], PYTHON.replace(".", "")
     torn = f"/var/cache/fullswarm/opt/fullswarm/releases/{fleet.first}/{module}.cpython-{tag}.pyc"
-    computer.do("rm", "-f", "/run/fullswarm/bytecode-dropped")
+    computer.do("rm", "-f", "/run/fullswarm/agent-failed", "/run/fullswarm/bytecode-dropped")
     computer.do("truncate", "--size=64", torn)  # as by a full disk, which Python does not notice
     computer.do("systemctl", "restart", "fullswarm-agent", check=False)
     took_s = fleet.wait_runs(robot, fleet.first, BACK_S, f"{robot} starts in spite of it")

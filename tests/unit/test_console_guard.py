@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import errno
+import ipaddress
+import socket
 import sys
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from hypothesis import given
@@ -9,7 +13,7 @@ from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.operator.console import serve
-from fullswarm.operator.console.guard import Bucket, Names, same_token
+from fullswarm.operator.console.guard import Bucket, Names, lower, same_token
 from fullswarm.operator.session import Target
 
 LOOPBACK = Names("127.0.0.1", 8807, frozenset({"lab.example", "proxy.example:9000"}))
@@ -114,8 +118,6 @@ def test_a_token_comes_from_file_environment_or_chance(tmp_path: Path, monkeypat
 
 
 def test_a_port_that_is_taken_is_said() -> None:
-    import socket
-
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(Unreachable, match="cannot listen"):
@@ -125,6 +127,53 @@ def test_a_port_that_is_taken_is_said() -> None:
 def test_the_address_has_the_token_where_no_server_sees_it() -> None:
     assert serve.url("127.0.0.1", 8807, "t") == "http://127.0.0.1:8807/#token=t"
     assert serve.url("::1", 8807, "t") == "http://[::1]:8807/#token=t"
+
+
+@pytest.mark.parametrize(
+    ("allowed", "expected"),
+    [
+        (("lab.local",), "http://lab.local:8807/#token=t"),
+        (("proxy.example:9000", " Lab.local "), "http://Lab.local:8807/#token=t"),
+        (("proxy.example:9000",), "http://proxy.example:9000/#token=t"),
+        (("fd00::1",), "http://[fd00::1]:8807/#token=t"),
+    ],
+)
+@pytest.mark.parametrize("everywhere", ["0.0.0.0", "::"])
+def test_who_listens_everywhere_is_called_by_a_name_that_was_allowed(
+    everywhere: str, allowed: tuple[str, ...], expected: str
+) -> None:
+    address = serve.url(everywhere, 8807, "t", allowed)
+    assert address == expected
+    assert called(Names(everywhere, 8807, lower(allowed)), address)
+    assert serve.url("127.0.0.1", 8807, "t", allowed) == "http://127.0.0.1:8807/#token=t"
+
+
+@pytest.mark.parametrize("everywhere", ["0.0.0.0", "::"])
+def test_without_such_a_name_it_is_called_by_an_address_of_this_machine(everywhere: str) -> None:
+    address = serve.url(everywhere, 8807, "t")
+    assert called(Names(everywhere, 8807), address)
+    own = ipaddress.ip_address(serve.own_address(everywhere))
+    family = socket.AF_INET if own.version == 4 else socket.AF_INET6
+    with socket.socket(family, socket.SOCK_STREAM) as listener:
+        listener.bind((str(own), 0))  # nobody can listen on what is another machine's
+
+
+@pytest.mark.parametrize(("everywhere", "own"), [("0.0.0.0", "127.0.0.1"), ("::", "[::1]")])
+def test_a_machine_without_a_network_is_called_by_its_loopback_address(
+    everywhere: str, own: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Unrouted(socket.socket):
+        def connect(self, address: object) -> None:
+            raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    monkeypatch.setattr(socket, "socket", Unrouted)
+    assert serve.url(everywhere, 8807, "t") == f"http://{own}:8807/#token=t"
+
+
+def called(names: Names, address: str) -> bool:
+    """Whether a browser that opens `address` is let in."""
+    host = urlsplit(address).netloc
+    return names.host(host) and names.origin(f"http://{host}", host)
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

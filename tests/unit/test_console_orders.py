@@ -12,7 +12,9 @@ from fullswarm.messages import (
     LeaseRequest,
     StopRequest,
 )
+from fullswarm.operator.console.alarms import STOP_WATCH_S
 from fullswarm.operator.console.gateway import KEPT_S, MOST_DESKS
+from fullswarm.operator.view import SILENT_S
 from tests.unit.console_bench import KEYS, ConsoleBench, health
 
 
@@ -97,11 +99,61 @@ def test_a_stop_needs_no_lease_and_tells_who_stands(bench: ConsoleBench) -> None
     assert bench.say(desk, page, "stop")["ok"]
     bench.run(0.15)
     assert any(isinstance(each, StopRequest) for each in bench.sent)
-    assert page.last("stop") == {"t": "stop", "robots": [], "standing": ["r2"], "moving": ["r1"], "done": False}
+    assert page.last("stop") == {
+        "t": "stop", "robots": [], "standing": ["r2"], "moving": ["r1"], "silent": [], "done": False,
+    }  # fmt: skip
     bench.report(health("r1", moving=False), health("r2"))
     bench.run(0.15)
     assert page.last("stop")["done"]
     assert page.log("stop") == ["console anna@base sess stops the whole swarm"]
+
+
+def test_a_stop_is_not_done_while_a_robot_is_silent(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    bench.report(health("r1"), health("r2", moving=True))
+    bench.run(SILENT_S)
+    bench.report(health("r1"))
+    bench.run(0.1)
+    assert bench.say(desk, page, "stop")["ok"]
+    bench.run(0.15)
+    told = page.last("stop")
+    assert (told["standing"], told["moving"], told["silent"], told["done"]) == (["r1"], [], ["r2"], False)
+    bench.report(health("r1"), health("r2"))
+    bench.run(0.15)
+    told = page.last("stop")
+    assert (told["standing"], told["silent"], told["done"]) == (["r1", "r2"], [], True)
+
+
+def test_a_robot_that_was_never_heard_is_silent_when_a_stop_names_it(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    bench.report(health("r1"))
+    bench.run(0.1)
+    assert bench.say(desk, page, "stop", robots=["r1", "r9"])["ok"]
+    bench.run(0.15)
+    told = page.last("stop")
+    assert (told["standing"], told["silent"], told["done"]) == (["r1"], ["r9"], False)
+
+
+def test_a_stop_of_nobody_is_not_done(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    assert bench.say(desk, page, "stop")["ok"]
+    bench.run(0.15)
+    told = page.last("stop")
+    assert (told["standing"], told["moving"], told["silent"], told["done"]) == ([], [], [], False)
+
+
+def test_a_robot_that_stays_silent_does_not_bring_an_old_stop_up_again(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    bench.report(health("r1"), health("r2"))
+    bench.run(SILENT_S + 0.1)
+    bench.say(desk, page, "stop")
+    for _ in range(round(STOP_WATCH_S) + 1):
+        bench.report(health("r1"))
+        bench.run(1.0)
+    count = len(page.all("stop"))
+    bench.report(health("r1", moving=True), health("r2", moving=True))
+    bench.run(1.0)
+    assert len(page.all("stop")) == count
 
 
 def test_an_estop_shows_each_receipt_and_who_is_silent(bench: ConsoleBench) -> None:

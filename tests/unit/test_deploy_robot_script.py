@@ -512,13 +512,13 @@ def test_wrong_words_are_usage(robot: Robot) -> None:
         ("signal", "KILL", False),
     ],
 )
-def test_an_agent_that_failed_gets_new_bytecode_but_not_each_time(
+def test_an_agent_that_fails_twice_gets_new_bytecode_but_not_each_time(
     robot: Robot, result: str, status: str, dropped: bool
 ) -> None:
     torn = robot.root / "var/cache/fullswarm/opt/fullswarm/releases/x/app/a.pyc"
     ended = {"SERVICE_RESULT": result, "EXIT_STATUS": status}
-    for again in (False, True):
+    for time in (1, 2, 3):
         torn.parent.mkdir(parents=True, exist_ok=True)
         torn.write_bytes(b"half")
         assert robot.call("ended", environment=ended).returncode == 0
-        assert torn.exists() is (again or not dropped)
+        assert torn.exists() is not (dropped and time == 2)

@@ -123,24 +123,31 @@ class StopWatch:
         return True
 
     def news(self, seen: Snapshot, now_s: float) -> dict[str, Any] | None:
-        """Return the frame ``stop`` if it has changed and is not over."""
+        """Return the frame ``stop`` if it has changed and is not over. A robot that is silent may move on."""
         order = self.order
         if order is None:
             return None
-        rows = [row for row in seen.robots if not row.silent and (not order.robots or row.robot in order.robots)]
-        moving = [row.robot for row in rows if _moves(row)]
+        rows = {row.robot: row for row in seen.robots}
+        standing: list[str] = []
+        moving: list[str] = []
+        silent: list[str] = []
+        for robot in order.robots or rows:
+            row = rows.get(robot)
+            (silent if row is None or row.silent else moving if _moves(row) else standing).append(robot)
+        done = bool(standing) and not moving and not silent
         frame = {
             "t": "stop",
             "robots": order.robots,
-            "standing": [row.robot for row in rows if not _moves(row)],
+            "standing": standing,
             "moving": moving,
-            "done": not moving,
+            "silent": silent,
+            "done": done,
         }
+        if done or now_s - self.began_s > STOP_WATCH_S:
+            self.order = None
         if frame == self._told:
             return None
         self._told = frame
-        if not moving or now_s - self.began_s > STOP_WATCH_S:
-            self.order = None
         return frame
 
 

@@ -105,8 +105,9 @@ class Desk:
             case frames.Drive():
                 reason = self._drive(command, listener)
             case frames.Release():
-                self._blocked = ""
-                self._let_go()
+                if self._driver in (None, listener):  # else another window of theirs drives
+                    self._blocked = ""
+                    self._let_go()
                 reason = ""
             case frames.Lease():
                 reason = self._lease(command)

@@ -8,13 +8,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib
+import ipaddress
 import json
 import os
 import secrets
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,6 +43,8 @@ INTERRUPTED = 130
 DEAD_LINK_MS = 10_000
 GRACE_S = 2
 MOST_CONNECTIONS = 64
+OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
+"""For each way to listen everywhere: an address far away that belongs to nobody."""
 
 Guest = Callable[[Scheduler, Callable[[], None]], None]
 """Gets the scheduler and how to end; launch brings the check whether its parent still lives."""
@@ -182,7 +185,7 @@ async def _serve(
         if guest is not None:
             guest(runtime, lambda: setattr(server, "should_exit", True))
         pump.poke()
-        loop.call_soon(_announce, address := url(host, port, token), options)
+        loop.call_soon(_announce, address := url(host, port, token, options.allow_hosts), options)
         if options.open_browser:
             loop.call_soon(_open, address, loop, stack)
         await server.serve([listener])
@@ -241,10 +244,47 @@ def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> 
     return came
 
 
-def url(host: str, port: int, token: str) -> str:
-    """Return the page's address; what stands behind # never leaves the browser."""
-    name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(host, host)  # noqa: S104  (compared)
-    return f"http://{f'[{name}]' if ':' in name else name}:{port}/#token={token}"
+def url(host: str, port: int, token: str, allow_hosts: Iterable[str] = ()) -> str:
+    """Return the page's address, by a name that the guard lets in; what stands behind # never leaves the browser."""
+    called = _called(host, [name.strip() for name in allow_hosts if name.strip()])
+    if _is_ipv6(called):
+        called = f"[{called}]:{port}"
+    elif ":" not in called:  # else it was allowed with a port of its own
+        called = f"{called}:{port}"
+    return f"http://{called}/#token={token}"
+
+
+def _called(host: str, allowed: list[str]) -> str:
+    """Return the name by which others reach what listens on `host`."""
+    if host not in OUTSIDE:
+        return host
+    if allowed:
+        return min(allowed, key=lambda name: ":" in name)  # one with a port of its own is likely a proxy's
+    return own_address(host)
+
+
+def own_address(everywhere: str) -> str:
+    """Return an address of this machine for others, or its own for itself when it has none.
+
+    Parameters
+    ----------
+    everywhere
+        ``0.0.0.0`` or ``::``.
+    """
+    family, far = OUTSIDE[everywhere]
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as asking:
+        asking.connect((far, 9))  # sends nothing: the system only chooses from which address it would
+        address = ipaddress.ip_address(asking.getsockname()[0])
+        if address.version == 4 or not address.is_link_local:  # a browser takes no fe80::1%eth0
+            return str(address)
+    return "127.0.0.1" if family == socket.AF_INET else "::1"
+
+
+def _is_ipv6(name: str) -> bool:
+    try:
+        return ipaddress.ip_address(name).version == 6
+    except ValueError:
+        return False
 
 
 def _announce(address: str, options: Options) -> None:

@@ -4,8 +4,8 @@ import { Emitter } from "./emitter.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
 /**
- * Emits "refused" {behaviour, reason}, "asked" {behaviour, robots}, "question" {holders, take} and "unsent" (a stop
- * that waits for the link).
+ * Emits "refused" {behaviour, reason}, "asked" {behaviour, robots}, "question" {holders, take} and "unsent" {what,
+ * lost, reason}: a stop that the console has not confirmed, and why (see Answer).
  */
 export class Commands extends Emitter {
   /**
@@ -84,16 +84,11 @@ export class Commands extends Emitter {
   }
 
   async #urgent(message) {
-    if (!this.link.open) {
-      this.link.urge(message);
-      this.emit("unsent", message.t);
-      return;
-    }
-    const answer = await this.link.ask(message);
-    if (answer.ok) return;
-    if (!this.link.open) this.link.urge(message);
-    this.emit("unsent", message.t);
-    this.emit("refused", { behaviour: message.t === "stop" ? "stop" : "e-stop", reason: answer.reason });
+    const { ok, lost, reason } = await this.link.ask(message);
+    if (ok) return;
+    if (lost === "unsent" || lost === "broken") this.link.urge(message);
+    this.emit("unsent", { what: message.t, lost, reason });
+    if (!lost) this.emit("refused", { behaviour: message.t === "stop" ? "stop" : "e-stop", reason });
   }
 
   #remember(id, again) {

@@ -1,10 +1,12 @@
-/** Driving by hand: 20 frames a second while the dead-man is held, and none after. */
+/** Driving by hand: 20 to 30 frames a second while the dead-man is held, and none after. */
 
 import { Emitter } from "./emitter.js";
 import { short } from "./fleet.js";
 import { pressed, readArrows, readPad } from "./padlogic.js";
+import { UNHEARD } from "./selection.js";
 
 const RATE_MS = 50;
+const LEAST_MS = 34; // between frames, on average: the console shuts out who sends 60 a second for long
 const POLL_MS = 20;
 const BEHAVIOUR = "drive_bc";
 
@@ -30,7 +32,10 @@ export class Driver extends Emitter {
   }
 
   #timer = 0;
+  #due_ms = 0; // before it only zeros are sent
+  #press = 0; // counts the presses: what is said of an earlier one does not end this one
   #sticks = { linear: 0, angular: 0 };
+  #told = { linear: 0, angular: 0 };
 
   get held() {
     return this.#timer !== 0;
@@ -42,6 +47,10 @@ export class Driver extends Emitter {
     const robots = this.selection.list();
     if (!this.link.open) return this.#say("not driving: no link");
     if (this.store.hello?.read_only) return this.#say("not driving: this console only shows");
+    if (this.selection.unheard) {
+      this.#refused(UNHEARD);
+      return this.#say(`not driving: ${UNHEARD}`);
+    }
     if (robots.length === 0) return this.#say("not driving: select robots");
     const holders = this.store.heldByOthers(robots);
     if (holders.size) {
@@ -49,17 +58,20 @@ export class Driver extends Emitter {
       return this.#say(`not driving: held by ${[...new Set(holders.values())].join(", ")}`);
     }
     this.robots = robots;
-    this.#timer = setInterval(() => this.#send(), RATE_MS);
-    this.#say(`driving ${short(robots, 4)}`);
+    this.#press += 1;
     this.#send();
+    this.#say(`driving ${short(robots, 4)}`);
     return true;
   }
 
-  /** Set the sticks, -1 to 1; a move is told at once. */
-  set(sticks) {
-    const moved = sticks.linear !== this.#sticks.linear || sticks.angular !== this.#sticks.angular;
-    this.#sticks = { linear: sticks.linear, angular: sticks.angular };
-    if (this.held && moved) this.#send();
+  /** Set the sticks, -1 to 1; zero is told at once, any other move as soon as the last frame is old enough. */
+  set({ linear, angular }) {
+    if (!this.held) return;
+    this.#sticks = { linear, angular };
+    if (linear === this.#told.linear && angular === this.#told.angular) return;
+    const wait_ms = this.#due_ms - performance.now();
+    if (wait_ms <= 0 || (linear === 0 && angular === 0)) this.#send();
+    else this.#sendIn(wait_ms);
   }
 
   /** Let go: the console sends zeros at once. */
@@ -69,7 +81,7 @@ export class Driver extends Emitter {
 
   #end(words) {
     const was = this.held;
-    clearInterval(this.#timer);
+    clearTimeout(this.#timer);
     this.#timer = 0;
     this.#sticks = { linear: 0, angular: 0 };
     this.robots = [];
@@ -79,7 +91,29 @@ export class Driver extends Emitter {
   }
 
   #send() {
-    this.link.post({ t: "drive", robots: this.robots, behaviour: BEHAVIOUR, sticks: this.#sticks, fixed: {} });
+    const press = this.#press;
+    this.#due_ms = Math.max(this.#due_ms, performance.now()) + LEAST_MS;
+    this.#told = this.#sticks;
+    const frame = { t: "drive", robots: this.robots, behaviour: BEHAVIOUR, sticks: this.#sticks, fixed: {} };
+    this.link.post(frame, (answer) => press === this.#press && this.#heard(answer));
+    this.#sendIn(RATE_MS);
+  }
+
+  #sendIn(wait_ms) {
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#send(), wait_ms);
+  }
+
+  /** Who is refused does not drive, whatever the thumb does: it must be pressed anew. */
+  #heard({ ok, lost, reason }) {
+    if (ok || lost || !this.held) return;
+    this.#end(`not driving: ${reason}`);
+    this.#refused(reason);
+  }
+
+  /** Say it where there is room for a long reason, too. */
+  #refused(reason) {
+    this.commands.emit("refused", { behaviour: BEHAVIOUR, reason });
   }
 
   #say(words) {
@@ -89,7 +123,10 @@ export class Driver extends Emitter {
   }
 }
 
-/** The browser's gamepad. The dead-man must go down anew after everything that ended the driving. */
+/**
+ * The browser's gamepad: the first one, as long as it is there. The dead-man must go down anew after everything that
+ * ended the driving, also when another pad takes its place.
+ */
 export class Pad extends Emitter {
   /**
    * @param {Driver} driver
@@ -103,31 +140,48 @@ export class Pad extends Emitter {
     this.estop = estop;
     this.name = "";
     addEventListener("gamepadconnected", (event) => this.#plugged(event));
-    addEventListener("gamepaddisconnected", () => this.#poll());
+    addEventListener("gamepaddisconnected", (event) => this.#unplugged(event));
   }
 
   #timer = 0;
+  #index = /** @type {number | null} */ (null);
   #before = /** @type {ReturnType<typeof readPad> | null} */ (null);
   #drives = false;
 
-  #plugged(event) {
-    this.name = event.gamepad?.id ?? "gamepad";
-    this.#before = null;
+  #plugged({ gamepad }) {
+    if (gamepad.index === this.#index) this.#take(null); // another one in its place
     if (!this.#timer) this.#timer = setInterval(() => this.#poll(), POLL_MS);
-    this.emit("change", this.name);
+    this.#poll();
+  }
+
+  #unplugged({ gamepad }) {
+    if (gamepad.index === this.#index) this.#take(null);
+    this.#poll();
   }
 
   #pad() {
     try {
-      return [...navigator.getGamepads()].find((pad) => pad && pad.connected !== false && pad.buttons.length > 5) ?? null;
+      const there = (pad) => pad && pad.connected !== false && pad.buttons.length > 5;
+      const pads = [...navigator.getGamepads()].filter(there);
+      return pads.find((pad) => pad.index === this.#index) ?? pads[0] ?? null;
     } catch {
       return null; // the browser forbids it here
     }
   }
 
+  /** Go over to another pad, or to none: what is held down on it does not count. */
+  #take(pad) {
+    if (this.#drives) this.#release();
+    this.#before = null;
+    this.#index = pad ? pad.index : null;
+    this.name = pad ? pad.id || "gamepad" : "";
+    this.emit("change", this.name);
+  }
+
   #poll() {
     const pad = this.#pad();
-    if (!pad) return this.#unplugged();
+    if ((pad ? pad.index : null) !== this.#index) this.#take(pad);
+    if (!pad) return this.#rest();
     const now = readPad(pad);
     const before = this.#before ?? { ...now, step: now.step }; // what is held already does not count as pressed
     this.#before = now;
@@ -144,13 +198,9 @@ export class Pad extends Emitter {
     this.driver.release();
   }
 
-  #unplugged() {
+  #rest() {
     clearInterval(this.#timer);
     this.#timer = 0;
-    this.#before = null;
-    if (this.#drives) this.#release();
-    this.name = "";
-    this.emit("change", "");
   }
 
   #step(names) {

@@ -38,7 +38,12 @@ export class GroupBar {
   #show() {
     const ids = this.selection.list();
     setText(byId("selection"), `${ids.length} selected`);
-    setText(byId("selection-names"), ids.length ? short(ids, 8) : "click, lasso, or tick robots");
-    byId("select-none").disabled = ids.length === 0;
+    setText(byId("selection-names"), ids.length ? short(ids, 8) : this.#nobody());
+    byId("select-none").disabled = ids.length === 0 && !this.selection.unheard;
+  }
+
+  #nobody() {
+    const { ids, group, unheard } = this.selection;
+    return unheard ? `${short(ids, 4) || group}: not heard` : "click, lasso, or tick robots";
   }
 }

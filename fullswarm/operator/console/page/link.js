@@ -13,7 +13,8 @@ const REFUSED = {
 
 /**
  * Emits "message" (each message), "open", "closed".
- * @typedef {{ok: boolean, reason?: string, request_id?: string}} Answer
+ * @typedef {{ok: boolean, reason?: string, request_id?: string, lost?: "unsent" | "broken" | "mute"}} Answer
+ *   lost: the console has not said this, but the link: it was not sent, the link broke, no answer came
  */
 export class Link extends Emitter {
   /** @param {{token: string, session: string, name?: string}} identity */
@@ -40,9 +41,10 @@ export class Link extends Emitter {
    */
   ask(message) {
     const ref = this.post(message);
-    if (ref === null) return Promise.resolve({ ok: false, reason: "not sent: no link to the console" });
+    if (ref === null) return Promise.resolve({ ok: false, lost: "unsent", reason: "not sent: no link to the console" });
     return new Promise((resolve) => {
-      const timer = setTimeout(() => this.#settle(ref, { ok: false, reason: "the console gave no answer" }), ANSWER_S * 1000);
+      const mute = /** @type {Answer} */ ({ ok: false, lost: "mute", reason: "the console gave no answer" });
+      const timer = setTimeout(() => this.#settle(ref, mute), ANSWER_S * 1000);
       this.#waiting.set(ref, { resolve, timer });
     });
   }
@@ -54,10 +56,11 @@ export class Link extends Emitter {
     return false;
   }
 
-  /** Send and wait for nothing; null if there is no link. */
-  post(message) {
+  /** Send and wait for nothing; null if there is no link. `heard` is called with the answer when it comes. */
+  post(message, heard = undefined) {
     if (!this.open || this.#socket?.readyState !== WebSocket.OPEN) return null;
     this.#ref += 1;
+    if (heard) this.#waiting.set(this.#ref, { resolve: heard, timer: 0 });
     this.#socket.send(JSON.stringify({ ...message, ref: this.#ref }));
     return this.#ref;
   }
@@ -93,7 +96,7 @@ export class Link extends Emitter {
     if (socket !== this.#socket) return; // given up before
     this.open = false;
     this.refused = REFUSED[code] ?? "";
-    for (const ref of [...this.#waiting.keys()]) this.#settle(ref, { ok: false, reason: "the link broke" });
+    for (const ref of [...this.#waiting.keys()]) this.#settle(ref, { ok: false, lost: "broken", reason: "the link broke" });
     const wait_s = BACKOFF_S[Math.min(this.#tries, BACKOFF_S.length - 1)];
     this.#tries += 1;
     setTimeout(() => this.#connect(), wait_s * 1000);

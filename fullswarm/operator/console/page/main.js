@@ -56,6 +56,7 @@ store.on("hello", ({ swarm, operator }) => {
 const showDriving = () => {
   const source = pad.name && !driver.held && driver.words === "not driving" ? " · gamepad ready, hold LB" : "";
   setText(byId("driving"), driver.words + source);
+  byId("driving").title = driver.words; // a long reason is cut off in the pill
   byId("driving").dataset.on = String(driver.held);
 };
 driver.on("change", showDriving);

@@ -3,6 +3,7 @@
 import { byId, make, robots, setText } from "./dom.js";
 import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
+import { UNHEARD } from "./selection.js";
 
 const GROUPS = {
   filtered: "Behind the safety filter",
@@ -103,11 +104,13 @@ export class Panel {
   #label() {
     const count = this.selection.list().length;
     const all = this.store.ids().length;
-    setText(this.start, count ? `Start for ${robots(count)}` : `Start for the whole swarm (${all})`);
+    if (this.selection.unheard) return setText(this.start, `${UNHEARD[0].toUpperCase()}${UNHEARD.slice(1)}`);
+    return setText(this.start, count ? `Start for ${robots(count)}` : `Start for the whole swarm (${all})`);
   }
 
   #submit(event) {
     event.preventDefault();
+    if (this.selection.unheard) return this.#refuse(`not sent: ${UNHEARD}`);
     const { parameters = {} } = this.store.behaviours[this.chosen];
     const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
     const { values, errors } = parseForm(entries, parameters);
@@ -115,10 +118,9 @@ export class Panel {
     const wrong = Object.keys(errors);
     if (wrong.length) {
       this.#refuse(`not sent: ${wrong.map((name) => `${name} ${errors[name]}`).join("; ")}`);
-      this.#fields[wrong[0]].focus();
-      return;
+      return this.#fields[wrong[0]].focus();
     }
-    this.commands.request(this.chosen, this.selection.list(), values);
+    return this.commands.request(this.chosen, this.selection.list(), values);
   }
 
   #progress(status) {

@@ -6,6 +6,9 @@ import { byNumber } from "./store.js";
 
 const KEPT_AS = "selection";
 
+/** Why an order is not sent to a selection of which nobody is there: no names would mean the whole swarm. */
+export const UNHEARD = "none of them has been heard";
+
 /** Emits "change". Kept over a reload of the tab. */
 export class Selection extends Emitter {
   /** @param {import("./store.js").Store} store */
@@ -19,6 +22,12 @@ export class Selection extends Emitter {
   /** @returns {string[]} those that exist, as people count */
   list() {
     return this.store.ids().filter((id) => this.ids.has(id));
+  }
+
+  /** Whether robots are meant, but none of them is there. */
+  get unheard() {
+    const meant = this.ids.size > 0 || (this.group !== undefined && this.group !== "all");
+    return meant && this.list().length === 0;
   }
 
   has(id) {

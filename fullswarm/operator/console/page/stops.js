@@ -6,6 +6,11 @@ import { byNumber } from "./store.js";
 const HOLD_MS = 1500;
 const SHOWN_MS = 15000;
 const AFTER_MS = 5000;
+const UNSENT = {
+  unsent: "NOT SENT: no link to the console. It goes out if the link is back within 10 s.",
+  broken: "NOT CONFIRMED: the link to the console broke. It goes out again if the link is back within 10 s.",
+  mute: "NOT CONFIRMED: the console gave no answer. Press again.",
+};
 
 export class Stops {
   /**
@@ -30,6 +35,7 @@ export class Stops {
   #hideTimer = 0;
   #order = /** @type {string | null} */ (null); // the newest heard of
   #upUntil_ms = 0;
+  #failed = ""; // why the e-stop pressed last has not gone out, until another one is heard of
 
   stop() {
     this.#tell("Stop sent to all robots: waiting for receipts", "");
@@ -38,6 +44,7 @@ export class Stops {
 
   estop() {
     this.#order ??= "";
+    this.#failed = "";
     this.#upUntil_ms = performance.now() + AFTER_MS;
     byId("estop-panel").hidden = false;
     byId("estop-body").hidden = false;
@@ -45,10 +52,12 @@ export class Stops {
     this.commands.estop("pressed on the console");
   }
 
-  #unsent(what) {
-    const words = "NOT SENT: no link to the console. It goes out if the link is back within 10 s. Use the switches on the robots.";
-    if (what === "stop") this.#tell(words, "bad");
-    else setText(byId("estop-title"), words);
+  #unsent({ what, lost, reason }) {
+    const words = unsentWords(lost, reason);
+    if (what === "stop") return this.#tell(words, "bad");
+    this.#failed = words;
+    this.#upUntil_ms = performance.now() + SHOWN_MS;
+    return setText(byId("estop-title"), words);
   }
 
   #tell(words, mood) {
@@ -63,12 +72,10 @@ export class Stops {
     byId("stop-panel").hidden = true;
   }
 
-  #showStop({ standing, moving, done }) {
-    const all = standing.length + moving.length;
-    const words = [`${standing.length} of ${all} standing`];
-    if (moving.length) words.push(`still moving: ${[...moving].sort(byNumber).join(", ")}`);
-    this.#tell(words.join(" · "), done && !moving.length ? "good" : "");
-    if (done) this.#hideTimer = setTimeout(() => this.#closeStop(), SHOWN_MS);
+  #showStop(message) {
+    const { words, mood } = stopWords(message);
+    this.#tell(words, mood);
+    if (mood === "good") this.#hideTimer = setTimeout(() => this.#closeStop(), SHOWN_MS);
   }
 
   #latched() {
@@ -79,6 +86,7 @@ export class Stops {
   #onEstop(order) {
     const old = order.done && this.#order === null;
     if (!old) this.#upUntil_ms = performance.now() + AFTER_MS;
+    if (order.id !== this.#order) this.#failed = "";
     if (order.id !== this.#order && !old) byId("estop-body").hidden = false;
     this.#order = order.id;
     this.#showEstop();
@@ -91,8 +99,9 @@ export class Stops {
     const up = latched.length > 0 || unconfirmed || performance.now() < this.#upUntil_ms;
     byId("estop-panel").hidden = !up;
     if (!up || latched.length === 0) this.#closeClear();
+    if (performance.now() >= this.#upUntil_ms) this.#failed = "";
     if (!up) return;
-    setText(byId("estop-title"), title(order, latched));
+    setText(byId("estop-title"), this.#failed || title(order, latched));
     this.#receipts(order, latched);
     byId("estop-clear").disabled = latched.length === 0;
   }
@@ -154,6 +163,23 @@ export class Stops {
     button.addEventListener("keyup", end);
     button.addEventListener("contextmenu", (event) => event.preventDefault());
   }
+}
+
+/** Say what became of a stop that the console has not confirmed. */
+export function unsentWords(lost, reason) {
+  return `${UNSENT[lost] ?? `NOT DONE: ${reason}.`} Use the switches on the robots.`;
+}
+
+/** Say who stands since a stop; it is good only if all have been heard, and if there are any. */
+export function stopWords({ standing, moving, silent, done }) {
+  const all = standing.length + moving.length + silent.length;
+  if (all === 0) return { words: "0 of 0 standing: no robot has been heard", mood: "bad" };
+  const names = (ids) => [...ids].sort(byNumber).join(", ");
+  let words = `${standing.length} of ${all} standing`;
+  if (silent.length) words += `, ${names(silent)} not heard`;
+  if (moving.length) words += ` · still moving: ${names(moving)}`;
+  if (silent.length) return { words, mood: "bad" };
+  return { words, mood: done && !moving.length ? "good" : "" };
 }
 
 function title(order, latched) {

@@ -2,6 +2,7 @@
 
 import { Emitter } from "./emitter.js";
 import { lassoed, places } from "./geometry.js";
+import { UNHEARD } from "./selection.js";
 
 export const STEP_M = 0.25;
 
@@ -33,10 +34,7 @@ export class Tools extends Emitter {
 
   /** Take a tool; goal and formation want robots. */
   use(mode) {
-    if ((mode === "goal" || mode === "formation") && this.selection.list().length === 0) {
-      this.tell("Select robots first: click, lasso, or Ctrl+A for all.");
-      return;
-    }
+    if ((mode === "goal" || mode === "formation") && this.#meant().length === 0) return;
     if (this.mode === "pick" && mode !== "pick") this.#pick = null;
     this.mode = mode;
     this.lasso = [];
@@ -64,10 +62,18 @@ export class Tools extends Emitter {
 
   /** Send the selection to a point. */
   goal(point) {
-    const robots = this.selection.list();
-    if (robots.length === 0) return this.tell("Select robots first: click, lasso, or Ctrl+A for all.");
+    const robots = this.#meant();
+    if (robots.length === 0) return;
     this.commands.goal(robots, point);
-    return this.use("select");
+    this.use("select");
+  }
+
+  /** Return who an order is for; if it is nobody, say why. */
+  #meant() {
+    const robots = this.selection.list();
+    if (this.selection.unheard) this.tell(`Not sent: ${UNHEARD}.`);
+    else if (robots.length === 0) this.tell("Select robots first: click, lasso, or Ctrl+A for all.");
+    return robots;
   }
 
   dragFrom(point) {
@@ -87,7 +93,8 @@ export class Tools extends Emitter {
       if (extend) this.selection.add(ids);
       else this.selection.set(ids);
     } else if (this.drag) {
-      this.commands.formation(this.selection.list(), this.places());
+      const robots = this.#meant();
+      if (robots.length) this.commands.formation(robots, this.places());
       this.use("select");
     }
     this.dragCancel();

@@ -1,0 +1,84 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Bench } from "./browser.mjs";
+import { page } from "./page.mjs";
+
+const { UNHEARD } = await page("selection.js");
+const LB = 4;
+
+/** Return a bench with two robots, and a group selected of which none is there. */
+async function unheard(ids = ["r7", "r8"]) {
+  const bench = await Bench.with("r1", "r2");
+  bench.hear({ t: "world", groups: { spare: ids } });
+  bench.selection.set(bench.selection.groups().get("spare"), "spare");
+  return bench;
+}
+
+function start(bench) {
+  bench.panel.chosen = "flocking_bc";
+  bench.element("behaviour-form").fire("submit");
+}
+
+for (const [what, ids] of [["that is switched off", ["r7", "r8"]], ["without robots", []]]) {
+  test(`a group ${what} starts nobody, and the page says so`, async () => {
+    const bench = await unheard(ids);
+    assert.match(bench.element("start").textContent, new RegExp(UNHEARD, "i"));
+    start(bench);
+    await bench.clock.pass(100);
+    assert.deepEqual(bench.sent("request"), []);
+    assert.match(bench.element("refusal").textContent, new RegExp(UNHEARD));
+    assert.match(bench.element("selection-names").textContent, /not heard/);
+    assert.equal(bench.element("select-none").disabled, false);
+  });
+}
+
+test("it gets neither goal nor formation", async () => {
+  const bench = await unheard();
+  bench.tools.use("goal");
+  assert.equal(bench.tools.mode, "select");
+  bench.tools.goal([1, 2]);
+  bench.tools.mode = "formation"; // taken while others were selected
+  bench.tools.dragFrom([1, 1]);
+  bench.tools.dragTo([2, 2]);
+  bench.tools.dragEnd([], false);
+  await bench.clock.pass(100);
+  assert.deepEqual(bench.sent("request"), []);
+  assert.equal(bench.told.length, 3);
+  assert.ok(bench.told.every((words) => words.includes(UNHEARD)));
+});
+
+test("it is not driven", async () => {
+  const bench = await unheard();
+  bench.plug(0);
+  await bench.clock.pass(100);
+  bench.press(0, LB);
+  await bench.clock.pass(100);
+  assert.equal(bench.driver.words, `not driving: ${UNHEARD}`);
+  assert.deepEqual(bench.sent("drive"), []);
+});
+
+test("a formation dragged while nobody is selected goes to nobody", async () => {
+  const bench = await Bench.with("r1", "r2");
+  bench.selection.set(["r1"]);
+  bench.tools.use("formation");
+  bench.tools.dragFrom([1, 1]);
+  bench.selection.clear();
+  bench.tools.dragEnd([], false);
+  await bench.clock.pass(100);
+  assert.deepEqual(bench.sent("request"), []);
+});
+
+test("those of a group that are there get the order, and nobody selected is still the whole swarm", async () => {
+  const bench = await unheard(["r2", "r7"]);
+  start(bench);
+  bench.selection.clear();
+  start(bench);
+  await bench.clock.pass(100);
+  assert.deepEqual(bench.sent("request").map(({ robots }) => robots), [["r2"], []]);
+});
+
+test("a group of which somebody is heard at last can be started", async () => {
+  const bench = await unheard();
+  bench.fleet(["r1", "r2", "r8"]);
+  assert.equal(bench.element("start").textContent, "Start for 1 robot");
+});
