@@ -212,7 +212,9 @@ class Lab:
 
     def start(self, *words: str | Path, log: str) -> subprocess.Popen[str]:
         """Start a command of ours and go on; it ends with the lab at the latest."""
-        self.started.append(start(self.command(*words), self.folder / log, self.environment))
+        # Ctrl-C reaches it also where these tests run in a background that has none.
+        command = ["env", "--default-signal=INT", *self.command(*words)]
+        self.started.append(start(command, self.folder / log, self.environment))
         return self.started[-1]
 
     def serve(self, *words: str) -> None:
