@@ -340,7 +340,8 @@ class Session:
         texts = "; ".join(dict.fromkeys(self._vehicle.texts_since(now_s - 2.0)))
         self.fault = (
             f"{self._options.where}: {what} by the pilot, another station or the autopilot"
-            f"{f' ({texts})' if texts else ''}: ask for a behaviour again to take it back"
+            f"{f' ({texts})' if texts else ''}: ask for a behaviour again to take it back to "
+            f"{autopilot.mode_name(autopilot.drive_mode)}"
         )
         self.lifecycle, self._command, self._wished_s = Lifecycle.READY, STAND, now_s
         self._taken_over, self._armed_by_us, self._wish = True, False, False
