@@ -76,9 +76,9 @@ class Matrix:
                     self.rig.swarm.supervisor.kill(robot, signal.SIGSTOP)
         if "clock jump" in groups:
             self.rig.swarm.rest(PAUSE_S)
-        now_s = self.rig.swarm.clock.now_s()
         watches: dict[str, Watch] = {}
         for name, robots in groups.items():
+            now_s = self.rig.swarm.clock.now_s()  # to kill the processes of one fault takes its time
             FAULTS[name].inject(self.rig, robots)
             for robot in robots:
                 watches[robot] = Watch(now_s, self.rig.x_m(robot), now_s, now_s)
