@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Bench } from "./browser.mjs";
 
+const B = 1;
 const LB = 4;
 const POLL_MS = 20;
 const LONGEST_MS = 100; // so often the console wants to hear that the dead-man is held
@@ -64,6 +65,23 @@ test("the pad that drives goes on when another one is plugged in before it or af
   bench.press(1, LB, false);
   await bench.clock.pass(100);
   assert.equal(bench.driver.held, false, "it is still the one that counts");
+});
+
+test("the e-stop of every pad counts, once a press, and not if it was down when the pad was plugged in", async () => {
+  const bench = await driving();
+  bench.plug(1, [B]);
+  await bench.clock.pass(100);
+  assert.equal(bench.sent("estop").length, 0);
+  for (const presses of [1, 2]) {
+    bench.press(1, B, false);
+    await bench.clock.pass(100);
+    bench.press(1, B);
+    await bench.clock.pass(100);
+    assert.equal(bench.sent("estop").length, presses);
+  }
+  bench.press(0, B);
+  await bench.clock.pass(100);
+  assert.equal(bench.sent("estop").length, 3, "the one that drives has it, too");
 });
 
 test("a pad that takes the place of another between two looks is another pad", async () => {

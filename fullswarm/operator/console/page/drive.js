@@ -125,7 +125,7 @@ export class Driver extends Emitter {
 
 /**
  * The browser's gamepad: the first one, as long as it is there. The dead-man must go down anew after everything that
- * ended the driving, also when another pad takes its place.
+ * ended the driving, also when another pad takes its place. The e-stop counts on every pad, for whoever grabs one.
  */
 export class Pad extends Emitter {
   /**
@@ -147,8 +147,10 @@ export class Pad extends Emitter {
   #index = /** @type {number | null} */ (null);
   #before = /** @type {ReturnType<typeof readPad> | null} */ (null);
   #drives = false;
+  #estops = /** @type {Map<number, boolean>} */ (new Map()); // by pad: is its button down?
 
   #plugged({ gamepad }) {
+    this.#estops.delete(gamepad.index);
     if (gamepad.index === this.#index) this.#take(null); // another one in its place
     if (!this.#timer) this.#timer = setInterval(() => this.#poll(), POLL_MS);
     this.#poll();
@@ -159,14 +161,19 @@ export class Pad extends Emitter {
     this.#poll();
   }
 
-  #pad() {
+  #pads() {
     try {
-      const there = (pad) => pad && pad.connected !== false && pad.buttons.length > 5;
-      const pads = [...navigator.getGamepads()].filter(there);
-      return pads.find((pad) => pad.index === this.#index) ?? pads[0] ?? null;
+      return [...navigator.getGamepads()].filter((pad) => pad && pad.connected !== false && pad.buttons.length > 5);
     } catch {
-      return null; // the browser forbids it here
+      return []; // the browser forbids it here
     }
+  }
+
+  /** Is the e-stop of one of them pressed? What is held already when a pad is first seen does not count. */
+  #pressesEstop(pads) {
+    const before = this.#estops;
+    this.#estops = new Map(pads.map((pad) => [pad.index, readPad(pad).estop]));
+    return pads.some(({ index }) => this.#estops.get(index) && before.get(index) === false);
   }
 
   /** Go over to another pad, or to none: what is held down on it does not count. */
@@ -179,13 +186,14 @@ export class Pad extends Emitter {
   }
 
   #poll() {
-    const pad = this.#pad();
+    const pads = this.#pads();
+    if (this.#pressesEstop(pads)) this.estop();
+    const pad = pads.find(({ index }) => index === this.#index) ?? pads[0] ?? null;
     if ((pad ? pad.index : null) !== this.#index) this.#take(pad);
     if (!pad) return this.#rest();
     const now = readPad(pad);
     const before = this.#before ?? { ...now, step: now.step }; // what is held already does not count as pressed
     this.#before = now;
-    if (now.estop && !before.estop) this.estop();
     if (now.deadman && !before.deadman) this.#drives = this.driver.begin();
     if (this.#drives && !this.driver.held) this.#drives = false;
     if (this.#drives && now.deadman) this.driver.set(now);
