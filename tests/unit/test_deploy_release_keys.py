@@ -37,6 +37,21 @@ def test_a_key_that_others_can_read_is_refused(keys: Keys) -> None:
     assert "chmod 600" in caught.value.hint
 
 
+@pytest.mark.parametrize("method", ["exists", "stat", "read_text"])
+def test_keys_that_root_has_left_are_named_with_what_gives_them_back(
+    keys: Keys, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys.release_key()
+
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, method, refuse)
+    with pytest.raises(ConfigError, match=r"release_ed25519(\.pub)?: cannot be read or written") as caught:
+        keys.allowed_signers()
+    assert "sudo chown" in caught.value.hint
+
+
 def test_each_robot_has_a_host_key_of_its_own(keys: Keys) -> None:
     made = {keys.host_key("lab", "r1"), keys.host_key("lab", "r2"), keys.host_key("hall", "r1")}
     assert len({public(each) for each in made}) == 3

@@ -21,8 +21,7 @@ from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, w
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, write_jobs
-from fullswarm.deploy.fleet.hostkeys import usable
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release.keys import Keys, usable
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import output, session
 

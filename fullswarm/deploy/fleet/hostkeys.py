@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.deploy.release.keys import usable
+from fullswarm.errors import FullswarmError
 
 SSH_PORT = 22
 
@@ -95,33 +94,6 @@ class Pins:
                 return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
         except FileNotFoundError:
             return []
-
-
-@contextmanager
-def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
-    """Say which file of `folder` this user may not read or write: `sudo fullswarm` leaves root's among a user's.
-
-    Parameters
-    ----------
-    writing
-        The file that an error without a name is about.
-
-    Raises
-    ------
-    ConfigError
-        In place of the system's own error, unless that is of a file elsewhere or of one that is not there.
-    """
-    try:
-        yield
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        file = Path(os.fsdecode(error.filename)) if error.filename else writing
-        if file is None or not file.is_relative_to(folder):
-            raise
-        hint = f"sudo chown -R \"$USER\" '{folder}'" if isinstance(error, PermissionError) else ""
-        what = f"cannot be read or written: {(error.strerror or str(error)).lower()}"
-        raise ConfigError(what, where=str(file), hint=hint) from error
 
 
 def name_of(host: str, port: int) -> str:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint, usable
+from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint
 from fullswarm.deploy.fleet.login import Address, Login
+from fullswarm.deploy.release.keys import usable
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.operator import output
 

@@ -70,11 +70,12 @@ class Keys:
 
     def _key(self, name: str, comment: str) -> Path:
         path = self.folder / name
-        if not path.exists():
-            with self._alone():
-                if not path.exists():
-                    _make(path, comment)
-        _private(path)
+        with usable(self.folder):
+            if not path.exists():
+                with self._alone():
+                    if not path.exists():
+                        _make(path, comment)
+            _private(path)
         return path
 
     @contextmanager
@@ -86,6 +87,33 @@ class Keys:
             yield
 
 
+@contextmanager
+def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
+    """Say which file of `folder` this user may not read or write: `sudo fullswarm` leaves root's among a user's.
+
+    Parameters
+    ----------
+    writing
+        The file that an error without a name is about.
+
+    Raises
+    ------
+    ConfigError
+        In place of the system's own error, unless that is of a file elsewhere or of one that is not there.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        file = Path(os.fsdecode(error.filename)) if error.filename else writing
+        if file is None or not file.is_relative_to(folder):
+            raise
+        hint = f"sudo chown -R \"$USER\" '{folder}'" if isinstance(error, PermissionError) else ""
+        what = f"cannot be read or written: {(error.strerror or str(error)).lower()}"
+        raise ConfigError(what, where=str(file), hint=hint) from error
+
+
 def public(key: Path) -> str:
     """Return the public half of a private key: ``ssh-ed25519 AAAA… comment``.
 
@@ -95,8 +123,9 @@ def public(key: Path) -> str:
         The private key cannot be read, or needs a passphrase.
     """
     beside = Path(f"{key}.pub")
-    if beside.exists():
-        return beside.read_text("utf-8").strip()
+    with usable(key.parent):
+        if beside.exists():
+            return beside.read_text("utf-8").strip()
     return openssh.run("-y", "-P", "", "-f", str(key), why=f"read {key}").decode().strip()
 
 
