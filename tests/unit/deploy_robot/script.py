@@ -20,7 +20,7 @@ from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.robot import kit
 from tests.deploy_release import tiny_release
 
-PROGRAMS = Path(__file__).parents[2] / "fullswarm" / "deploy" / "robot"
+PROGRAMS = Path(__file__).parents[3] / "fullswarm" / "deploy" / "robot"
 
 SYSTEMCTL = """#!/bin/sh
 # The agent "runs" the release that the file `agent` names; app/broken keeps one from starting, app/hangs for a minute,
@@ -282,9 +282,8 @@ class Robot:
         path = f"{self.folder / 'wrapped'}:{self.environment['PATH']}"
         return self.call(*arguments, feed=feed, environment={"PATH": path, "KILL_AT": str(at)})
 
-    @property
     def asked(self) -> str:
-        """What systemd was asked since the last time."""
+        """Return what systemd was asked since the last time."""
         log = self.root / "systemctl.log"
         text = log.read_text()
         log.write_text("")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.deploy.release import pack
-from tests.unit.robot_script import Robot
+from tests.unit.deploy_robot.script import Robot
 
 AFTER = ("power", "guard")
 """What comes after a kill: the power goes, too; or the robot stays on, and the guard if it is armed."""
