@@ -6,6 +6,9 @@ import time
 from typing import Protocol
 
 
+_CLOCK: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
+
 class Clock(Protocol):
     """A source of monotonic seconds."""
 
@@ -15,11 +18,15 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The machine's monotonic clock. Setting the wall clock back does not move it."""
+    """The machine's monotonic clock. Setting the wall clock back does not move it.
+
+    On Linux it counts the time for which the computer was suspended, as ``CLOCK_MONOTONIC`` there does not: whoever
+    wakes up must see that what it knows is old.
+    """
 
     def now_s(self) -> float:
-        """Return seconds of ``CLOCK_MONOTONIC``."""
-        return time.monotonic()
+        """Return seconds of ``CLOCK_BOOTTIME``, or of ``CLOCK_MONOTONIC`` where there is none."""
+        return time.clock_gettime(_CLOCK)
 
 
 class SimClock:
