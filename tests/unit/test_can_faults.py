@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.can import odrive
+from fullswarm.drivers.can.machine import BaseMachine
 from fullswarm.drivers.can.odrive_states import AxisState, error_bit
 from fullswarm.drivers.can.protocol import Frame
-from tests.unit.can_rig import TICK_S, Rig
+from tests.unit.can_rig import BASE_M, LIMIT_M_S, TICK_S, Rig
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -84,6 +85,21 @@ def test_an_e_stop_is_never_cleared_from_here() -> None:
     assert not any(frame.id & 0x1F == 0x18 for _, frame in rig.sent)
     rig.odrives[0].receive(odrive.encode(1, odrive.ClearErrors()), rig.now)
     rig.until_state(Lifecycle.READY, 2.0)
+
+
+def test_an_e_stop_is_not_cleared_either_if_the_url_names_the_wrong_firmware() -> None:
+    rig = Rig("odrive", "firmware=0.5")
+    wrong = Rig("odrive", "firmware=0.6").settings
+    rig.machine = BaseMachine(wrong.codecs(), BASE_M, LIMIT_M_S)
+    rig.machine.opened(rig.now)
+    rig.active(Twist(0.3, 0.0))
+    for node, axis in enumerate(rig.odrives, start=1):
+        axis.receive(odrive.encode(node, odrive.Estop(), "0.5"), rig.now)
+    rig.until_state(Lifecycle.FAULT, 0.2)
+    rig.run(10.0)
+    assert rig.machine.state is Lifecycle.FAULT
+    assert "with firmware=0.5 in its URL, ESTOP_REQUESTED" in rig.machine.fault
+    assert all(axis.error for axis in rig.odrives)
 
 
 def test_an_e_stop_found_at_start_is_not_cleared_either() -> None:

@@ -2,25 +2,20 @@ from __future__ import annotations
 
 import math
 import struct
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-import fullswarm
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.drivers.can import odrive, settings, vesc
 from fullswarm.drivers.can.kinematics import Odometry, WheelTrack, body_twist, wheel_speeds
 from fullswarm.drivers.can.odrive import Firmware
 from fullswarm.drivers.can.odrive_axis import MAX_TURN_S, OdriveCodec
 from fullswarm.drivers.can.odrive_states import AxisState
-from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Version, Want, Wheel, WheelCodec
 from fullswarm.drivers.can.vesc_motor import VescCodec
-from fullswarm.errors import ConfigError, DriverError, MissingExtra
+from fullswarm.errors import ConfigError
 
 ODRIVE = "can+odrive://here?interface=virtual&left=1&right=2&wheel_radius=0.05&base=0.3"
 VESC = "can+vesc://here?interface=virtual&left=1&right=2&wheel_radius=0.05&base=0.3&gear=10&pole_pairs=7"
@@ -85,11 +80,20 @@ def test_odrive_activation_never_clears_errors() -> None:
         ("0.6", 0x8000, "VELOCITY_LIMIT_VIOLATION", False),
         ("0.6", 0x80000000, "error bit 0x80000000", False),
         ("0.6", 0, "", False),
+        ("0.6", 0x4000, "INVERTER_OVER_TEMP (or, with firmware=0.5 in its URL, ESTOP_REQUESTED)", True),
+        ("0.5", 0x2000000, "error bit 0x2000000 (or, with firmware=0.6 in its URL, ESTOP_REQUESTED)", True),
     ],
 )
 def test_odrive_error_names(firmware: Firmware, bits: int, names: str, estop: bool) -> None:
     report = OdriveCodec(5, Wheel(0.05), firmware).decode(odrive.encode(5, odrive.Heartbeat(bits, 1)))
     assert report == Beat(Mode.IDLE, "IDLE", names, estop)
+
+
+def test_an_odrive_that_told_its_version_means_what_it_says() -> None:
+    codec = OdriveCodec(5, Wheel(0.05), "0.6")
+    codec.decode(odrive.encode(5, odrive.Version(0, 4, 4, 58, 0, 6, 10, 0)))
+    report = codec.decode(odrive.encode(5, odrive.Heartbeat(0x4000, 1)))
+    assert report == Beat(Mode.IDLE, "IDLE", "INVERTER_OVER_TEMP", estop=False)
 
 
 @pytest.mark.parametrize(
@@ -339,37 +343,3 @@ def test_settings_of_both_makes() -> None:
     assert settings.parse(ODRIVE + "&speed=5").wheel_limit_m_s == pytest.approx(2 * math.tau * 0.05)
     slcan = settings.parse(VESC.replace("here", "/dev/ttyACM0").replace("virtual", "slcan"))
     assert (slcan.channel, slcan.bus.bitrate, slcan.description().watchdog_s) == ("/dev/ttyACM0", 500_000, 1.0)
-
-
-# ---------------------------------------------------------------- python-can
-def test_import_can_is_python_can() -> None:
-    import can
-
-    assert Path(fullswarm.__file__).parent not in Path(can.__file__).parents
-    port = CanPort(settings.parse(ODRIVE))
-    assert isinstance(port._bus, can.BusABC)
-    port.close()
-
-
-def test_python_can_is_imported_only_when_a_bus_is_opened() -> None:
-    code = "import sys, fullswarm.drivers.can.driver, fullswarm.drivers.can.emulator; sys.exit('can' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=30).returncode == 0
-
-
-def test_without_python_can_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "can", None)
-    with pytest.raises(MissingExtra, match=r"fullswarm\[can\]"):
-        CanPort(settings.parse(ODRIVE))
-
-
-@pytest.mark.parametrize(
-    ("interface", "text"),
-    [
-        ("socketcan", r"no-such-can: cannot open the bus: .*\(bring the interface up: ip link"),
-        ("slcan", r"no-such-can: there is no such port \(plug the robot in"),
-    ],
-)
-def test_a_bus_that_cannot_be_had_says_what_to_do(interface: str, text: str) -> None:
-    url = ODRIVE.replace("virtual", interface).replace("//here", "//no-such-can")
-    with pytest.raises(DriverError, match=text):
-        CanPort(settings.parse(url))

@@ -12,6 +12,8 @@ from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Rep
 
 MAX_TURN_S = 1e4
 """No motor turns faster: a larger reported value is noise."""
+ESTOP = "ESTOP_REQUESTED"
+_OTHER: dict[Firmware, Firmware] = {"0.5": "0.6", "0.6": "0.5"}
 _MODES: dict[int, Mode] = {AxisState.IDLE: Mode.IDLE, AxisState.CLOSED_LOOP: Mode.DRIVING}
 _HEARD: dict[Firmware, frozenset[int]] = {"0.5": frozenset({0x01, 0x09, 0x17}), "0.6": frozenset({0, 0x01, 0x09, 0x17})}
 
@@ -33,6 +35,7 @@ class OdriveCodec:
     limit_turn_s: float = 2.0  # the axis' own vel_limit
     input_mode: int = odrive.PASSTHROUGH
     malformed: int = 0
+    told: bool = False  # its version, which only 0.6 does
 
     @property
     def max_speed_m_s(self) -> float:
@@ -97,14 +100,18 @@ class OdriveCodec:
             case odrive.BusPower(volts=volts) if volts >= 0.0:
                 return Power(volts)
             case odrive.Version(major=major, minor=minor, revision=revision):
+                self.told = True
                 return Version(f"ODrive {major}.{minor}.{revision}")
         return None
 
     def _beat(self, error: int, state: int) -> Beat:
-        is_estop = bool(error & error_bit("ESTOP_REQUESTED", self.firmware))
+        is_estop = bool(error & error_bit(ESTOP, self.firmware))
+        names = error_names(error, self.firmware)
+        if not is_estop and not self.told and error & error_bit(ESTOP, _OTHER[self.firmware]):
+            # The URL may name the wrong generation, and an e-stop must not be cleared for that.
+            is_estop, names = True, f"{names} (or, with firmware={_OTHER[self.firmware]} in its URL, {ESTOP})"
         # An unknown state is as good as a calibration: the wheel does not obey.
-        mode = _MODES.get(state, Mode.BUSY)
-        return Beat(mode, state_name(state), error_names(error, self.firmware), is_estop)
+        return Beat(_MODES.get(state, Mode.BUSY), state_name(state), names, is_estop)
 
     @property
     def _mode(self) -> odrive.SetMode:

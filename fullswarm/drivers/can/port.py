@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     import serial
 
 SEND_TIMEOUT_S = 0.01
-FAILURES = 3
-"""So many errors in a row mean that the bus is gone; a single one is a stray datagram or a full buffer."""
+UNHEARD = 3
+"""So many errors in a row mean that the bus is gone; a single one is a stray datagram."""
+UNSENT = 10
+"""So many mean that nobody hears us, whatever we hear; an adapter's buffer may be full for some tens of ms."""
 BUS_OFF = 0x40
 """Class bit of an error frame (linux/can/error.h): the adapter has switched itself off."""
 
@@ -45,7 +47,7 @@ class CanPort:
     def __init__(self, settings: Settings) -> None:
         library = _python_can()
         self._where = f"{settings.bus.interface} {settings.channel}"
-        self._failures = 0
+        self._unsent = self._unheard = 0  # counted apart: an adapter may hear well that sends nothing any more
         self.dropped = 0  # frames that could not be sent or understood
         # python-can's backends let these slip through when a line of an adapter makes no sense.
         self._errors = (library.CanError, OSError, ValueError, LookupError, TypeError)
@@ -98,7 +100,7 @@ class CanPort:
         Raises
         ------
         LinkLost
-            The third error in a row.
+            The tenth error in a row.
         """
         message = self._message(
             arbitration_id=frame.id,
@@ -110,9 +112,10 @@ class CanPort:
         try:
             self._bus.send(message, timeout=SEND_TIMEOUT_S)
         except self._errors as error:
-            self._failed(f"cannot send: {error}", error)
+            self._unsent += 1
+            self._failed(f"cannot send: {error}", error, over=self._unsent >= UNSENT)
         else:
-            self._failures = 0
+            self._unsent = 0
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next frame, None when none came in time.
@@ -131,7 +134,8 @@ class CanPort:
                 return None
             message = self._bus.recv(timeout=timeout_s if self._descriptor is None else 0.0)
         except self._errors as error:
-            self._failed(f"cannot receive: {error}", error)
+            self._unheard += 1
+            self._failed(f"cannot receive: {error}", error, over=self._unheard >= UNHEARD)
             return None
         self._drained = message is None
         if message is None:
@@ -139,7 +143,7 @@ class CanPort:
         if message.is_error_frame:
             self._on_error_frame(message.arbitration_id)
             return None
-        self._failures = 0
+        self._unheard = 0
         if message.is_fd:
             return None
         return Frame(message.arbitration_id, message.is_extended_id, bytes(message.data), message.is_remote_frame)
@@ -159,10 +163,9 @@ class CanPort:
                 hint="check bitrate, wiring and the two 120 ohm terminators",
             )
 
-    def _failed(self, what: str, error: Exception) -> None:
-        self._failures += 1
+    def _failed(self, what: str, error: Exception, *, over: bool) -> None:
         self.dropped += 1
-        if self._failures >= FAILURES:
+        if over:
             hint = "is the adapter plugged in, are the controllers powered?"
             raise LinkLost(what, where=self._where, hint=hint) from error
 
