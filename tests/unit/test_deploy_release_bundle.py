@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release import layers, pack, signing, sums, targets
+from fullswarm.deploy.release import layers, pack, signing, sums, targets, uv
 from fullswarm.deploy.release.bundle import BundleRequest, make, plan
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest
@@ -63,6 +63,30 @@ def test_a_release_holds_what_the_design_says(store: Store, keys: Keys, house: P
     assert (made / "robot/install.sh").stat().st_mode & 0o777 == 0o755
     assert (made / "robot/agent.service").stat().st_mode & 0o777 == 0o644
     assert len(told) == 3
+
+
+def test_a_store_is_named_from_where_one_stands(
+    tmp_path: Path, keys: Keys, house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    made = make(BundleRequest(PI, wheels=Path("wheels")), Store(Path("near")), keys)
+    assert {"lib/numpy/core.so", "app/fullswarm/agent/node.py"} <= set(sums.read(made))
+    far = make(BundleRequest(PI, wheels=house), Store(tmp_path / "far"), keys)
+    assert made.name == far.name
+
+
+def test_what_was_not_unpacked_is_not_signed(
+    store: Store, keys: Keys, house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = uv.run
+
+    def lose(folder: Path, *arguments: str | Path, why: str) -> str:
+        return "" if "exact.txt" in arguments else real(folder, *arguments, why=why)
+
+    monkeypatch.setattr(uv, "run", lose)
+    with pytest.raises(ConfigError, match=r"these packages were not unpacked: .*numpy"):
+        make(BundleRequest(PI, wheels=house), store, keys)
+    assert store.ids() == []
 
 
 def test_two_bases_make_the_same_bytes(tmp_path: Path, keys: Keys, house: Path) -> None:

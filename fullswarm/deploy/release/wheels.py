@@ -125,6 +125,7 @@ def install(wanted: Wanted, plan: Mapping[str, str], work: Path, lib: Path) -> N
     """Unpack the planned packages to `lib`."""
     _write(work / "exact.txt", [f"{name}=={version}" for name, version in sorted(plan.items())])
     _unpack(wanted, work, lib, "-r", "exact.txt", why="get the packages")
+    check_there(lib, plan)
     check_machine(lib, wanted.target)
 
 
@@ -134,13 +135,34 @@ def install_outside(wanted: Wanted, work: Path, app: Path) -> None:
         each.wheel for each in wanted.outside
     ]
     _unpack(wanted, work, app, *wheels, why="unpack the outside packages")
+    check_there(app, {each.name: each.version for each in wanted.outside})
     check_machine(app, wanted.target)
 
 
 def _unpack(wanted: Wanted, work: Path, place: Path, *what: str | Path, why: str) -> None:
     # Copied: a hard link into uv's cache would share the modes that we set, and whatever happens to the release.
-    options = ("--no-deps", "--link-mode", "copy", "--no-compile-bytecode", "--target", place)
+    options = (
+        "--no-deps",
+        "--link-mode",
+        "copy",
+        "--no-compile-bytecode",
+        "--target",
+        place.absolute(),
+    )  # uv runs in `work`
     uv.run(work, "pip", "install", "--quiet", *options, *wanted.platform(), *what, why=why)
+
+
+def check_there(folder: Path, plan: Mapping[str, str]) -> None:
+    """Check that each planned package lies in `folder`: what is signed must be what the manifest says.
+
+    Raises
+    ------
+    ConfigError
+        One does not.
+    """
+    there = {own.name(each.name.split("-")[0]) for each in folder.glob("*.dist-info")}
+    if missing := sorted(set(map(own.name, plan)) - there):
+        raise ConfigError(f"these packages were not unpacked: {', '.join(missing)}", where=str(folder))
 
 
 def check_machine(folder: Path, target: Target) -> None:
