@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import lzma
 import os
 import platform
 import random
@@ -10,13 +13,16 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.testing import CliRunner, Result
 
 from fullswarm.deploy.release import signing, sums
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest, Target, id_for
 from fullswarm.deploy.release.store import Store
+from fullswarm.launch.main import app
 
 PACKAGES = {
     "mcopy": "mtools",
@@ -32,6 +38,8 @@ PI_FILES = {
     "config.txt": b"arm_64bit=1\n",
 }
 TRIXIE_FILES = {**PI_FILES, "user-data": b"#cloud-config\n# nothing yet\n" * 50, "meta-data": b"instance-id: rpios\n"}
+SECRET = "correct battery horse"
+FAT = 8 * MEGA
 FLEET = """\
 swarm = "lab"
 [hub]
@@ -143,3 +151,43 @@ def fsck(image: Path, size: int, at: int = MEGA) -> None:
     done = subprocess.run([tool("fsck.vfat"), "-n", alone], capture_output=True, text=True, check=False)
     alone.unlink()
     assert done.returncode == 0, done.stdout
+
+
+class Lab:
+    """A base with keys, a release, a fleet file and an image, all in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.keys, self.store = Keys(folder / "keys"), Store(folder / "releases")
+        self.fleet, self.plain, self.image = folder / "lab.toml", folder / "raspios.img", folder / "raspios.img.xz"
+
+    def make(self) -> None:
+        make_release(self.store, self.keys)
+        self.keys.fleet_key()
+        self.fleet.write_text(FLEET)
+        make_image(self.plain, TRIXIE_FILES, fat=FAT, bits=12, root=2 * MEGA)
+        self.image.write_bytes(lzma.compress(self.plain.read_bytes(), preset=0))
+        digest = hashlib.sha256(self.image.read_bytes()).hexdigest()
+        Path(f"{self.image}.sha256").write_text(f"{digest}  raspios.img.xz\n")
+
+    @property
+    def release(self) -> str:
+        return self.store.ids()[-1]
+
+    def flash(self, *words: str, feed: str = "", **environment: str) -> Result:
+        given = {
+            "FULLSWARM_KEYS": str(self.keys.folder),
+            "FULLSWARM_RELEASES": str(self.store.folder),
+            "FULLSWARM_FLEET": str(self.fleet),
+            **environment,
+        }
+        result = CliRunner().invoke(app, ["flash", *words], input=feed, env=given)
+        assert "Traceback" not in result.output
+        assert SECRET not in result.output
+        return result
+
+    def to_file(self, *words: str, **environment: str) -> tuple[Result, dict[str, Any]]:
+        out = str(self.folder / "r1.img")
+        usual = ("r1", "--target", "x86_64", "--image", str(self.image), "--output", out, "--json")
+        result = self.flash(*usual, *words, **environment)
+        return result, json.loads(result.stdout) if result.stdout else {}

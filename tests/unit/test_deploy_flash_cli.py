@@ -11,61 +11,14 @@ import shutil
 import stat
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
-from typer.testing import CliRunner, Result
 
 from fullswarm.deploy.flash import card
 from fullswarm.deploy.fleet.hostkeys import Pins
-from fullswarm.deploy.release.keys import Keys, public
-from fullswarm.deploy.release.store import Store
-from fullswarm.launch.main import app
-from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, fsck, make_image, make_release, tool
-
-SECRET = "correct battery horse"
-FAT = 8 * MEGA
-
-
-class Lab:
-    """A base with keys, a release, a fleet file and an image, all in one folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.keys, self.store = Keys(folder / "keys"), Store(folder / "releases")
-        self.fleet, self.plain, self.image = folder / "lab.toml", folder / "raspios.img", folder / "raspios.img.xz"
-
-    def make(self) -> None:
-        make_release(self.store, self.keys)
-        self.keys.fleet_key()
-        self.fleet.write_text(FLEET)
-        make_image(self.plain, TRIXIE_FILES, fat=FAT, bits=12, root=2 * MEGA)
-        self.image.write_bytes(lzma.compress(self.plain.read_bytes(), preset=0))
-        digest = hashlib.sha256(self.image.read_bytes()).hexdigest()
-        Path(f"{self.image}.sha256").write_text(f"{digest}  raspios.img.xz\n")
-
-    @property
-    def release(self) -> str:
-        return self.store.ids()[-1]
-
-    def flash(self, *words: str, feed: str = "", **environment: str) -> Result:
-        given = {
-            "FULLSWARM_KEYS": str(self.keys.folder),
-            "FULLSWARM_RELEASES": str(self.store.folder),
-            "FULLSWARM_FLEET": str(self.fleet),
-            **environment,
-        }
-        result = CliRunner().invoke(app, ["flash", *words], input=feed, env=given)
-        assert "Traceback" not in result.output
-        assert SECRET not in result.output
-        return result
-
-    def to_file(self, *words: str, **environment: str) -> tuple[Result, dict[str, Any]]:
-        out = str(self.folder / "r1.img")
-        usual = ("r1", "--target", "x86_64", "--image", str(self.image), "--output", out, "--json")
-        result = self.flash(*usual, *words, **environment)
-        return result, json.loads(result.stdout) if result.stdout else {}
+from fullswarm.deploy.release.keys import public
+from tests.unit.flash_lab import FAT, FLEET, MEGA, PI_FILES, SECRET, Lab, files_of, fsck, make_image, make_release, tool
 
 
 @pytest.fixture(scope="module")

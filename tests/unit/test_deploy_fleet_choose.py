@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config import SwarmConfig
-from fullswarm.deploy.fleet.choose import choose, misfit
+from fullswarm.deploy.fleet.choose import choose, misfit, needs
 from fullswarm.deploy.fleet.desired import Desired
 from fullswarm.deploy.fleet.facts import Facts
 from fullswarm.deploy.fleet.login import Address
@@ -63,6 +63,27 @@ def test_which_release_fits(tmp_path: Path) -> None:
         choose(Store(tmp_path), None, Facts(arch="aarch64", python="3.13"), "r1")
     with pytest.raises(ConfigError, match="install a 64-bit system"):
         choose(Store(tmp_path), None, Facts(arch="armv7l", python="3.13"), "r1")
+
+
+def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
+    fleet = SwarmConfig.model_validate(
+        {
+            "robot": [
+                {"id": "c1", "driver": "create:///dev/ttyUSB0"},
+                {"id": "m1", "driver": "mavlink+serial:///dev/ttyACM0"},
+                {"id": "b1", "driver": "can+odrive://can0?left=1&right=2&wheel_radius=0.05&base=0.3"},
+            ],
+            "agent": {"estimator": "ekf"},
+        }
+    )
+    wanted = [needs(each, fleet) for each in fleet.robot]
+    assert wanted == [{"estimation"}, {"estimation", "mavlink"}, {"can", "estimation"}]
+    manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("estimation",))
+    facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
+    assert misfit(manifest, facts, wanted[0]) == ""
+    assert misfit(manifest, facts, wanted[1]) == "was made without what its agent needs: mavlink"
+    with pytest.raises(ConfigError, match=r"no release fits it .*bundle .* --with estimation,mavlink"):
+        choose(Store(tmp_path), None, facts, "m1", extras=wanted[1])
 
 
 def test_what_robots_should_run_is_kept(tmp_path: Path) -> None:

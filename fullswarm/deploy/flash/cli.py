@@ -78,7 +78,8 @@ def flash(
         typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="For --wait; none: the fleet file's."),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="CARD|FILE|DIR", help="Only print what a first boot has left on a card.")
+        Path | None,
+        typer.Option(readable=False, metavar="CARD|FILE|DIR", help="Only print what a first boot has left on a card."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, write no card.")] = False,
     as_json: Json = False,

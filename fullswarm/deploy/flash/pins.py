@@ -1,8 +1,10 @@
-"""Writes down the host keys that flashed robots will show, in place of what was known at their addresses before."""
+"""The host keys that flashed robots will show: pinned in place of what was known at their addresses before."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from fullswarm.config import RobotConfig
@@ -19,6 +21,20 @@ def pin(robot: RobotConfig, swarm: str, keys: Keys) -> bool:
     replaced = _forget_others(keys.known_hosts, name, own)
     pins.pin_flashed(robot.id, host, robot.ssh_port)
     return replaced
+
+
+@contextmanager
+def on_trial(robots: Sequence[RobotConfig], swarm: str, keys: Keys) -> Iterator[Callable[[], None]]:
+    """Drop the host keys that are made in here, unless what it gives is called because writing begins.
+
+    Without a card that has it, a key would only make a strange computer of the robot that answers.
+    """
+    fresh = [each.id for each in robots if not keys.has_host_key(swarm, each.id)]
+    try:
+        yield fresh.clear
+    finally:
+        for robot in fresh:
+            keys.forget_host_key(swarm, robot)
 
 
 def _forget_others(file: Path, name: str, own: str) -> bool:

@@ -12,9 +12,11 @@ from fullswarm.deploy.flash import fat, image, mtools, payload
 from fullswarm.deploy.flash.fat import Volume
 from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
 from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
+from fullswarm.deploy.fleet.choose import with_
 from fullswarm.deploy.release.keys import Keys, fingerprint, public
 from fullswarm.deploy.robot import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.operator import output
 
 _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
 
@@ -57,6 +59,9 @@ def robots_of(config: SwarmConfig, names: Sequence[str]) -> tuple[RobotConfig, .
             raise ConfigError(f"no robot '{name}' in the fleet file", where="flash", hint=did_you_mean(name, robots))
         if names.count(name) > 1:
             raise ConfigError("is named twice", where=f"robot {name}", hint="one card per robot")
+        if robots[name].simulated and not robots[name].host:
+            hint = f'a computer of its own needs its driver: driver = "create:///dev/…" under [[robot]] {name}'
+            raise ConfigError("is simulated: there is nothing to flash", where=f"robot {name}", hint=hint)
         check_hub(robots[name], config)
         found.append(robots[name])
     return tuple(found)
@@ -73,14 +78,18 @@ def access_for(robot: RobotConfig, swarm: str, keys: Keys) -> Access:
     )
 
 
-def release_for(release: str | None, target: str, picture: Path | None, keys: Keys) -> Shipment:
-    """Return the release that goes onto the cards, verified with the keys of this base.
+def release_for(
+    release: str | None, target: str, picture: Path | None, keys: Keys, extras: frozenset[str] = frozenset()
+) -> Shipment:
+    """Return the release that goes onto the cards, verified with the keys of this base; `extras`: what robots need.
 
     Raises
     ------
     ConfigError
-        There is none, it is signed on another base, or was changed; or it is for another Python than the image's.
+        There is none, it is signed on another base, or was changed; it is for another Python than the image's, or was
+        made without what the robots need.
     """
+    from fullswarm.deploy.release.manifest import Manifest
     from fullswarm.deploy.release.signing import verify
     from fullswarm.deploy.release.store import Store
 
@@ -88,15 +97,21 @@ def release_for(release: str | None, target: str, picture: Path | None, keys: Ke
     name = "" if picture is None else picture.name.lower()
     python = next((minor for codename, minor in _PYTHON_OF.items() if codename in name), None)
     folder = store.latest(target, python) if release is None else store.get(release)
+    option = (f" --python {python}" if python else "") + with_(extras)
     if folder is None:
-        option = f" --python {python}" if python else ""
         what = f"there is no release for {target}" + (f" and Python {python}, as this image has it" if python else "")
         raise ConfigError(what, where=str(store.folder), hint=f"fullswarm bundle --target {target}{option}")
     verify(folder, keys.allowed_signers())
     shipment = Shipment.pack(folder)
     if python is not None and shipment.python != python:
-        hint = f"fullswarm bundle --target {target} --python {python}"
+        hint = f"fullswarm bundle --target {target}{option}"
         what = f"is for Python {shipment.python}; this image has {python}"
+        raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
+    if python is None and picture is not None:
+        output.progress(f"image: its name does not say which Python it has; this release needs {shipment.python}")
+    if lacking := extras - set(Manifest.read(folder).extras):
+        hint = f"fullswarm bundle --target {target} --python {shipment.python}{with_(extras)}"
+        what = f"was made without what its robots' agents need: {', '.join(sorted(lacking))}"
         raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
     return shipment
 

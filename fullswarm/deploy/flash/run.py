@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,7 +21,8 @@ from fullswarm.config import RobotConfig, load_swarm
 from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
-from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, write_jobs
+from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
+from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.release.keys import Keys, usable
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import output, session
@@ -90,26 +92,37 @@ def _run(request: Request, keys: Keys) -> int:
     mtools.check_there()
     networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
     around = Surroundings(config, networks, country, request.static)
-    shipment = plan.release_for(request.release, request.target, request.image, keys)
+    extras = frozenset().union(*(needs(each, config) for each in robots))
+    shipment = plan.release_for(request.release, request.target, request.image, keys, extras)
     output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")
-    if request.seed_only:
-        lines = seed_only.run(request, robots, targets, around, keys, shipment)
-    else:
-        lines = _flash(request, robots, targets, around, keys, shipment)
+    hub = session.Target(request.hub or config.hub.endpoint, config.swarm)
+    if request.wait_minutes is not None and not request.dry_run:
+        wait.check(hub)  # before a byte is written
+    with pins.on_trial(robots, config.swarm, keys) as begin:
+        work = seed_only.run if request.seed_only else _flash
+        lines = work(request, robots, targets, around, keys, shipment, begin)
     if request.dry_run:
         return _show(request, lines, {})
     good = [line.robot for line in lines if not line.state.startswith("FAILED")]
     for robot in robots:
         if robot.id in good and pins.pin(robot, config.swarm, keys):
             output.progress(f"{robot.id}: another host key was known at its address; it is forgotten")
+    if request.wait_minutes is None or not good:
+        return _show(request, lines, {})
+    return _wait(request, lines, hub, good, request.wait_minutes)
+
+
+def _wait(request: Request, lines: Sequence[Line], hub: session.Target, robots: Sequence[str], minutes: float) -> int:
+    """Show what was written whatever comes of the waiting: at once to a person, at the end as the one document."""
+    code = 0 if request.as_json else _show(request, lines, {})
     heard: dict[str, wait.Hello] = {}
-    silent: list[str] = []
-    if request.wait_minutes is not None and good:
-        target = session.Target(request.hub or config.hub.endpoint, config.swarm)
-        heard, silent = wait.wait(target, good, request.wait_minutes)
-    code = _show(request, lines, heard)
+    try:
+        heard, silent = wait.wait(hub, robots, minutes)
+    finally:
+        if request.as_json:
+            code = _show(request, lines, heard)
     if silent:
-        what = f"nothing was heard within {request.wait_minutes:g} minutes"
+        what = f"nothing was heard within {minutes:g} minutes"
         raise Unreachable(what, where=", ".join(silent), hint=wait.ADVICE)
     return code
 
@@ -140,7 +153,11 @@ def _targets(request: Request, robots: Sequence[RobotConfig]) -> tuple[Card | Pa
         hint = "--image raspios.img.xz, or --seed-only for a card that was written before"
         raise ConfigError("which image?", where="--image", hint=hint)
     if request.devices:
-        return card.choose(card.list_cards(), request.devices, request.most_bytes)
+        cards = card.choose(card.list_cards(), request.devices, request.most_bytes)
+        for each in cards:  # known before the image is read and the serial number typed
+            if Path(each.path).exists() and not os.access(each.path, os.R_OK | os.W_OK):
+                raise explain(PermissionError(errno.EACCES, os.strerror(errno.EACCES)), Path(each.path), 0)
+        return cards
     if len(set(request.outputs)) != count:
         raise ConfigError("a file is named twice", where="--output", hint="one per robot")
     for path in request.outputs:
@@ -178,6 +195,7 @@ def _flash(
     around: Surroundings,
     keys: Keys,
     shipment: Shipment,
+    begin: Callable[[], None],
 ) -> list[Line]:
     assert request.image is not None  # noqa: S101  (`_targets` has seen to it)
     wanted = image.expected_sha256(request.image, request.sha256)
@@ -188,9 +206,13 @@ def _flash(
         output.progress("image: nobody said its SHA-256, so only its compression's own checks hold (--sha256)")
     digest = image.check_sha256(request.image, wanted, _teller("checksum"))
     with tempfile.TemporaryDirectory(prefix="fullswarm-flash-") as name:
-        source = plan.read_head(request.image, Path(name), _teller("reading the boot partition"))
-        _check_sizes(targets, source.least_bytes)
-        prepared = [plan.prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
+        try:
+            source = plan.read_head(request.image, Path(name), _teller("reading the boot partition"))
+            _check_sizes(targets, source.least_bytes)
+            prepared = [plan.prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
+        except OSError as error:  # of this computer: what is wrong with image or seed is a ConfigError
+            hint = "each card's boot partition lies there for a while: `TMPDIR=/var/tmp fullswarm flash …`"
+            raise ConfigError(f"cannot prepare the cards: {error.strerror}", where=name, hint=hint) from error
         lines = [
             Line(
                 each.robot,
@@ -210,6 +232,7 @@ def _flash(
         if request.dry_run:
             return lines
         agree(targets, request.agreed, "everything on it will be lost")
+        begin()
         with _partial(targets) as paths:
             jobs = [
                 Job(each.robot, path, each.edited, each.volume.start_bytes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,8 +28,9 @@ def run(
     around: Surroundings,
     keys: Keys,
     shipment: Shipment,
+    begin: Callable[[], None],
 ) -> list[Line]:
-    """Write the robots' files over those of their boot partitions, in place.
+    """Write the robots' files over those of their boot partitions, in place; `begin` is called before the first.
 
     Raises
     ------
@@ -42,6 +43,7 @@ def run(
     built = [place.build(around, keys, shipment, request.first_boot) for place in work]
     if not request.dry_run:
         agree(targets, request.agreed)
+        begin()
     lines = []
     for place, (files, instance, kind) in zip(work, built, strict=True):
         judged = "" if request.dry_run else place.put(files)

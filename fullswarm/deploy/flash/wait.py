@@ -32,6 +32,18 @@ class Hello:
     after_s: float
 
 
+def check(target: session.Target) -> None:
+    """Look whether there is a hub to wait at.
+
+    Raises
+    ------
+    Unreachable
+        None answers.
+    """
+    with session.connect(target, CONNECT_S):
+        pass
+
+
 def wait(target: session.Target, robots: Sequence[str], minutes: float) -> tuple[dict[str, Hello], list[str]]:
     """Return who was heard, as they come also on stderr, and who was not within `minutes`.
 

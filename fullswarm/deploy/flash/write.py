@@ -196,7 +196,8 @@ def explain(error: OSError, target: Path, at_bytes: int) -> FullswarmError:
     """Return what an error of the kernel means for somebody with a card in hand."""
     where = str(target)
     if error.errno in (errno.EACCES, errno.EPERM):
-        return ConfigError("this user may not write it", where=where, hint="run it with sudo -E, or join group disk")
+        hint = 'cards are root\'s: `sudo -E "$(command -v fullswarm)" flash …`, or join group disk'
+        return ConfigError("this user may not read and write it", where=where, hint=hint)
     if error.errno == errno.EBUSY:
         return ConfigError("is in use", where=where, hint="unmount it; desktops mount cards by themselves")
     if error.errno == errno.ENOSPC:

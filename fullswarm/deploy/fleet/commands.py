@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from fullswarm.config import load_swarm
 from fullswarm.deploy.fleet import people
+from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.fleet.desired import Desired
 from fullswarm.deploy.fleet.login import Address, Login
 from fullswarm.deploy.fleet.remote import need_asyncssh
@@ -117,6 +118,7 @@ def _run(order: Order, fleet: Fleet, plan: Plan, kits: dict[str, Kit]) -> int:
             named=order.release,
             target=order.target,
             kits=kits,
+            needs={each.id: needs(each, fleet.config) for each in fleet.robots},
             public_key=public(fleet.keys.fleet_key()),
             guard_s=order.guard_s,
             force=order.force,

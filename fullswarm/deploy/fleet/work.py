@@ -62,6 +62,8 @@ class Work:
         The release that was asked for; None: the newest one that fits each robot.
     kits
         By robot; empty: leave what stands outside the releases alone.
+    needs
+        By robot: the extras that its release must have.
     signers
         Text of ``allowed_signers``: whose releases leave this machine.
     public_key
@@ -79,6 +81,7 @@ class Work:
     named: str | None = None
     target: str | None = None
     kits: Mapping[str, Kit] = field(default_factory=dict)
+    needs: Mapping[str, frozenset[str]] = field(default_factory=dict)
     public_key: str = ""
     guard_s: float = 60.0
     force: bool = False
@@ -116,7 +119,7 @@ class Work:
         try:
             async with self.login.connect(self.addresses[robot]) as remote:
                 facts = await facts_of(remote)
-            name = Manifest.read(choose(self.store, self.named, facts, robot, self.target)).id
+            name = Manifest.read(self._choose(robot, facts)).id
         except FullswarmError as error:
             return Outcome(Stage.WAITING, error.what, error.hint, exit_code=error.exit_code)
         kit = self.kits.get(robot)
@@ -129,6 +132,9 @@ class Work:
             return Outcome(Stage.WAITING, f"would be refused: it is {facts.busy_with}", release=facts.current or "")
         what = "would " + ", ".join(todo) if todo else "nothing to do"
         return Outcome(Stage.WAITING, what, release=facts.current or "", exit_code=0)
+
+    def _choose(self, robot: str, facts: Facts) -> Path:
+        return choose(self.store, self.named, facts, robot, self.target, self.needs.get(robot, frozenset()))
 
     # ------------------------------------------------------------ no effect on what runs
     async def _stage(self, robot: str) -> Outcome:
@@ -146,7 +152,7 @@ class Work:
         async with self.login.connect(self.addresses[robot]) as remote:
             facts = await facts_of(remote)
             self.before.setdefault(robot, facts.current)
-            folder = choose(self.store, self.named, facts, robot, self.target)
+            folder = self._choose(robot, facts)
             self.releases[robot], name = folder, Manifest.read(folder).id
             try:
                 facts = await self._install(remote, facts)

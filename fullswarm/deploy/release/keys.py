@@ -53,10 +53,25 @@ class Keys:
         ConfigError
             A name cannot be a file's.
         """
+        return self._key(self._host_key(swarm, robot), f"fullswarm {swarm} {robot}")
+
+    def has_host_key(self, swarm: str, robot: str) -> bool:
+        """Tell whether one was made here before."""
+        with usable(self.folder):
+            return (self.folder / self._host_key(swarm, robot)).exists()
+
+    def forget_host_key(self, swarm: str, robot: str) -> None:
+        """Remove it: no card has it."""
+        path = self.folder / self._host_key(swarm, robot)
+        with usable(self.folder), self._alone():
+            path.unlink(missing_ok=True)  # the private half first, as it was made last
+            Path(f"{path}.pub").unlink(missing_ok=True)
+
+    def _host_key(self, swarm: str, robot: str) -> str:
         for each in (swarm, robot):
             if not _NAME.fullmatch(each):
                 raise ConfigError(f"'{each}' cannot be a file's name", hint="letters, digits, - and _")
-        return self._key(f"hosts/{swarm}/{robot}_ed25519", f"fullswarm {swarm} {robot}")
+        return f"hosts/{swarm}/{robot}_ed25519"
 
     @property
     def known_hosts(self) -> Path:
