@@ -165,7 +165,7 @@ def _by_bus(config: SwarmConfig, robot: RobotConfig, ways: Ways) -> Check:
     hub, bus = config.hub.endpoint, ways.bus
     if not isinstance(bus, Heard):
         also = "; but its computer answers: only the hub is missing" if ways.answers else ""
-        mend = "start `fullswarm hub` there, or `fullswarm up`; check network and firewall"
+        mend = f"start it there: `fullswarm hub --listen {hub} --insecure-network`; check network and firewall"
         return Check("bus", "failure", f"{hub}: {bus.what}{also}", mend)
     if ways.heard:
         row = bus.row

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from fullswarm import registry
 from fullswarm.bus.base import Bus
+from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.bus.senders import CENTRALISED, CORE, OPERATOR, WORLD
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
@@ -26,9 +27,13 @@ PARENT = "FULLSWARM_PARENT"
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
     """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447``."""
     from fullswarm.bus.hub import Hub
+    from fullswarm.operator.output import progress
 
     runtime = Runtime(MonotonicClock())
     with Hub(endpoint, insecure_network=insecure_network):
+        progress(f"hub: listening at {endpoint}")
+        if insecure_network and is_loopback(host_of(endpoint)):
+            progress("only this machine reaches it; for others: --listen tcp/ADDRESS:7447, an address of this machine")
         return _serve(runtime, [], with_parent)
 
 

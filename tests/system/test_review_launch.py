@@ -194,6 +194,21 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Runtime, Supervis
     made.close()
 
 
+def test_no_agent_is_started_for_a_robot_with_a_computer_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    robots = [
+        {"id": "r1", "driver": "create:///dev/ttyUSB0", "host": "10.0.0.11"},
+        {"id": "r2", "driver": "create:///dev/ttyUSB0", "host": "127.0.0.1"},
+        {"id": "r3", "driver": "create:///dev/ttyUSB1"},
+        {"id": "r4", "host": "10.0.0.14"},
+    ]
+    made = Supervisor(SwarmConfig.model_validate({"robot": robots}), Runtime(SimClock()))
+    made.start()
+    made.close()
+    assert set(made.children) == {"hub", "core", "centralised", "world", "r2", "r3", "r4"}
+
+
 def end(supervisor: Supervisor, code: int) -> None:
     process: Any = supervisor.children["hub"].process
     process.code = code

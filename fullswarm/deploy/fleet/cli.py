@@ -214,7 +214,7 @@ def logs(
 def shell(
     robot: OneRobot,
     fleet: FleetFile,
-    words: Annotated[list[str] | None, typer.Argument(metavar="[COMMAND]...", help="Instead of a shell.")] = None,
+    words: Annotated[list[str] | None, typer.Argument(metavar="[-- COMMAND...]", help="Instead of a shell.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print the ssh command.")] = False,
     debug: Debug = False,
 ) -> None:

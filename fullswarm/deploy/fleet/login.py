@@ -173,9 +173,10 @@ def _told(address: Address, pins: Pins, met: Sequence[str] | None = None) -> Any
         # Without a key of the kind that is pinned, the two find no algorithm in common.
         raise pins.changed(address.robot, address.host, address.port) from None
     except asyncssh.PermissionDenied:
+        port = "" if address.port == 22 else f"-p {address.port} "
         hint = (
             f"`fullswarm deploy {address.robot}` once, with a key of yours that it lets in "
-            f"(`ssh-copy-id {address.user}@{address.host}`); `ssh_user` in the fleet file says who"
+            f"(`ssh-copy-id {port}{address.user}@{address.host}`); `ssh_user` in the fleet file says who"
         )
         raise LoginRefused(f"does not let '{address.user}' in with our keys", where=address.where, hint=hint) from None
     except TimeoutError:

@@ -93,7 +93,8 @@ def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
     """
     if is_loopback(host_of(config.hub.endpoint)) and not is_loopback(robot.host or robot.id):
         hint = (
-            'write the base\'s own address: [hub] endpoint = "tcp/10.0.0.1:7447", and start it with --insecure-network'
+            'write the base\'s own address, [hub] endpoint = "tcp/10.0.0.1:7447", and start it there: '
+            "`fullswarm hub --listen tcp/10.0.0.1:7447 --insecure-network`"
         )
         raise ConfigError(f"{robot.id} cannot reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
 
