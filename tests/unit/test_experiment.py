@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
+import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import pytest
+from rich.console import Console
 
 from fullswarm.errors import ConfigError
+from fullswarm.launch.evaluate.experiment_table import closing, table
 from fullswarm.perf.experiment import (
     Outcome,
     Trial,
@@ -22,6 +28,8 @@ from fullswarm.perf.experiment import (
     summarise,
     world_of,
 )
+from fullswarm.perf.experiment.plan import differ_by_group
+from fullswarm.perf.experiment.record import trial_id
 from fullswarm.perf.scenarios import load_scenario
 
 TEXT = """
@@ -269,5 +277,76 @@ def test_nothing_measured_is_no_success() -> None:
     (trial,) = made()[:1]
     report = summarise([(trial, TrialResult(seed=3, outcome=None, failure="x"))])
     (cell,) = report.to_json()["cells"]
-    assert (cell["arrived_fraction"], cell["mean_arrival_s"]) == (0.0, None)
+    assert (cell["collisions"], cell["arrived_fraction"], cell["mean_arrival_s"]) == (None, None, None)
     assert not report.passed
+
+
+def test_a_cell_of_which_nothing_counts_is_unknown_and_no_success() -> None:
+    first, second = made()[:2]
+    apart = TrialResult(seed=3, outcome=outcome(safe_start=False, robot_events=4))
+    report = summarise([(first, apart), (replace(second, cell=replace(second.cell, robots=5)), apart)])
+    assert not report.passed
+    assert all(math.isnan(each.arrived_fraction) for each in report.cells)
+    cell = report.to_json()["cells"][0]
+    assert [cell[name] for name in ("collisions", "all_arrived_fraction", "longest_s", "deadlocks")] == [None] * 4
+    assert cell["unsafe_start_collisions"] == 4
+    assert "nothing counted: navigate_bc map=own empty kinematic slow N=4" in closing(report)
+    console = Console(width=130, record=True, file=io.StringIO())
+    console.print(table(report))
+    assert console.export_text().splitlines()[1].split()[-6:] == ["1", "-", "-", "-", "-", "-"]
+
+
+def test_one_trial_that_counts_is_enough() -> None:
+    (trial,) = made()[:1]
+    found = [TrialResult(seed=3, outcome=outcome(safe_start=False)), TrialResult(seed=4, outcome=outcome())]
+    report = summarise([(trial, found[0]), (replace(trial, seed=4), found[1])])
+    assert report.passed
+    assert report.to_json()["cells"][0]["collisions"] == 0
+
+
+# ---------------------------------------------------------------------------------------------------- mistakes
+@pytest.mark.parametrize(
+    ("line", "twice", "words"),
+    [
+        ("robots = [4, 32]", "robots = [4, 32, 4]", "groups[0].robots: 4 is there twice"),
+        ('scenarios = ["empty", "concave"]', 'scenarios = ["empty", "empty"]', "scenarios: 'empty' is there twice"),
+        ('["kinematic", "pybullet"]', '["kinematic", "kinematic"]', "engines: 'kinematic' is there twice"),
+        ('[{ name = "formation_bc" }]', '[{ name = "formation_bc" }, { name = "formation_bc" }]', "is there twice"),
+    ],
+)
+def test_what_stands_twice_in_a_list_is_refused(line: str, twice: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        parse_experiment(TEXT.replace(line, twice, 1), "mine.toml")
+
+
+def test_an_error_in_a_group_is_the_only_one() -> None:
+    text = TEXT.replace("seeds_at_most = 2", "seeds_at_most = 0")
+    with pytest.raises(ConfigError) as caught:
+        parse_experiment(text, "mine.toml")
+    assert len(str(caught.value).splitlines()) == 1, str(caught.value)
+    with pytest.raises(ConfigError, match=r"robots.*at least 1"):
+        parse_experiment(TEXT.replace("robots = [8]", "robots = []"), "mine.toml")
+
+
+@pytest.mark.parametrize("text", ["9223372036854775808", "0-9999999999", "1-" + "9" * 30])
+def test_too_large_and_too_many_seeds_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"largest seed|seeds: 100000 at most"):
+        parse_seeds(text)
+
+
+def test_a_long_name_makes_no_long_directory() -> None:
+    trial = made()[0]
+    long = [replace(trial, cell=replace(trial.cell, scenario="deep/" * 60 + name)) for name in "ab"]
+    assert all(len(trial_id(each)) < 140 for each in long)
+    assert trial_id(long[0]) != trial_id(long[1])
+
+
+def test_groups_are_told_apart_where_nothing_else_differs() -> None:
+    cell = made()[0].cell
+    other = replace(cell, group="longer")
+    assert differ_by_group([cell, other])
+    assert not differ_by_group([cell, replace(other, robots=5)])
+    assert not differ_by_group(each.cell for each in plan(load_experiment("safety"), (0,)))
+    found = TrialResult(seed=3, outcome=outcome(robot_events=1))
+    report = summarise([(replace(made()[0], cell=each), found) for each in (cell, other)])
+    assert "collided: longer navigate_bc" in closing(report)

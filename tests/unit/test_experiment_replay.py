@@ -14,8 +14,8 @@ from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.launch.evaluate import replay as module
 from fullswarm.launch.evaluate import watch
-from fullswarm.launch.evaluate.replay import Replay, find_trial, replay
-from fullswarm.perf.experiment.record import TRAJECTORY_FILE, TRIALS
+from fullswarm.launch.evaluate.replay import Replay, find_trial, read_record, replay
+from fullswarm.perf.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS
 from fullswarm.perf.pictures import Film
 from tests.unit.pictures_world import a_trial, two_robots, write_trial
 
@@ -118,3 +118,8 @@ def test_the_command_line_reaches_the_film(folder: Path, tmp_path: Path) -> None
         assert film.n_frames == 6
         assert film.size[0] == 400
         assert film.info["duration"] == 200
+
+
+def test_a_record_that_is_not_utf_8_costs_no_picture(tmp_path: Path) -> None:
+    (tmp_path / RESULT_FILE).write_bytes(b'{"id": "\xff"}')
+    assert read_record(tmp_path) is None

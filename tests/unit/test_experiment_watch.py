@@ -266,6 +266,28 @@ def test_ctrl_c_leaves_with_the_last_state(tmp_path: Path, capfd: pytest.Capture
     assert said.err == "left; the experiment goes on\n"
 
 
+def test_older_settings_are_told_and_counted_nowhere(tmp_path: Path) -> None:
+    names = [write_trial(tmp_path, a_trial(seed), contacts=seed) for seed in range(3)]
+    asked(tmp_path, trials=names[:1])
+    folder = ExperimentFolder(tmp_path)
+    folder.look()
+    progress = progress_of(folder, BEGAN_S)
+    assert (progress.finished, progress.collisions, progress.older) == (1, 0, 2)
+    assert "2 trials of older settings are in no figure" in text_of(folder, BEGAN_S)
+    asked(tmp_path, trials=[])
+    folder.look()
+    assert progress_of(folder, BEGAN_S).finished == 3
+
+
+def test_what_is_not_utf_8_is_unreadable(tmp_path: Path) -> None:
+    name = write_trial(tmp_path, a_trial(0))
+    (tmp_path / TRIALS / name / RESULT_FILE).write_bytes(b'{"id": "\xff"}')
+    (tmp_path / "experiment.json").write_bytes(b'"\xff"')
+    folder = ExperimentFolder(tmp_path)
+    assert folder.look()
+    assert progress_of(folder, BEGAN_S).unreadable == (name,)
+
+
 def test_once_is_a_snapshot(tmp_path: Path) -> None:
     asked(tmp_path, trials=10)
     write_trial(tmp_path, a_trial(0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -151,3 +152,55 @@ def test_a_map_of_what_was_covered(folder: Path, tmp_path: Path) -> None:
     (tmp_path / TRIALS / "x").mkdir(parents=True)
     (tmp_path / TRIALS / "x" / COVERAGE_FILE).write_bytes(b"PK")
     assert "not a coverage grid" in complaint("map", tmp_path, "--trial", "x")
+
+
+def test_what_older_settings_left_is_told_and_counted_nowhere(tmp_path: Path) -> None:
+    paths = [write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, seed)) for seed in range(3)]
+    (tmp_path / "experiment.json").write_text(
+        json.dumps({"name": "paper", "trials": [each.name for each in paths[:2]]})
+    )
+    for words in (("list",), ("show", "robots=4"), ("export",), ("report",), ("index",)):
+        result = run.invoke(results_app, [words[0], str(tmp_path), *words[1:]])
+        assert result.exit_code == 0, result.output
+        assert "1 trial of older settings is in no figure; another --out keeps them apart" in result.stderr
+    assert json.loads(said("list", tmp_path, "--json"))["cells"][0]["trials"] == 2
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == 3
+
+
+def test_groups_are_a_column_where_nothing_else_differs(tmp_path: Path) -> None:
+    for group in ("near", "far"):
+        trial = a_trial("move_to_goal", "empty", 4, 0)
+        write_trial(tmp_path, replace(trial, cell=replace(trial.cell, group=group)))
+    assert said("list", tmp_path).split()[0] == "group"
+    assert "near" in said("list", tmp_path)
+
+
+def test_the_interval_of_a_share_is_one(tmp_path: Path) -> None:
+    for seed in range(4):
+        write_trial(tmp_path, a_trial("move_to_goal", "concave", 4, seed))
+    found = json.loads(said("show", tmp_path, "robots=4", "--json"))
+    shares = [each for each in found["metrics"] if each["name"].endswith("fraction") or each["name"] == "all_arrived"]
+    assert {each["name"] for each in shares} >= {"arrived_fraction", "all_arrived", "coverage.fraction"}
+    assert all(0.0 <= each["low"] <= each["high"] <= 1.0 for each in shares)
+    assert [each["high"] for each in shares if each["name"] == "arrived_fraction"] == [1.0]
+
+
+def test_compare_tells_what_it_cannot_read(tmp_path: Path) -> None:
+    write_folder(tmp_path, seeds=2)
+    broken = next(each for each in sorted((tmp_path / TRIALS).iterdir()) if "_bc" in each.name)
+    (broken / RESULT_FILE).write_bytes(b"\xff")
+    words = ["compare", str(tmp_path), "move_to_goal", "move_to_goal_bc", "--by", "behaviour"]
+    result = run.invoke(results_app, words)
+    assert result.exit_code == 0, result.output
+    assert f"unreadable: {broken}" in result.stderr
+
+
+def test_mistakes_with_files_are_told(tmp_path: Path) -> None:
+    place = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
+    assert "it is a folder" in complaint("export", tmp_path, "--out", tmp_path)
+    assert "it is a folder" in complaint("export", tmp_path, "--out", ".")
+    whole = (place / TRAJECTORY_FILE).read_bytes()
+    (place / TRAJECTORY_FILE).write_bytes(whole[: len(whole) // 2])
+    assert "not a trajectory" in complaint("map", tmp_path, "--out", tmp_path / "hall")
+    (place / COVERAGE_FILE).write_bytes(b"")
+    assert "not a coverage grid" in complaint("map", tmp_path)

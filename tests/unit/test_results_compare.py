@@ -74,6 +74,28 @@ def test_an_ambiguous_behaviour_wants_its_parameters(tmp_path: Path) -> None:
     assert compare_by(tmp_path, "behaviour", "navigate map=own", "navigate map=given").pairs == 1
 
 
+def in_group(trial: Trial, group: str) -> Trial:
+    return replace(trial, cell=replace(trial.cell, group=group), agent=(("safety_margin_m", len(group) / 100.0),))
+
+
+def test_groups_that_differ_by_nothing_else_are_kept_apart(tmp_path: Path) -> None:
+    for behaviour in ("move_to_goal", "move_to_goal_bc"):
+        for group in ("near", "far"):
+            for seed in range(2):
+                write_trial(tmp_path, in_group(a_trial(behaviour, "empty", 4, seed), group))
+    found = compare_by(tmp_path, "behaviour", "move_to_goal", "move_to_goal_bc")
+    assert found.pairs == 4
+    assert {each.cell for each in found.cells} == {"empty N=4 kinematic paper near", "empty N=4 kinematic paper far"}
+    assert compare_by(tmp_path, "group", "near", "far").pairs == 4
+    assert compare(tmp_path, tmp_path).pairs == 8
+
+
+def test_names_of_groups_keep_nobody_apart_elsewhere(tmp_path: Path) -> None:
+    write_trial(tmp_path / "a", in_group(a_trial("move_to_goal", "empty", 4, 0), "near"))
+    write_trial(tmp_path / "b", in_group(a_trial("move_to_goal", "empty", 4, 0), "far"))
+    assert compare(tmp_path / "a", tmp_path / "b").pairs == 1
+
+
 def test_trials_that_began_outside_the_safe_set_are_left_out(tmp_path: Path) -> None:
     for behaviour in ("move_to_goal", "move_to_goal_bc"):
         for seed in range(2):

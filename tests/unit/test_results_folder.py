@@ -11,6 +11,7 @@ import pytest
 from fullswarm.errors import ConfigError
 from fullswarm.perf.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from fullswarm.perf.results import read_folder, read_records
+from fullswarm.perf.results.folder import older_in
 from fullswarm.perf.results.quantities import unit_of, values_of
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 
@@ -69,6 +70,23 @@ def test_what_was_asked_for_and_is_not_there_is_missing(tmp_path: Path) -> None:
     path = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
     (tmp_path / "experiment.json").write_text(json.dumps({"name": "paper", "trials": [path.name, "other"], "new": 1}))
     assert read_folder(tmp_path).missing == ["other"]
+
+
+def test_only_trials_that_were_asked_for_count(tmp_path: Path) -> None:
+    paths = [write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, seed)) for seed in range(3)]
+    (tmp_path / "experiment.json").write_text(json.dumps({"name": "paper", "trials": [paths[1].name]}))
+    folder = read_folder(tmp_path)
+    assert ([each.path for each in folder.trials], folder.older) == ([paths[1]], 2)
+    assert (older_in(tmp_path, [paths[1].name]), older_in(tmp_path, [])) == (2, 0)
+    (tmp_path / "experiment.json").write_text(json.dumps({"name": "paper", "trials": []}))
+    assert (len(read_records(tmp_path)), read_folder(tmp_path).older) == (3, 0)  # of joined shards
+
+
+def test_a_folder_of_older_trials_alone_is_no_mistake(tmp_path: Path) -> None:
+    write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0))
+    (tmp_path / "experiment.json").write_text(json.dumps({"name": "paper", "trials": ["another"]}))
+    folder = read_folder(tmp_path)
+    assert (folder.trials, folder.older, folder.missing) == ([], 1, ["another"])
 
 
 def test_a_folder_without_trials_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from fullswarm.perf.results import read_records, write_plots, write_report
 from fullswarm.perf.results.maps import trajectories_plot
 from fullswarm.perf.results.plots import collisions_plot, means_plot
 from fullswarm.perf.results.sample import bare, conditions, is_filtered
-from fullswarm.perf.results.tables import cells_grid, filter_grid, interval, p_text
+from fullswarm.perf.results.tables import cells_grid, filter_grid, interval, p_text, trials_grid
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -155,6 +156,44 @@ def test_conditions_have_figures_of_their_own(tmp_path: Path) -> None:
     ids = Page(write_report(tmp_path).read_text("utf-8")).of("id")
     assert {"collisions-title", "collisions-2-title"} <= set(ids)
     assert len(ids) == len(set(ids))
+
+
+def test_groups_that_differ_by_nothing_else_have_figures_of_their_own(tmp_path: Path) -> None:
+    for group in ("near", "far"):
+        for robots in (4, 8)[: 1 + (group == "far")]:
+            trial = a_trial("move_to_goal", "empty", robots, 0)
+            write_trial(tmp_path, replace(trial, cell=replace(trial.cell, group=group)))
+    found = conditions(read_records(tmp_path))
+    assert sorted((each.name, len(each.samples)) for each in found) == [
+        ("kinematic engine, limits “paper”, far", 2),
+        ("kinematic engine, limits “paper”, near", 1),
+    ]
+    text = write_report(tmp_path).read_text("utf-8")
+    assert {"collisions-title", "collisions-2-title"} <= set(Page(text).of("id"))
+    assert trials_grid(read_records(tmp_path)).headers[0] == "Group"
+    assert trials_grid(read_records(tmp_path)[:1]).headers[0] == "Scenario"
+
+
+@pytest.mark.parametrize(
+    ("how", "fleet", "end"),
+    [("live create2", None, "--live --network loss=5% --emulate create2"),
+     ("fleet", "lab.toml", "--network loss=5% --fleet lab.toml"),
+     ("lockstep", None, "--network loss=5%")],
+)  # fmt: skip
+def test_the_command_for_what_is_missing_is_whole(tmp_path: Path, how: str, fleet: str | None, end: str) -> None:
+    path = write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0), FAILURE)
+    asked = {"name": "paper", "file": "/my hall.toml", "network": "loss=5%", "trials": [path.name]}
+    (tmp_path / "experiment.json").write_bytes(msgspec.json.encode({**asked, "how": how, "fleet": fleet}))
+    text = write_report(tmp_path).read_text("utf-8")
+    assert f"experiment run &#39;/my hall.toml&#39; {end} --out" in text
+
+
+def test_trials_of_older_settings_are_told(tmp_path: Path) -> None:
+    paths = [write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, seed), FAILURE) for seed in range(2)]
+    (tmp_path / "experiment.json").write_bytes(msgspec.json.encode({"name": "paper", "trials": [paths[0].name]}))
+    text = write_report(tmp_path).read_text("utf-8")
+    assert "trials of older settings: in no other figure" in text
+    assert paths[1].name not in text
 
 
 def test_trials_that_began_outside_the_safe_set_are_counted_apart(tmp_path: Path) -> None:

@@ -196,3 +196,30 @@ def test_one_trial_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     out, err = capsys.readouterr()
     assert '"failure": "ValueError: no law of nature"' in out
     assert "not the result that it had before" in err
+
+
+def test_one_trial_again_says_what_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Keeper(tmp_path, "paper", refuse)(trial())  # type: ignore[arg-type]  # it never answers
+    folder = tmp_path / TRIALS / trial_id(trial())
+    assert experiment_trial.run(folder, tmp_path, run_one=answer) == 0
+    err = capsys.readouterr().err
+    assert f"kept in {folder}" in err
+    assert "not the result that it had before" in err  # it had failed
+    before = (folder / PROVENANCE_FILE).read_bytes()
+    assert experiment_trial.run(folder, tmp_path, run_one=answer) == 0
+    err = capsys.readouterr().err
+    assert "\nkept in" not in f"\n{err}"
+    assert f"not kept: it has a result in {folder} already, which stays" in err
+    assert "the same result as before" in err
+    assert (folder / PROVENANCE_FILE).read_bytes() == before
+
+
+def test_files_that_are_not_utf_8_are_no_records(tmp_path: Path) -> None:
+    Keeper(tmp_path, "paper", answer)(trial())
+    folder = tmp_path / TRIALS / trial_id(trial())
+    (folder / PROVENANCE_FILE).write_bytes(b'{"host": "\xff"}')
+    kept = read_kept(tmp_path, trial())
+    assert kept is not None
+    assert kept.attempts == 1
+    (folder / RESULT_FILE).write_bytes(b'{"id": "\xff"}')
+    assert read_kept(tmp_path, trial()) is None

@@ -11,7 +11,15 @@ from typing import Protocol
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError, FullswarmError
-from fullswarm.launch.evaluate.experiment_folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder
+from fullswarm.launch.evaluate.experiment_check import check_behaviours
+from fullswarm.launch.evaluate.experiment_folder import (
+    LOCKSTEP,
+    Asked,
+    configuration_of,
+    kept_of,
+    open_folder,
+    other_code,
+)
 from fullswarm.launch.evaluate.experiment_pool import Pool
 from fullswarm.launch.evaluate.experiment_table import closing, table
 from fullswarm.launch.evaluate.provenance import provenance
@@ -21,6 +29,7 @@ from fullswarm.launch.evaluate.trial_folder import Keeper, read_kept, record_of,
 from fullswarm.operator import output
 from fullswarm.perf.experiment import Experiment, Trial, TrialResult, load_experiment, on_network, plan, summarise
 from fullswarm.perf.experiment.model import parse_seeds
+from fullswarm.perf.results.folder import older_in, older_text
 
 TELL_S = 5.0
 """How often progress is told."""
@@ -90,15 +99,18 @@ def run(options: Options, run_one: Measure = measure) -> int:
     Raises
     ------
     ConfigError
-        The experiment, a filter, the seeds, the shard or the folder are wrong.
+        The experiment, a behaviour in it, a filter, the seeds, the shard or the folder are wrong.
     """
     _check(options)
     experiment = load_experiment(options.experiment)
+    configuration = configuration_of(experiment)  # before --network: that makes other cells, not another experiment
     if options.network is not None:
         experiment = on_network(experiment, options.network)
     everything = plan(experiment, _seeds(options.seeds), options.cells, options.small, options.engine)
+    if options.fleet is None:  # the core of a fleet may have behaviours of its own
+        check_behaviours(everything, options.experiment)
     trials = shard_of(everything, options.shard)
-    results = _kept(options, experiment, everything, trials)
+    results = _kept(options, experiment, configuration, everything, trials)
     clock = MonotonicClock()
     began_s = clock.now_s()
     try:
@@ -153,7 +165,7 @@ def _seeds(text: str | None) -> tuple[int, ...] | None:
 
 
 def _kept(
-    options: Options, experiment: Experiment, everything: list[Trial], trials: list[Trial]
+    options: Options, experiment: Experiment, configuration: str, everything: list[Trial], trials: list[Trial]
 ) -> dict[Trial, TrialResult]:
     """Make the folder ready; return the results that it holds."""
     if options.folder is None:
@@ -161,20 +173,33 @@ def _kept(
     asked = Asked(
         name=experiment.name,
         description=experiment.description,
-        configuration=configuration_of(experiment),
+        configuration=configuration,
         seeds=options.seeds,
         cells=options.cells,
         small=options.small,
         engine=options.engine,
         how=_how(options),
+        file=_from_anywhere(options.experiment),
+        network=options.network,
+        fleet=None if options.fleet is None else str(options.fleet.resolve()),
     )
-    _, swept = open_folder(options.folder, asked, everything)
+    asked, swept = open_folder(options.folder, asked, everything)
     if swept:
         output.progress(f"{swept} half-written trials of a run that died are removed")
+    older = older_in(options.folder, asked.trials)
+    if older:
+        output.progress(older_text(older))
     results = kept_of(options.folder, trials)
     if results:
         output.progress(f"{len(results)} of {len(trials)} trials are in {options.folder} already")
+    for code, count in other_code(options.folder, results).items():
+        output.progress(f"{count} of them were run by other code ({code}); another --out runs them anew")
     return results
+
+
+def _from_anywhere(experiment: str) -> str:
+    """Return what names the experiment from any folder: that of the package by its name, a file by its whole path."""
+    return str(Path(experiment).resolve()) if experiment.endswith(".toml") else experiment
 
 
 def _how(options: Options) -> str:

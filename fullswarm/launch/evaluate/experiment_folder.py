@@ -10,16 +10,19 @@ from __future__ import annotations
 import hashlib
 import os
 import socket
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
 
+import fullswarm
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.trial_folder import read_kept, sweep
-from fullswarm.perf.experiment import Experiment, Trial, TrialResult
+from fullswarm.launch.evaluate.provenance import commit
+from fullswarm.launch.evaluate.trial_folder import read_kept, read_provenance, sweep
+from fullswarm.perf.experiment import Experiment, Trial, TrialResult, arena_of
 from fullswarm.perf.experiment.record import trial_id
 
 FORMAT, LOCKSTEP = "fullswarm.experiment/1", "lockstep"
@@ -32,19 +35,32 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
     format: str = FORMAT
     name: str
     description: str = ""
-    configuration: str = ""  # sha256 of the experiment as it was read
+    configuration: str = ""  # sha256 of the experiment and its scenarios as they were read
     started: str = ""  # the newest run, ISO 8601, UTC
     seeds: str | None = None  # the options of the newest run, None: as in the file
     cells: tuple[str, ...] = ()
     small: bool = False
     engine: str | None = None
     how: str = LOCKSTEP  # "live", "live create", "fleet": their figures do not go together
+    file: str = ""  # of the experiment, or its name in the package
+    network: str | None = None
+    fleet: str | None = None  # its file
     trials: tuple[str, ...] = ()  # ids of all trials that were ever asked for of this configuration
 
 
 def configuration_of(experiment: Experiment) -> str:
-    """Return what tells one version of an experiment from another."""
-    return hashlib.sha256(experiment.model_dump_json().encode()).hexdigest()
+    """Return what tells one version of an experiment from another: its file, and those of its scenarios."""
+    digest = hashlib.sha256(experiment.model_dump_json().encode())
+    for name in sorted({name for group in experiment.groups for name in group.scenarios}):
+        digest.update(f"{name}\n{_arena(name)}\n".encode())
+    return digest.hexdigest()
+
+
+def _arena(scenario: str) -> str:
+    try:
+        return arena_of(scenario)
+    except ConfigError:
+        return ""  # of a cell that is not asked for: `plan` has read the others
 
 
 def open_folder(out: Path, asked: Asked, trials: Iterable[Trial]) -> tuple[Asked, int]:
@@ -97,7 +113,7 @@ def read_asked(out: Path) -> Asked | None:
         return None
     except OSError as error:
         raise ConfigError(f"cannot read it: {error.strerror or error}", where=str(path)) from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, ValueError) as error:  # ValueError: not UTF-8
         raise ConfigError(
             f"not the file of an experiment: {error}", where=str(path), hint="remove it, the trials stay"
         ) from error
@@ -108,6 +124,13 @@ def kept_of(out: Path, trials: Sequence[Trial]) -> dict[Trial, TrialResult]:
     """Return the results of the trials that have an outcome already."""
     found = ((trial, read_kept(out, trial)) for trial in trials)
     return {trial: result for trial, result in found if result is not None}
+
+
+def other_code(out: Path, trials: Iterable[Trial]) -> Counter[str]:
+    """Return how many of these trials were run by which other version or commit of fullswarm."""
+    found = ((about.fullswarm, about.git) for about in (read_provenance(out, trial) for trial in trials))
+    other = Counter(each for each in found if any(each) and each != (fullswarm.__version__, commit()))
+    return Counter({" ".join(("fullswarm", *filter(None, each))): count for each, count in other.items()})
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -7,22 +7,26 @@ import math
 from rich.table import Table
 
 from fullswarm.perf.experiment import CellResult, Report
+from fullswarm.perf.experiment.plan import differ_by_group
+
+NONE = "-"
 
 
 def table(report: Report) -> Table:
     """Return the results for people."""
     view = Table(box=None, pad_edge=False)
-    for name in ("behaviour", "scenario", "engine", "limits", "bad"):
+    grouped = differ_by_group(each.cell for each in report.cells)
+    for name in (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "bad"):
         view.add_column(name, overflow="fold")
     for name in ("N", "seeds", "coll.", "robots %", "trials %", "mean s", "blocked"):
         view.add_column(name, justify="right", no_wrap=True, min_width=len(name))
     for cell in report.cells:
-        view.add_row(*_row(cell), style="red" if _is_bad(cell) else None)
+        view.add_row(*[cell.cell.group] * grouped, *_row(cell), style="red" if _is_bad(cell) else None)
     return view
 
 
 def _is_bad(cell: CellResult) -> bool:
-    return bool(cell.failed) or (cell.collisions > 0 and not cell.cell.collisions_expected)
+    return bool(cell.failed) or cell.is_empty or (cell.collisions > 0 and not cell.cell.collisions_expected)
 
 
 def _row(cell: CellResult) -> tuple[str, ...]:
@@ -35,12 +39,16 @@ def _row(cell: CellResult) -> tuple[str, ...]:
         "network" if of.network else "noise" if of.noise_m or of.noise_rad else "",
         str(of.robots),
         str(len(cell.results)),
-        str(cell.collisions),
-        f"{100 * cell.arrived_fraction:.1f}",
-        f"{100 * cell.all_arrived_fraction:.0f}",
-        "-" if math.isnan(mean_s) else f"{mean_s:.1f}",
-        str(sum(each.deadlocks for _, each in cell.outcomes)),
+        NONE if cell.is_empty else str(cell.collisions),
+        _number(100 * cell.arrived_fraction, 1),
+        _number(100 * cell.all_arrived_fraction, 0),
+        _number(mean_s, 1),
+        NONE if cell.is_empty else str(sum(each.deadlocks for _, each in cell.outcomes)),
     )
+
+
+def _number(value: float, decimals: int) -> str:
+    return NONE if math.isnan(value) else f"{value:.{decimals}f}"
 
 
 def closing(report: Report) -> str:
@@ -52,8 +60,12 @@ def closing(report: Report) -> str:
         f"{counts}, {above} commands above the limits, {apart} starts outside the safe set",
         f"{report.simulated_s:.0f} s simulated in {report.wall_s:.0f} s",
     ]
+    grouped = differ_by_group(each.cell for each in report.cells)
     for cell in report.cells:
-        name = " ".join((*filter(None, _row(cell)[:5]), f"N={cell.cell.robots}"))
+        words = (*[cell.cell.group] * grouped, *_row(cell)[:5])
+        name = " ".join((*filter(None, words), f"N={cell.cell.robots}"))
+        if cell.is_empty:
+            lines.append(f"nothing counted: {name}")
         if cell.colliding_seeds and not cell.cell.collisions_expected:
             lines.append(f"collided: {name}: seeds {cell.colliding_seeds}")
         lines += [f"failed: {name} seed {each.seed}: {each.failure}" for each in cell.failed]

@@ -12,8 +12,9 @@ from fullswarm.errors import ConfigError
 from fullswarm.launch.evaluate.trial import Measure, measure
 from fullswarm.launch.evaluate.trial_file import load_trial
 from fullswarm.launch.evaluate.trial_folder import perform, read_record, record_of, write_trial
+from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.operator import output
-from fullswarm.perf.experiment.record import Record, trial_id
+from fullswarm.perf.experiment.record import TRIALS, Provenance, Record, trial_id
 
 
 def run(file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure) -> int:
@@ -30,14 +31,12 @@ def run(file: Path, folder: Path | None = None, as_json: bool = False, run_one: 
         The file is not that of a trial, or the folder cannot be written.
     """
     launch = load_trial(file)
+    before = read_record(file if file.is_dir() else file.parent)  # now: --out may replace it
     result, found, about = perform(launch.trial, launch.experiment, 1, run_one, "trial")
     record = record_of(launch.trial, launch.experiment, found)
     if folder is not None:
-        try:
-            output.progress(f"kept in {write_trial(folder, record, about, found)}")
-        except OSError as error:
-            raise ConfigError(f"cannot keep the trial: {error.strerror or error}", where=str(folder)) from error
-    _compare(file, record)
+        _keep(folder, record, about, found)
+    _compare(before, record)
     if as_json:
         output.data_json(msgspec.to_builtins(record))
     else:
@@ -48,9 +47,20 @@ def run(file: Path, folder: Path | None = None, as_json: bool = False, run_one: 
     return int(result.outcome.events > 0 and not launch.trial.cell.collisions_expected)
 
 
-def _compare(file: Path, record: Record) -> None:
-    """Tell whether it came out as it did before, if its result stands beside the file."""
-    before = read_record(file if file.is_dir() else file.parent)
+def _keep(folder: Path, record: Record, about: Provenance, found: Measurement | str) -> None:
+    """Keep the trial, unless it has an outcome there already; tell which."""
+    there = read_record(folder / TRIALS / record.id)
+    if there is not None and there.outcome is not None:
+        output.progress(f"not kept: it has a result in {folder / TRIALS / record.id} already, which stays")
+        return
+    try:
+        output.progress(f"kept in {write_trial(folder, record, about, found)}")
+    except OSError as error:
+        raise ConfigError(f"cannot keep the trial: {error.strerror or error}", where=str(folder)) from error
+
+
+def _compare(before: Record | None, record: Record) -> None:
+    """Tell whether it came out as it did before, if a result of it stood beside its file."""
     if before is None or before.id != trial_id(record.trial):
         return
     same = before == record

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import zipfile
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -127,7 +128,7 @@ def read_record(place: Path) -> Record | None:
     """Return what came of a trial; None when that cannot be read: its picture does not need it."""
     try:
         return msgspec.json.decode((place / RESULT_FILE).read_bytes(), type=Record)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, ValueError):  # ValueError: not UTF-8
         return None
 
 
@@ -147,5 +148,5 @@ def read_trajectory(place: Path, record: Record | None = None) -> Trajectory:
     except FileNotFoundError as error:
         failed = f"it failed: {record.failure}" if record is not None and record.failure else ""
         raise ConfigError(f"the trial left no {TRAJECTORY_FILE}", where=str(place), hint=failed) from error
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ConfigError(f"not a trajectory: {error}", where=str(path)) from error

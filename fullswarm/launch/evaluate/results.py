@@ -21,14 +21,15 @@ from fullswarm.perf.experiment.model import Parameter
 from fullswarm.perf.results.compare import Comparison, MetricComparison, compare_by
 from fullswarm.perf.results.compare import compare as compare_folders
 from fullswarm.perf.results.export import WRITERS, long, wide, write_table
-from fullswarm.perf.results.folder import Folder, Problem, StoredTrial, read_folder
+from fullswarm.perf.results.folder import Folder, StoredTrial, older_text, read_folder
 from fullswarm.perf.results.index import INDEX_FILE, open_index, rebuild
-from fullswarm.perf.results.quantities import Key, in_order, is_dull, unit_of, values_of
+from fullswarm.perf.results.quantities import Key, in_order, is_dull, range_of, unit_of, values_of
 from fullswarm.perf.results.statistics import Described, describe
 
 STDOUT = Path("-")
+ALIKE = ("label", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad")
 CELLS = """
-SELECT behaviour, parameters, label, scenario, robots, engine, limits, network, noise_m, noise_rad,
+SELECT "group", behaviour, parameters, label, scenario, robots, engine, limits, network, noise_m, noise_rad,
     count(*) AS trials, sum(failed) AS failed,
     sum(NOT failed AND safe.value = 0) AS unsafe_starts,
     sum(CASE WHEN safe.value THEN events.value END) AS collisions,
@@ -41,7 +42,7 @@ LEFT JOIN metrics AS safe ON safe.trial = id AND safe.source = 'outcome' AND saf
 LEFT JOIN metrics AS simulated ON simulated.trial = id AND simulated.source = 'outcome'
     AND simulated.name = 'simulated_s'
 GROUP BY "group", label, scenario, robots, engine, limits, network, noise_m, noise_rad
-ORDER BY engine, limits, network, scenario, robots, label
+ORDER BY engine, limits, network, scenario, robots, label, "group"
 """
 
 
@@ -52,18 +53,23 @@ def list_cells(folder: Path, as_json: bool) -> int:
         connection.row_factory = sqlite3.Row
         cells = [dict(row) for row in connection.execute(CELLS)]
         problems = [dict(row) for row in connection.execute("SELECT directory, reason FROM problems")]
+        older = int(connection.execute("SELECT value FROM meta WHERE key = 'older'").fetchone()[0])
+    if older:
+        output.progress(older_text(older))
     for cell in cells:
         cell["parameters"] = msgspec.json.decode(cell["parameters"])
     if as_json:
         output.data_json({"cells": cells, "problems": problems})
         return 0
     table = Table(box=None, pad_edge=False)
-    for name in ("behaviour", "scenario", "engine", "limits", "network"):
+    alike = {tuple(cell[name] for name in ALIKE) for cell in cells}
+    grouped = len(alike) < len(cells)  # some differ by nothing else
+    for name in (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "network"):
         table.add_column(name, overflow="fold")
     for name in ("N", "trials", "failed", "apart", "coll.", "arrived %", "simulated s"):
         table.add_column(name, justify="right", no_wrap=True)
     for cell in cells:
-        table.add_row(*_cell_row(cell), style="red" if cell["failed"] else None)
+        table.add_row(*[cell["group"]] * grouped, *_cell_row(cell), style="red" if cell["failed"] else None)
     output.data_table(table, into_file=130)
     for problem in problems:
         output.progress(f"unreadable: {folder / problem['directory']}: {problem['reason']}")
@@ -191,6 +197,7 @@ def report(folder: Path, open_it: bool, plots: Path | None) -> int:
 
     path = write_report(folder)
     output.data(str(path))
+    _tell(read_folder(folder))
     if plots is not None:
         for each in write_plots(folder, plots):
             output.data(str(each))
@@ -207,7 +214,7 @@ def index(folder: Path, as_json: bool) -> int:
         output.data_json({"index": str(folder / INDEX_FILE), "trials": len(read.trials), "problems": problems})
     else:
         output.data(f"{folder / INDEX_FILE}: {len(read.trials)} trials, {len(read.failed)} of them failed")
-        _tell(read.problems)
+        _tell(read)
     return 1 if read.problems else 0
 
 
@@ -217,9 +224,9 @@ def compare(words: list[str], by: str | None, with_cells: bool, as_json: bool) -
     if len(words) != wanted:
         raise ConfigError(f"{len(words)} words instead of {wanted}", hint=f"fullswarm results {usage}")
     if by is None:
-        found = compare_folders(Path(words[0]), Path(words[1]))
+        found = compare_folders(Path(words[0]), Path(words[1]), _trials)
     else:
-        found = compare_by(Path(words[0]), by, words[1], words[2])
+        found = compare_by(Path(words[0]), by, words[1], words[2], _trials)
     if as_json:
         output.data_json(found.to_json())
         return 0
@@ -264,17 +271,24 @@ def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
 def _read(folder: Path) -> Folder:
     """Return the trials; tell on stderr what cannot be read."""
     read = read_folder(folder)
-    _tell(read.problems)
+    _tell(read)
     return read
 
 
-def _tell(problems: list[Problem]) -> None:
-    for each in problems:
+def _trials(folder: Path) -> list[StoredTrial]:
+    return _read(folder).trials
+
+
+def _tell(read: Folder) -> None:
+    for each in read.problems:
         output.progress(f"unreadable: {each.path}: {each.reason}")
+    if read.older:
+        output.progress(older_text(read.older))
 
 
 def _described(key: Key, values: list[float]) -> Described:
-    return describe(values, at_least=0.0 if key[0] == "outcome" else -math.inf)  # the referee only counts and times
+    least, most = range_of(key)
+    return describe(values, at_least=least, at_most=most)
 
 
 def _plain(described: Described) -> dict[str, float | None]:

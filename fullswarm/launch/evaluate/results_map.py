@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -9,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.replay import find_trial
+from fullswarm.launch.evaluate.replay import find_trial, read_trajectory
 from fullswarm.operator import output
 from fullswarm.perf.coverage import GridFrame
 from fullswarm.perf.coverage_map import coverage_map, occupied_cells, write_map
-from fullswarm.perf.experiment.record import COVERAGE_FILE, TRAJECTORY_FILE, Trajectory
+from fullswarm.perf.experiment.record import COVERAGE_FILE, TRAJECTORY_FILE
 
 
 def write(folder: Path, trial: str, out: Path | None) -> int:
@@ -26,7 +27,7 @@ def write(folder: Path, trial: str, out: Path | None) -> int:
     """
     place = find_trial(folder, trial)
     frame, covered = read_coverage(place / COVERAGE_FILE)
-    boxes = Trajectory.load(place / TRAJECTORY_FILE).boxes if (place / TRAJECTORY_FILE).exists() else np.zeros((0, 5))
+    boxes = read_trajectory(place).boxes if (place / TRAJECTORY_FILE).exists() else np.zeros((0, 5))
     occupied = occupied_cells(frame, tuple((x, y, size_x, size_y, yaw) for x, y, size_x, size_y, yaw in boxes.tolist()))
     output.data("\n".join(map(str, write_map(coverage_map(frame, covered, occupied), out or place / "coverage"))))
     return 0
@@ -46,5 +47,5 @@ def read_coverage(path: Path) -> tuple[GridFrame, NDArray[np.uint8]]:
             return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
     except FileNotFoundError as error:
         raise ConfigError("this trial has no coverage grid", where=str(path)) from error
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
         raise ConfigError(f"not a coverage grid: {error}", where=str(path), hint="run the trial again") from error

@@ -184,7 +184,7 @@ def read_record(folder: Path) -> Record | None:
     """Return the record of a trial's directory; None: there is none that can be read, so the trial is to be run."""
     try:
         return msgspec.json.decode((folder / RESULT_FILE).read_bytes(), type=Record)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, ValueError):  # ValueError: not UTF-8
         return None
 
 
@@ -194,10 +194,7 @@ def read_kept(out: Path, trial: Trial) -> TrialResult | None:
     record = read_record(folder) if folder.is_dir() else None
     if record is None or record.outcome is None or record.trial != trial:
         return None
-    try:
-        about = msgspec.json.decode((folder / PROVENANCE_FILE).read_bytes(), type=Provenance)
-    except (OSError, msgspec.DecodeError):
-        about = Provenance()
+    about = read_provenance(out, trial)
     return TrialResult(
         seed=trial.seed,
         outcome=record.outcome,
@@ -205,6 +202,15 @@ def read_kept(out: Path, trial: Trial) -> TrialResult | None:
         end_reason=record.end_reason,
         attempts=about.attempts,
     )
+
+
+def read_provenance(out: Path, trial: Trial) -> Provenance:
+    """Return where a trial's figures come from; empty when that cannot be read."""
+    try:
+        path = out / TRIALS / trial_id(trial) / PROVENANCE_FILE
+        return msgspec.json.decode(path.read_bytes(), type=Provenance)
+    except (OSError, msgspec.DecodeError, ValueError):
+        return Provenance()
 
 
 def sweep(out: Path) -> int:

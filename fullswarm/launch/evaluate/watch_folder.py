@@ -99,7 +99,7 @@ class ExperimentFolder:
             record = msgspec.json.decode(file.read_bytes(), type=Record)
         except (FileNotFoundError, NotADirectoryError):
             return False  # moved away to be run again, or no trial at all
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, msgspec.DecodeError, ValueError) as error:  # ValueError: not UTF-8
             new = name not in self.unreadable
             self.unreadable[name] = str(error)
             return new
@@ -110,7 +110,7 @@ class ExperimentFolder:
     def _read_asked(self) -> bool:
         try:
             asked = msgspec.json.decode((self.path / EXPERIMENT_FILE).read_bytes())
-        except (OSError, msgspec.DecodeError):
+        except (OSError, msgspec.DecodeError, ValueError):
             return False  # not there yet, or no JSON: all that it says can be missed
         changed = isinstance(asked, dict) and asked != self.asked
         if changed:
@@ -135,6 +135,7 @@ class Progress:
     cells: tuple[CellResult, ...]  # the one that a trial finished in last comes first
     last: tuple[Finished, ...]  # newest first
     unreadable: tuple[str, ...]
+    older: int = 0  # trials of older settings: in no figure
 
     @property
     def over(self) -> bool:
@@ -156,6 +157,7 @@ class Progress:
             "left_s": _rounded(self.left_s),
             "over": self.over,
             "unreadable": list(self.unreadable),
+            "older": self.older,
             "cells": [each.to_json() for each in self.cells],
             "last": [_last_json(each, now_s) for each in self.last],
         }
@@ -164,8 +166,8 @@ class Progress:
 def progress_of(folder: ExperimentFolder, now_s: float) -> Progress:
     """Return how it goes at a time, in seconds since 1970."""
     wanted = folder.asked.get("trials")
-    ids = set(wanted) if isinstance(wanted, list) else None  # those of an older version may stand there too
-    found = (each for name, each in folder.finished.items() if ids is None or name in ids)
+    ids = set(wanted) if isinstance(wanted, list) and wanted else folder.finished.keys()
+    found = [each for name, each in folder.finished.items() if name in ids]  # the others are of older settings
     newest = sorted(found, key=lambda each: (each.at_s, each.record.id), reverse=True)
     report = summarise((each.record.trial, each.result) for each in newest)
     outcomes = [each.record.outcome for each in newest if each.record.outcome]
@@ -187,6 +189,7 @@ def progress_of(folder: ExperimentFolder, now_s: float) -> Progress:
         cells=tuple(report.cells),
         last=tuple(newest[:LAST]),
         unreadable=tuple(sorted(folder.unreadable)),
+        older=len(folder.finished) - len(found),
     )
 
 

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from fullswarm.launch.evaluate.watch_folder import PAUSE_S, Finished, Progress
 from fullswarm.perf.experiment import CellResult
+from fullswarm.perf.results.folder import older_text
 
 AROUND = 10
 """Lines of the view besides the cells and the last trials."""
@@ -38,6 +39,8 @@ def view(progress: Progress, now_s: float, max_lines: int | None = None) -> Rend
             Text("last finished", style="bold"),
             last_table(progress.last, now_s, one_line=room is not None),
         ]
+    if progress.older:
+        parts.append(Text(older_text(progress.older), style="yellow"))
     if progress.unreadable:
         parts.append(Text(f"unreadable: {', '.join(progress.unreadable[:3])}", style="red"))
     return Group(*parts)
@@ -83,8 +86,8 @@ def cell_table(cells: tuple[CellResult, ...]) -> Table:
             *(escape(text) for text in (of.group, of.label, of.scenario, of.engine, of.limits)[not groups :]),
             str(of.robots),
             str(len(each.results)),
-            str(each.collisions),
-            f"{100 * each.arrived_fraction:.1f}" if each.outcomes else "-",
+            "-" if each.is_empty else str(each.collisions),
+            "-" if each.is_empty else f"{100 * each.arrived_fraction:.1f}",
             str(len(each.failed)),
             style="red" if each.failed or (each.collisions and not of.collisions_expected) else None,
         )

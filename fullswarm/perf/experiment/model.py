@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
@@ -16,6 +16,9 @@ from fullswarm.perf.scenarios.model import parse_section, scenario_names
 
 Engine = Literal["kinematic", "pybullet", "pybullet-wheels"]
 Parameter = bool | int | float | str
+T = TypeVar("T")
+LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
+"""What a file of results can hold, and a table of trials."""
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -23,10 +26,14 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     first, dash, last = text.partition("-")
     if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
         raise ValueError(f"'{text}' is no range of seeds: write 7 or 0-19")
-    seeds = tuple(range(int(first), int(last or first) + 1))
-    if not seeds:
+    least, most = int(first), int(last or first)
+    if least > most:
         raise ValueError(f"'{text}' holds no seed: the smaller one comes first")
-    return seeds
+    if most > LARGEST_SEED:
+        raise ValueError(f"the largest seed is {LARGEST_SEED}, not {most}")
+    if most - least >= MOST_SEEDS:
+        raise ValueError(f"'{text}' holds {most - least + 1} seeds: {MOST_SEEDS} at most")
+    return tuple(range(least, most + 1))
 
 
 def _seeds(text: str) -> str:
@@ -62,15 +69,35 @@ class Behaviour(Section):
     collisions_expected: bool = False  # they do not make the experiment fail, e.g. without a filter
 
 
+def _no_twins(values: tuple[T, ...]) -> tuple[T, ...]:
+    """Refuse what would count each of its trials twice."""
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            raise ValueError(f"{value!r} is there twice")
+    return values
+
+
+def _no_twin_behaviours(values: tuple[Behaviour, ...]) -> tuple[Behaviour, ...]:
+    known = [(each.name, each.parameters) for each in values]
+    for place, (name, parameters) in enumerate(known):
+        if (name, parameters) in known[:place]:
+            words = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
+            raise ValueError(f"'{words}' is there twice")
+    return values
+
+
+Unique = AfterValidator(_no_twins)
+
+
 class Group(Section):
     """Cells: every combination of what is listed here."""
 
     name: str = Field(min_length=1)
-    behaviours: tuple[Behaviour, ...] = Field(min_length=1)
-    scenarios: tuple[str, ...] = Field(min_length=1)
-    robots: tuple[PositiveInt, ...] = Field(min_length=1)
-    engines: tuple[Engine, ...] = Field(min_length=1)
-    limits: tuple[str, ...] = Field(min_length=1)
+    behaviours: Annotated[tuple[Behaviour, ...], Field(min_length=1), AfterValidator(_no_twin_behaviours)]
+    scenarios: Annotated[tuple[str, ...], Field(min_length=1), Unique]
+    robots: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Unique]
+    engines: Annotated[tuple[Engine, ...], Field(min_length=1), Unique]
+    limits: Annotated[tuple[str, ...], Field(min_length=1), Unique]
     time_limit_s: PositiveFloat | None = None  # None: the scenario's
     seeds_at_most: PositiveInt | None = None  # slow cells: only so many of the seeds
     noise: NoiseConfig = NoiseConfig()

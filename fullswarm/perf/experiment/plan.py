@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import fnmatch
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import product
 from typing import get_args
@@ -64,6 +65,12 @@ class Trial:
         cell = self.cell
         words = (cell.label, cell.scenario, f"N={cell.robots}", cell.engine, cell.limits, cell.network)
         return " ".join((*filter(None, words), f"seed {self.seed}"))
+
+
+def differ_by_group(cells: Iterable[Cell]) -> bool:
+    """Tell whether some cells differ by their group alone: by settings of agents, ends or time limits."""
+    distinct = {(each.group, replace(each, group="", collisions_expected=False)) for each in cells}
+    return len({each for _, each in distinct}) < len(distinct)
 
 
 def plan(

@@ -29,6 +29,8 @@ TRIALS = "trials"
 TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE = "trial.toml", "result.json", "provenance.json"
 TRAJECTORY_FILE, COVERAGE_FILE = "trajectory.npz", "coverage.npz"
 ID_HASH = 8
+ID_WORDS = 120
+"""The hash keeps ids apart; a name of a directory may have 255 letters, also with host and process behind it."""
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -96,4 +98,4 @@ def trial_id(trial: Trial) -> str:
     cell = trial.cell
     words = (cell.label, cell.scenario, f"n{cell.robots}", cell.engine, cell.limits, f"s{trial.seed}")
     text = re.sub(r"[^A-Za-z0-9_.=]+", "-", "-".join(words)).strip("-.")
-    return f"{text}-{hashlib.sha256(msgspec.json.encode(trial)).hexdigest()[:ID_HASH]}"
+    return f"{text[:ID_WORDS].rstrip('-.')}-{hashlib.sha256(msgspec.json.encode(trial)).hexdigest()[:ID_HASH]}"

@@ -57,8 +57,13 @@ class CellResult:
         return [(each.seed, each.outcome) for each in self.results if each.outcome and each.outcome.safe_start]
 
     @property
+    def is_empty(self) -> bool:
+        """Nothing counts: all trials failed or began outside the safe set. Then nothing can be said of the cell."""
+        return not self.outcomes
+
+    @property
     def collisions(self) -> int:
-        """Contact events."""
+        """Contact events; see `is_empty`."""
         return sum(each.events for _, each in self.outcomes)
 
     @property
@@ -68,15 +73,15 @@ class CellResult:
 
     @property
     def arrived_fraction(self) -> float:
-        """Robots that arrived, of all."""
+        """Robots that arrived, of all; NaN when nothing counts."""
         robots = sum(each.robots for _, each in self.outcomes)
-        return sum(each.arrived for _, each in self.outcomes) / robots if robots else 0.0
+        return sum(each.arrived for _, each in self.outcomes) / robots if robots else math.nan
 
     @property
     def all_arrived_fraction(self) -> float:
-        """Trials in which all arrived, of all."""
+        """Trials in which all arrived, of all; NaN when nothing counts."""
         outcomes = self.outcomes
-        return sum(each.arrived == each.robots for _, each in outcomes) / len(outcomes) if outcomes else 0.0
+        return sum(each.arrived == each.robots for _, each in outcomes) / len(outcomes) if outcomes else math.nan
 
     @property
     def colliding_seeds(self) -> list[int]:
@@ -94,9 +99,10 @@ class CellResult:
         return sum(times) / len(times) if times else math.nan
 
     def to_json(self) -> dict[str, Any]:
-        """Return the record of ``--json``."""
+        """Return the record of ``--json``; what nothing can be said of is null."""
         cell, outcomes = self.cell, [each for _, each in self.outcomes]
         mean_s = self.mean_s()
+        known = bool(outcomes)
         apart = [each.outcome for each in self.results if each.outcome and not each.outcome.safe_start]
         return {
             "group": cell.group,
@@ -109,18 +115,18 @@ class CellResult:
             "limits": cell.limits,
             "network": cell.network,
             "noise_m": cell.noise_m,
-            "collisions": self.collisions,
-            "robot_collisions": sum(each.robot_events for each in outcomes),
-            "obstacle_collisions": sum(each.obstacle_events for each in outcomes),
+            "collisions": self.collisions if known else None,
+            "robot_collisions": sum(each.robot_events for each in outcomes) if known else None,
+            "obstacle_collisions": sum(each.obstacle_events for each in outcomes) if known else None,
             "colliding_seeds": self.colliding_seeds,
-            "arrived_fraction": self.arrived_fraction,
-            "all_arrived_fraction": self.all_arrived_fraction,
+            "arrived_fraction": self.arrived_fraction if known else None,
+            "all_arrived_fraction": self.all_arrived_fraction if known else None,
             "late_seeds": self.late_seeds,
             "mean_arrival_s": None if math.isnan(mean_s) else round(mean_s, 3),
-            "longest_s": max((each.simulated_s for each in outcomes), default=0.0),
-            "deadlocks": sum(each.deadlocks for each in outcomes),
-            "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3),
-            "commands_above_limits": sum(each.above_limits for each in outcomes),
+            "longest_s": max((each.simulated_s for each in outcomes), default=None),
+            "deadlocks": sum(each.deadlocks for each in outcomes) if known else None,
+            "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3) if known else None,
+            "commands_above_limits": sum(each.above_limits for each in outcomes) if known else None,
             "unsafe_starts": len(apart),
             "unsafe_start_collisions": sum(each.events for each in apart),
             "collisions_expected": cell.collisions_expected,
@@ -160,9 +166,9 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """No trial failed, and none collided but where that was expected."""
+        """No trial failed, none collided but where that was expected, and each cell has one that counts."""
         collisions = sum(each.collisions for each in self.cells if not each.cell.collisions_expected)
-        return collisions == 0 and self.trials_failed == 0
+        return collisions == 0 and self.trials_failed == 0 and not any(each.is_empty for each in self.cells)
 
     def to_json(self) -> dict[str, Any]:
         """Return the document of ``--json``."""

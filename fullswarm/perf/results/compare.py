@@ -10,13 +10,14 @@ from typing import Any
 import msgspec
 
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.perf.experiment.plan import Cell
+from fullswarm.perf.experiment.plan import Cell, differ_by_group
 from fullswarm.perf.results.folder import StoredTrial, read_records
 from fullswarm.perf.results.quantities import Key, in_order, unit_of, values_of
 from fullswarm.perf.results.statistics import Paired, paired
 
 PairKey = tuple[object, ...]
-FIELDS = ("behaviour", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad")
+FIELDS = ("behaviour", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad", "group")
+Read = Callable[[Path], list[StoredTrial]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class Comparison:
         return document
 
 
-def compare(a: Path, b: Path) -> Comparison:
+def compare(a: Path, b: Path, read: Read = read_records) -> Comparison:
     """Compare two results folders: the trials of `b` with the same trials of `a`.
 
     When they share no behaviour and each holds one only, the two behaviours are compared.
@@ -62,15 +63,16 @@ def compare(a: Path, b: Path) -> Comparison:
     ConfigError
         A folder holds no trials, or there is no pair.
     """
-    first, second = read_records(a), read_records(b)
+    first, second = read(a), read(b)
     names = [{each.record.trial.cell.label for each in side} for side in (first, second)]
     across = not (names[0] & names[1]) and len(names[0]) == len(names[1]) == 1
     without = "behaviour" if across else ""
-    return compare_trials(first, second, (str(a), str(b)), lambda cell: _condition(cell, without))
+    groups = any(differ_by_group(each.record.trial.cell for each in side) for side in (first, second))
+    return compare_trials(first, second, (str(a), str(b)), lambda cell: _condition(cell, without, groups))
 
 
-def compare_by(out: Path, field: str, a: str, b: str) -> Comparison:
-    """Compare two values of a cell's field within one folder: behaviours, engines, limits, ….
+def compare_by(out: Path, field: str, a: str, b: str, read: Read = read_records) -> Comparison:
+    """Compare two values of a cell's field within one folder: behaviours, engines, limits, groups, ….
 
     A behaviour can be named with its parameters: ``navigate_bc map=own``.
 
@@ -81,7 +83,7 @@ def compare_by(out: Path, field: str, a: str, b: str) -> Comparison:
     """
     if field not in FIELDS:
         raise ConfigError(f"trials cannot be compared by '{field}'", where="--by", hint=did_you_mean(field, FIELDS))
-    trials = read_records(out)
+    trials = read(out)
     sides: list[list[StoredTrial]] = []
     for value in (a, b):
         fits = [each for each in trials if value in _names(each.record.trial.cell, field)]
@@ -89,7 +91,8 @@ def compare_by(out: Path, field: str, a: str, b: str) -> Comparison:
             known = {_names(each.record.trial.cell, field)[0] for each in trials}
             raise ConfigError(f"no trial has {field} '{value}'", where=str(out), hint=did_you_mean(value, known))
         sides.append(fits)
-    return compare_trials(sides[0], sides[1], (a, b), lambda cell: _condition(cell, field))
+    groups = differ_by_group(each.record.trial.cell for each in trials)
+    return compare_trials(sides[0], sides[1], (a, b), lambda cell: _condition(cell, field, groups))
 
 
 def compare_trials(
@@ -145,15 +148,17 @@ def _by_key(trials: list[StoredTrial], name: str, condition: Callable[[Cell], Pa
         if key in found:
             raise ConfigError(
                 f"'{name}' fits several trials of one pair: {found[key].record.id} and {stored.record.id}",
-                hint="name the behaviour with its parameters, as in 'navigate_bc map=own'",
+                hint="name the behaviour with its parameters, as in 'navigate_bc map=own', or compare --by group",
             )
         found[key] = stored
     return found
 
 
-def _condition(cell: Cell, without: str) -> PairKey:
+def _condition(cell: Cell, without: str, groups: bool) -> PairKey:
+    """Return what partners share; the group only where cells differ by nothing else: elsewhere it is but a name."""
     fields = {"behaviour": cell.label, **{name: getattr(cell, name) for name in FIELDS[1:]}}
-    return tuple((name, value) for name, value in fields.items() if name != without)
+    left_out = (without,) if groups else (without, "group")
+    return tuple((name, value) for name, value in fields.items() if name not in left_out)
 
 
 def _names(cell: Cell, field: str) -> tuple[str, ...]:

@@ -74,6 +74,8 @@ def write_table(table: Table, path: Path, form: str) -> None:
     """
     if form not in WRITERS:
         raise ConfigError(f"there is no format '{form}'", where="--format", hint=did_you_mean(form, WRITERS))
+    if path.is_dir():
+        raise ConfigError("cannot write: it is a folder", where=str(path), hint="name a file")
     part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         WRITERS[form](table, part)

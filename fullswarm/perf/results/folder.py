@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -39,6 +40,10 @@ class Asked(msgspec.Struct, frozen=True):
     cells: tuple[str, ...] = ()
     small: bool = False
     engine: str | None = None
+    how: str = ""  # "lockstep", "live", "live create", "fleet"
+    file: str = ""  # of the experiment, or its name in the package
+    network: str | None = None
+    fleet: str | None = None  # its file
     trials: tuple[str, ...] = ()  # ids of all that were asked for
 
 
@@ -58,6 +63,7 @@ class Folder:
     trials: list[StoredTrial]
     problems: list[Problem]
     asked: Asked = field(default_factory=Asked)
+    older: int = 0  # trials that experiment.json does not list: the experiment has changed since
 
     @property
     def missing(self) -> list[str]:
@@ -86,6 +92,7 @@ def read_folder(out: Path) -> Folder:
     """Return the trials of a results folder and what could not be read.
 
     A trial whose provenance is broken still counts, because nothing in it may change a figure; it is named too.
+    When ``experiment.json`` lists trials, the others are of older settings: they are counted, and not read.
 
     Raises
     ------
@@ -94,7 +101,15 @@ def read_folder(out: Path) -> Folder:
     """
     trials: list[StoredTrial] = []
     problems: list[Problem] = []
-    for path in trial_paths(out):
+    asked = Asked()
+    if (out / EXPERIMENT_FILE).is_file():
+        try:
+            asked = _read(out / EXPERIMENT_FILE, Asked)
+        except ConfigError as error:
+            problems.append(Problem(out / EXPERIMENT_FILE, str(error)))
+    there = trial_paths(out)
+    paths = _listed(there, asked.trials)
+    for path in paths:
         provenance = Provenance()
         try:
             record = _read(path / RESULT_FILE, Record)
@@ -110,18 +125,29 @@ def read_folder(out: Path) -> Folder:
         except ConfigError as error:
             problems.append(Problem(path, f"{error}; the trial counts"))
         trials.append(StoredTrial(record, provenance, path))
-    if not trials and not problems:
+    if not there and not problems:
         raise ConfigError(
             f"no trials in '{TRIALS}'", where=str(out), hint="fullswarm experiment run NAME --out FOLDER makes them"
         )
     trials.sort(key=_order)
-    asked = Asked()
-    if (out / EXPERIMENT_FILE).is_file():
-        try:
-            asked = _read(out / EXPERIMENT_FILE, Asked)
-        except ConfigError as error:
-            problems.append(Problem(out / EXPERIMENT_FILE, str(error)))
-    return Folder(out, trials, problems, asked)
+    return Folder(out, trials, problems, asked, older=len(there) - len(paths))
+
+
+def older_in(out: Path, listed: Iterable[str]) -> int:
+    """Return how many trials stand in the folder that are not `listed`; `ConfigError` as `trial_paths`."""
+    there = trial_paths(out)
+    return len(there) - len(_listed(there, listed))
+
+
+def _listed(paths: list[Path], names: Iterable[str]) -> list[Path]:
+    wanted = set(names)
+    return [path for path in paths if path.name in wanted] if wanted else paths  # joined shards may have no list
+
+
+def older_text(count: int) -> str:
+    """Return what is to be said of trials that no figure counts."""
+    are = "1 trial of older settings is" if count == 1 else f"{count} trials of older settings are"
+    return f"{are} in no figure; another --out keeps them apart"
 
 
 def trial_paths(out: Path) -> list[Path]:

@@ -3,7 +3,7 @@
 trials    one row per trial: what was run, how it ended, where its directory is
 metrics   trial, source (outcome, onboard, truth), name, value
 problems  directories that cannot be read, with the reason
-meta      format, and the signature of the directories that the index was made of
+meta      format, the signature of the directories that the index was made of, how many trials are of older settings
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fullswarm.perf.results.folder import EXPERIMENT_FILE, Folder, StoredTrial, 
 from fullswarm.perf.results.quantities import values_of
 
 INDEX_FILE = "index.sqlite"
-INDEX_FORMAT = "fullswarm.index/1"
+INDEX_FORMAT = "fullswarm.index/2"
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -98,7 +98,7 @@ def is_fresh(out: Path) -> bool:
             whole = connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
     except sqlite3.Error:
         return False
-    return whole and meta == {"format": INDEX_FORMAT, "signature": signature(out)}
+    return whole and (meta.get("format"), meta.get("signature")) == (INDEX_FORMAT, signature(out))
 
 
 def signature(out: Path) -> str:
@@ -148,7 +148,7 @@ def _fill(connection: sqlite3.Connection, folder: Folder) -> None:
             ((str(each.path.relative_to(folder.path)), each.reason) for each in folder.problems),
         )
         # Last: the signature was true when the directories had been read, or the index is made again.
-        meta = {"format": INDEX_FORMAT, "signature": signature(folder.path)}
+        meta = {"format": INDEX_FORMAT, "signature": signature(folder.path), "older": str(folder.older)}
         connection.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
 
 

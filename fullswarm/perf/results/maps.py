@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ PERIOD_S = 0.2
 READABLE_ROBOTS = 16
 """More trajectories than these in one picture cannot be followed."""
 PANEL_IN = 3.0
-BROKEN = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
+BROKEN = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
 """What NumPy raises for a missing or broken file."""
 
 

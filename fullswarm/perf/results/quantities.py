@@ -11,6 +11,8 @@ from fullswarm.perf.experiment.results import Outcome
 
 Key = tuple[str, str]
 """Source and name, such as ``("onboard", "work.total_m")``."""
+SHARES: tuple[Key, ...] = (("outcome", "all_arrived"), ("outcome", "safe_start"))
+"""0 or 1 in a trial, so that their mean is a share of trials."""
 
 UNITS = {
     "_m_s2": "m/s²",
@@ -88,6 +90,14 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
 def is_dull(name: str) -> bool:
     """Tell whether a value is the same clock for every metric: left out where people read."""
     return name.endswith(".elapsed_s")
+
+
+def range_of(key: Key) -> tuple[float, float]:
+    """Return the least and the largest value that a quantity can have."""
+    source, name = key
+    if name.endswith("fraction") or key in SHARES:
+        return 0.0, 1.0
+    return (0.0 if source == "outcome" else -math.inf), math.inf  # the referee only counts and times
 
 
 def unit_of(name: str) -> str:

@@ -171,6 +171,8 @@ def _figures(folder: Folder) -> list[tuple[str, str, str]]:
         figures.append((str(len(folder.problems)), "unreadable files", "bad"))
     if folder.missing:
         figures.append((str(len(folder.missing)), "trials missing", "bad"))
+    if folder.older:
+        figures.append((str(folder.older), "trials of older settings: in no other figure", "bad"))
     if apart:
         figures.append((str(apart), "began outside the safe set: in no other figure", "bad"))
     return figures
@@ -207,11 +209,7 @@ def _commands(folder: Folder, names: list[str]) -> list[tuple[str, str]]:
     commands = []
     for name in names:
         asked = folder.asked if folder.asked.name == name else Asked()
-        words = ["fullswarm", "experiment", "run", name, *["--small"] * asked.small]
-        words += [word for each in asked.cells for word in ("--cells", each)]
-        for option, value in (("--seeds", asked.seeds), ("--engine", asked.engine)):
-            words += [option, value] if value else []
-        commands.append((f"{shlex.join(words)} --out {where}", "run what is missing"))
+        commands.append((f"{shlex.join(_run_words(name, asked))} --out {where}", "run what is missing"))
     if folder.trials:
         path = f"{where}/trials/{folder.trials[0].record.id}/trial.toml"
         commands.append((f"fullswarm experiment trial {path}", "run one trial again, alone"))
@@ -219,6 +217,22 @@ def _commands(folder: Folder, names: list[str]) -> list[tuple[str, str]]:
     commands.append((f"fullswarm results export {where} --format parquet", "for other programs"))
     commands.append((f"fullswarm results report {where}", "make this page again"))
     return commands
+
+
+def _run_words(name: str, asked: Asked) -> list[str]:
+    """Return the command that asked for the trials, without its folder."""
+    words = ["fullswarm", "experiment", "run", asked.file or name, *["--small"] * asked.small]
+    words += [word for each in asked.cells for word in ("--cells", each)]
+    how, _, make = asked.how.partition(" ")
+    words += ["--live"] * (how == "live")
+    options = {
+        "--seeds": asked.seeds or None,
+        "--engine": asked.engine or None,
+        "--network": asked.network,  # empty: a good one, whatever the file says
+        "--emulate": make or None,
+        "--fleet": asked.fleet,
+    }
+    return words + [word for option, value in options.items() if value is not None for word in (option, value)]
 
 
 def _list(names: Iterable[str]) -> str:

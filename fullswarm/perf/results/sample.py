@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
-from fullswarm.perf.experiment.plan import Cell
+from fullswarm.perf.experiment.plan import Cell, differ_by_group
 from fullswarm.perf.results.folder import StoredTrial
 from fullswarm.perf.results.quantities import Key, Quantity, values_of
 
@@ -48,7 +48,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Condition:
-    """All cells with the same engine, limits, network and noise: what one figure shows."""
+    """All cells with the same engine, limits, network and noise, and group if need be: what one figure shows."""
 
     name: str
     samples: list[Sample]
@@ -78,15 +78,20 @@ PAPER_ORDER = ("empty", "empty_dense", "uniform", "concave", "corridor")
 
 
 def conditions(trials: Iterable[StoredTrial]) -> list[Condition]:
-    """Return the trials by condition and cell."""
+    """Return the trials by condition and cell; where cells differ by their group alone, each group has its own."""
     cells: dict[str, dict[Cell, list[StoredTrial]]] = {}
     for stored in trials:
         cell = stored.record.trial.cell
         cells.setdefault(condition_name(cell), {}).setdefault(cell, []).append(stored)
-    return [
-        Condition(name, sorted((Sample(cell, some) for cell, some in of.items()), key=_cell_order))
-        for name, of in cells.items()
-    ]
+    found: list[Condition] = []
+    for name, of in cells.items():
+        samples = sorted((Sample(cell, some) for cell, some in of.items()), key=_cell_order)
+        if not differ_by_group(of):
+            found.append(Condition(name, samples))
+            continue
+        groups = dict.fromkeys(each.cell.group for each in samples)
+        found += [Condition(f"{name}, {group}", [s for s in samples if s.cell.group == group]) for group in groups]
+    return found
 
 
 def condition_name(cell: Cell) -> str:

@@ -57,13 +57,15 @@ class Paired:
     more: int
 
 
-def describe(values: Values, confidence: float = CONFIDENCE, at_least: float = -math.inf) -> Described:
+def describe(
+    values: Values, confidence: float = CONFIDENCE, at_least: float = -math.inf, at_most: float = math.inf
+) -> Described:
     """Return what a sample looks like; values that are not finite are left out.
 
     Parameters
     ----------
     values : shape (n,)
-    at_least : smallest value that the quantity can have; the interval of its mean ends there
+    at_least, at_most : values that the quantity can have; the interval of its mean ends there
 
     Raises
     ------
@@ -76,7 +78,8 @@ def describe(values: Values, confidence: float = CONFIDENCE, at_least: float = -
         return Described(0, *(math.nan,) * 8)
     lower, median, upper = np.percentile(sample, (25.0, 50.0, 75.0)).tolist()
     mean, low, high = _mean_interval(sample, confidence)
-    low = max(low, at_least) if not math.isnan(low) else low
+    if not math.isnan(low):
+        low, high = max(low, at_least), min(high, at_most)
     return Described(sample.size, mean, low, high, median, lower, upper, float(sample.min()), float(sample.max()))
 
 

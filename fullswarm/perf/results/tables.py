@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from urllib.parse import quote
 
+from fullswarm.perf.experiment.plan import differ_by_group
 from fullswarm.perf.experiment.record import RESULT_FILE, TRIAL_FILE, TRIALS
 from fullswarm.perf.results.folder import Folder, StoredTrial
 from fullswarm.perf.results.quantities import ARRIVED, COLLISIONS, COVERAGE, TIME, WORK, Quantity, unit_of
@@ -147,7 +148,11 @@ def trials_grid(trials: list[StoredTrial]) -> Grid:
     """Return every trial with links to its files."""
     headers = ["Scenario", "Behaviour", "Engine, limits", "End", "Files", "", "Robots", "Seed", "Collisions"]
     headers += ["Arrived", "Simulated [s]", "Wall [s]"]
-    return Grid(headers, [_trial_row(each) for each in trials], words=6)
+    rows = [_trial_row(each) for each in trials]
+    if not differ_by_group(each.record.trial.cell for each in trials):
+        return Grid(headers, rows, words=6)
+    groups = [Entry(each.record.trial.cell.group) for each in trials]
+    return Grid(["Group", *headers], [[group, *row] for group, row in zip(groups, rows, strict=True)], words=7)
 
 
 def _trial_row(stored: StoredTrial) -> list[Entry]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from fullswarm.config import Point, Section
 from fullswarm.config.explain import dotted, explain
@@ -140,9 +141,19 @@ def parse_section(text: str, where: str, kind: type[S]) -> S:
         return kind.model_validate_json(json.dumps(document, default=str), strict=True)
     except ValidationError as error:
         lines, complaints = line_numbers(text), []
-        for details in error.errors(include_url=False):
+        for details in _own(error.errors(include_url=False)):
             path, what = explain(details, kind)
             known = next((path[:size] for size in range(len(path), 0, -1) if path[:size] in lines), None)
             line = f":{lines[known]}" if known else ""
             complaints.append(f"{where}{line}: {dotted(path)}: {what}" if path else f"{where}: {what}")
         raise ConfigError("\n".join(complaints)) from error
+
+
+def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """Leave out lists that are too short only because what stands in them is wrong, and so was not counted."""
+    paths = [each["loc"] for each in errors]
+
+    def holds_another(path: tuple[int | str, ...]) -> bool:
+        return any(len(other) > len(path) and other[: len(path)] == path for other in paths)
+
+    return [each for each in errors if each["type"] != "too_short" or not holds_another(each["loc"])]
