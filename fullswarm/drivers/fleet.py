@@ -45,6 +45,7 @@ class OneRobot:
         self._clock = clock or MonotonicClock()
         self._absent: DriverError | None = None
         self._again_s = math.inf
+        self._wished = False
         self._last: Reading | None = None
         self._reading = FleetReading(
             stamp_s=np.full(1, -math.inf),
@@ -89,11 +90,14 @@ class OneRobot:
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
         """Command the driver, activating or deactivating it first where `active` asks for it."""
-        driver = self._driver
-        if active[0] and driver.state is Lifecycle.READY:
+        driver, state = self._driver, self._driver.state
+        if active[0] and state is Lifecycle.READY:
             driver.activate()
-        elif not active[0] and driver.state is Lifecycle.ACTIVE:
+            self._wished = True
+        elif not active[0] and (state is Lifecycle.ACTIVE or (self._wished and state is Lifecycle.READY)):
+            # In READY an attempt to arm may be under way: it must not end after an e-stop.
             driver.deactivate()
+            self._wished = False
         wished = Twist(float(twists[0, 0]), float(twists[0, 1])) if active[0] else Twist()
         applied = driver.command(wished)
         return np.array([[applied.linear_m_s, applied.angular_rad_s]])

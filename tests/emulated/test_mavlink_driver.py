@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import termios
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
 from fullswarm.drivers.body import Body, FreeBody
+from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.protocol import Mode
@@ -186,6 +191,42 @@ def test_a_failing_link_thread_is_a_fault_and_stops_the_rover(monkeypatch: pytes
         assert "boom" in driver.fault
         until(lambda: emulator.firmware.mode == Mode.HOLD and not emulator.firmware.armed)
         assert last_speed(emulator) == 0.0
+
+
+def test_a_port_that_vanishes_while_it_is_opened_again_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pair(ADDRESSES["pty"]()) as (driver, emulator):
+        ready(driver)
+        flush, failed = termios.tcflush, threading.Event()
+
+        def vanish(descriptor: int, queue: int) -> None:
+            if not failed.is_set():
+                failed.set()
+                raise termios.error(errno.EIO, "Input/output error")  # no OSError, and pyserial lets it pass
+            flush(descriptor, queue)
+
+        emulator.unplug()
+        until(lambda: driver.state is Lifecycle.FAULT)
+        monkeypatch.setattr(termios, "tcflush", vanish)
+        emulator.replug()
+        until(failed.is_set)
+        ready(driver)
+
+
+def test_an_e_stop_while_an_arm_is_to_be_tried_again_ends_disarmed() -> None:
+    with pair() as (driver, emulator):
+        ready(driver)
+        fleet = OneRobot("r1", driver)
+
+        def go() -> None:
+            fleet.command(np.array([[0.5, 0.0]]), np.array([True]))
+
+        emulator.firmware.refuse_arm = "GPS 1: Bad fix"
+        until(lambda: driver.fault != "", each=go)
+        go()
+        emulator.firmware.refuse_arm = ""
+        stop, off = np.zeros((1, 2)), np.array([False])
+        hold(2.5, lambda: fleet.command(stop, off), never=lambda: emulator.firmware.armed)
+        assert driver.state is Lifecycle.READY
 
 
 def test_open_says_what_is_wrong() -> None:

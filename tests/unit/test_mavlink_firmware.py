@@ -222,6 +222,28 @@ def test_the_ground_station_failsafe_and_its_quirks() -> None:
     assert wire.of("HEARTBEAT")[-1].system_status == 4
 
 
+@pytest.mark.parametrize(
+    ("action", "mode", "armed"),
+    [(0, Mode.GUIDED, True), (1, Mode.RTL, True), (3, Mode.SMART_RTL, True), (5, Mode.GUIDED, False)],
+)
+def test_the_failsafe_s_other_actions_do_what_they_say(action: int, mode: Mode, armed: bool) -> None:
+    wire = Wire()
+    wire.rover.parameters |= {"FS_GCS_ENABLE": 1.0, "FS_ACTION": float(action)}
+    beat(wire)
+    wire.guided().run(6.4, lambda: wire.drive(0.5))
+    away_m = wire.state.rolled_m
+    assert away_m > 2.5
+    wire.run(7.0, lambda: wire.drive(0.5))
+    assert (wire.rover.failsafe, wire.rover.mode, wire.rover.armed) == (True, mode, armed)
+    home_m = math.hypot(wire.state.x_m, wire.state.y_m)
+    if action == 0:
+        assert home_m > away_m + 3.0
+    elif armed:
+        assert home_m < 0.5 * away_m  # it drove home, with nobody there
+    else:
+        assert wire.state.speed_m_s == 0.0
+
+
 def test_the_failsafe_is_off_by_default() -> None:
     wire = Wire()
     beat(wire)

@@ -57,6 +57,22 @@ def test_a_parameter_counts_only_when_read_back_after_the_echo() -> None:
     assert ensure.confirmed
 
 
+def test_a_parameter_that_only_a_person_may_change_is_read_once_a_second_and_never_set() -> None:
+    ensure, encoder = EnsureParameter("FS_ACTION", 2.0, frozenset((2.0, 5.0)), 2, writes=False), station()
+    sent = []
+    for step in range(30):
+        frames = ensure.tick(step * 0.1, encoder)
+        sent += [only(frame).get_type() for frame in frames]
+        for _ in frames:
+            ensure.receive(protocol.Parameter("FS_ACTION", 1.0))
+    assert sent == ["PARAM_REQUEST_READ"] * 3
+    assert (ensure.confirmed, ensure.found) == (False, 1.0)
+    ensure.receive(protocol.Parameter("FS_ACTION", 2.0))
+    assert ensure.confirmed
+    ensure.receive(protocol.Parameter("FS_ACTION", 0.0))
+    assert not ensure.confirmed
+
+
 @given(number, number, angle)
 def test_odometry_starts_at_zero_and_survives_a_new_origin(x: float, y: float, heading: float) -> None:
     odometer = Odometer()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle
-from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.drivers.mavlink.firmware import Firmware
+from fullswarm.drivers.mavlink.protocol import Mode, Result
 from tests.unit.mavlink_bench import ArduBench
 
 
@@ -112,3 +113,26 @@ def test_a_rover_left_armed_by_another_run_is_disarmed_before_ready() -> None:
     bench.rover.mode, bench.rover.armed = Mode.GUIDED, True
     bench.ready()
     assert (bench.rover.armed, bench.rover.mode) == (False, Mode.HOLD)
+
+
+def test_a_pilot_stays_in_charge_when_nobody_wishes_to_drive_any_more() -> None:
+    bench = ArduBench()
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
+    bench.rover.pilot_mode(Mode.MANUAL, bench.now_s)
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, each=bench.insist)
+    bench.session.deactivate(bench.now_s)
+    bench.run(0.5)
+    reading = bench.session.reading()
+    assert reading is not None
+    assert reading.hazards & Hazard.ESTOP_BUTTON
+    assert (bench.rover.mode, bench.rover.armed) == (Mode.MANUAL, True)
+
+
+def test_a_stop_that_is_said_again_and_again_is_not_begun_anew_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(0.5, bench.drive)
+    monkeypatch.setattr(Firmware, "request_mode", lambda *_: Result.FAILED)
+    bench.run(5.2, lambda: bench.session.deactivate(bench.now_s))
+    assert bench.session.lifecycle is Lifecycle.FAULT
+    assert "does not confirm hold and disarm" in bench.session.fault

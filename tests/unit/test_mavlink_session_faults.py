@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle
+from fullswarm.drivers.mavlink.codec import Encoder, StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.drivers.mavlink.rover import parameters
 from tests.unit.mavlink_bench import ArduBench
 
 
@@ -81,3 +83,74 @@ def test_a_restart_is_a_fault_and_the_rates_are_asked_again() -> None:
     after = bench.session.reading()
     assert after is not None
     assert after.odometry.x_m == pytest.approx(before.odometry.x_m, abs=0.3)
+
+
+def beat(bench: ArduBench, kind: int, autopilot: int, mode: int = 0, component: int = 1) -> None:
+    """Let the session hear a heartbeat, as if the rover's system had sent it."""
+    frame = Encoder(1, component).pack(dialect().MAVLink_heartbeat_message(kind, autopilot, 1, mode, 4, 3))
+    bench.hear(StreamParser().feed(frame))
+
+
+@pytest.mark.parametrize(("kind", "component"), [(26, 154), (27, 156)])  # gimbal, ADS-B receiver: both say ArduPilot
+def test_what_else_is_aboard_is_not_the_vehicle(kind: int, component: int) -> None:
+    bench = ArduBench()
+    for _ in range(3):
+        beat(bench, kind, 3, component=component)
+        bench.run(0.05)
+    assert "not driven" not in bench.session.fault
+    bench.active()
+    seen: set[tuple[Lifecycle, str]] = set()
+
+    def drive() -> None:
+        beat(bench, kind, 3, component=component)
+        bench.drive()
+        seen.add((bench.session.lifecycle, bench.session.fault))
+
+    bench.run(2.0, drive)
+    assert seen == {(Lifecycle.ACTIVE, "")}
+    assert bench.body.state().speed_m_s > 0.4
+
+
+@pytest.mark.parametrize("mode", [Mode.MANUAL, Mode.GUIDED])
+@pytest.mark.parametrize(("kind", "autopilot", "words"), [(2, 3, "type 2"), (10, 18, "autopilot 18"), (10, 12, "PX4")])
+def test_what_is_no_rover_of_ours_any_more_is_stopped_before_it_is_left_alone(
+    mode: Mode, kind: int, autopilot: int, words: str
+) -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    count = len(bench.rover.setpoints)
+    beat(bench, kind, autopilot, mode)
+    bench.run(0.05, bench.drive)
+    assert bench.session.lifecycle is Lifecycle.FAULT
+    assert words in bench.session.fault
+    assert [record.speed_m_s for record in bench.rover.setpoints][count:][-1] == 0.0
+    assert (bench.rover.mode, bench.rover.armed) == (Mode.HOLD, False)
+    bench.ready()  # the rover itself was heard again
+    assert bench.session.autopilot.key == "ardupilot"
+
+
+def test_one_that_stays_no_rover_is_told_to_stop_for_five_seconds_only() -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    told: list[int] = []
+    for _ in range(140):
+        beat(bench, 2, 3, Mode.GUIDED)
+        told.append(len(bench.session.tick(bench.now_s)))
+        bench.clock.advance_to(bench.now_s + 0.05)
+    stops = [at for at, count in enumerate(told) if count >= 3]
+    assert 9 <= len(stops) <= 11
+    assert stops[-1] * 0.05 <= 5.0
+    assert not bench.session.standing_down
+
+
+def test_a_failsafe_s_action_that_is_changed_while_driving_stops_the_rover() -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    bench.rover.parameters["FS_ACTION"] = 1.0
+    bench.rover.tell(parameters.value_of(bench.rover.parameters, "FS_ACTION"))
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 0.2, bench.drive)
+    assert "FS_ACTION 1 is RTL" in bench.session.fault
+    bench.until(lambda: not bench.rover.armed and bench.rover.mode == Mode.HOLD, 3.0, bench.drive)

@@ -84,3 +84,34 @@ def test_rates_that_were_forgotten_are_asked_again() -> None:
     stamps = set()
     bench.run(1.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
     assert len(stamps) > 15
+
+
+@pytest.mark.parametrize("action", [0, 1, 3, 4, 6, 9])
+def test_a_failsafe_that_would_not_end_standing_is_not_switched_on_until_a_person_has_changed_it(action: int) -> None:
+    bench = ArduBench()
+    bench.rover.parameters["FS_ACTION"] = float(action)
+    bench.run(4.0, bench.insist)
+    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert f"FS_ACTION {action} " in bench.session.why
+    assert "set it to 2 (HOLD)" in bench.session.why
+    assert bench.session.unfit == f"bench: {bench.session.why}"  # the driver's fault: so that operators see it
+    assert (bench.rover.parameters["FS_GCS_ENABLE"], bench.rover.parameters["FS_ACTION"]) == (0.0, action)
+    bench.rover.parameters["FS_ACTION"] = 2.0
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0)
+    assert (bench.rover.parameters["FS_GCS_ENABLE"], bench.session.unfit) == (1.0, "")
+
+
+def test_a_failsafe_that_disarms_ends_standing_too() -> None:
+    bench = ArduBench()
+    bench.rover.parameters["FS_ACTION"] = 5.0
+    bench.ready()
+    assert (bench.rover.parameters["FS_GCS_ENABLE"], bench.rover.parameters["FS_ACTION"]) == (1.0, 5.0)
+
+
+def test_a_failsafe_s_action_that_is_never_told_does_not_count_as_hold() -> None:
+    bench = ArduBench()
+    del bench.rover.parameters["FS_ACTION"]
+    bench.run(6.0, bench.insist)
+    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.why == "FS_ACTION=2 is not confirmed: the vehicle does not answer"
+    assert bench.rover.parameters["FS_GCS_ENABLE"] == 0.0

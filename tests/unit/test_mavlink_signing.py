@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fullswarm.clock import wall_time_s
 from fullswarm.drivers.base import Lifecycle, Limits
 from fullswarm.drivers.mavlink.autopilot import ArduPilot
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, StreamParser, decoded_ids, dialect
+from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options, read_settings
 from fullswarm.drivers.mavlink.signing import (
@@ -166,6 +168,17 @@ def test_a_spoilt_state_is_told_and_a_full_disk_stops_nobody(tmp_path: Path) -> 
     (tmp_path / "folder").write_text("no folder any more")
     wall.now_s += 60.0
     assert stamps.next() > 0
+
+
+def test_a_port_that_is_not_there_does_not_push_the_signing_clock_ahead(tmp_path: Path) -> None:
+    key, state = tmp_path / "key", tmp_path / "state"
+    key.write_bytes(KEY)
+    key.chmod(0o600)
+    driver = MavlinkDriver(f"mavlink+serial:///dev/no-such-rover?sign_key={key}&sign_state={state}")
+    for _ in range(3):
+        with pytest.raises(DriverError, match="plugged in"):
+            driver.open()
+    assert int(state.read_text()) / TICKS_S + EPOCH_S - wall_time_s() < 1.0
 
 
 # ---------------------------------------------------------------- keys

@@ -19,6 +19,16 @@ STANDING_M_S = 0.06  # a rover told zero creeps at up to 0.036 m/s
 SETPOINT_S = 0.05
 
 
+def left_armed(vehicle: Vehicle, autopilot: Autopilot, *, by_us: bool) -> bool:
+    """Whether the vehicle is still armed from before the link was lost, or from another run of ours.
+
+    One that a failsafe holds is disarmed, whoever armed it: PX4 stays in its failsafe until then.
+    """
+    lost = vehicle.heartbeat is not None and vehicle.heartbeat.status == p.STATUS_CRITICAL
+    held = (by_us or lost) and vehicle.mode == autopilot.hold_mode
+    return vehicle.armed and (vehicle.mode == autopilot.drive_mode or held)
+
+
 class Controls:
     """One vehicle's autopilot and the encoder to it: the commands that both procedures below use."""
 
@@ -36,6 +46,14 @@ class Controls:
     def stand(self) -> bytes:
         """Return a set-point that moves nothing."""
         return self.autopilot.setpoint(self.encoder, STAND, self._known)
+
+    def stop(self) -> list[bytes]:
+        """Return all that stops it, for when there is no telling what state it is in."""
+        return [
+            self.stand(),
+            self.autopilot.set_mode(self.encoder, self.autopilot.hold_mode, 0),
+            self.encoder.arm(False),
+        ]
 
 
 class Activation:

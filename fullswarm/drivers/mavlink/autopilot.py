@@ -16,12 +16,16 @@ STATION: Final = 255
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """A parameter that must hold one of the `accepted` values; written for good, for the vehicle's own safety."""
+    """A parameter that must hold one of the `accepted` values, for the vehicle's own safety.
+
+    It is written for good, unless `unfit` says what is wrong with a value: then only a person may change it.
+    """
 
     name: str
     wanted: float
     accepted: frozenset[float]
     kind: int
+    unfit: Callable[[float], str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,7 @@ class Autopilot(Protocol):
     tells_safety: bool  # SYS_STATUS shows the safety switch
     can_reverse: bool
     blank_velocity: float  # stands for "not measured" in ODOMETRY
-    guards: tuple[Guard, ...]
+    guards: tuple[Guard, ...]  # each is asked for once those before it are as they must be
     reads: tuple[str, ...]
     pose_checks: tuple[Check, ...]
 
@@ -87,6 +91,23 @@ class Autopilot(Protocol):
         ...
 
 
+# What FS_ACTION makes of a lost station. Terminate disarms: that ends standing as HOLD does, its motors off.
+HOLD_ACTION, TERMINATE_ACTION = 2.0, 5.0
+UNFIT_ACTIONS = {
+    0: "does nothing: it would stay armed",
+    1: "is RTL: it would drive home",
+    3: "is SmartRTL or RTL: it would drive home",
+    4: "is SmartRTL or Hold: it would drive home",
+    6: "is Loiter or Hold: it would drive to keep its place",
+}
+
+
+def unfit_action(value: float) -> str:
+    """Return what an FS_ACTION that does not end standing would do."""
+    what = UNFIT_ACTIONS.get(int(value), "is not known here: it might drive")
+    return f"FS_ACTION {value:.0f} {what} when it loses us; set it to 2 (HOLD)"
+
+
 class ArduPilot:
     """ArduPilot Rover 4.x: GUIDED, body speed and turn rate, reverse too."""
 
@@ -96,8 +117,12 @@ class ArduPilot:
     stream_s, stores_s, watchdog_s = 0.0, 3.2, 3.0
     slow_heartbeat, tells_safety, can_reverse = False, True, True
     blank_velocity = 0.0  # NaN would go into its filter; EK3_SRC1_VELXY keeps zeros out
-    # Written for good into the vehicle's memory: without it a rover that loses us stays armed for ever.
-    guards: tuple[Guard, ...] = (Guard("FS_GCS_ENABLE", 1.0, frozenset((1.0, 2.0)), p.PARAM_INT8),)
+    guards: tuple[Guard, ...] = (
+        # Other failsafes use it too, so it stays a person's choice; but first of all: the next one sets it free.
+        Guard("FS_ACTION", HOLD_ACTION, frozenset((HOLD_ACTION, TERMINATE_ACTION)), p.PARAM_INT8, unfit_action),
+        # Written for good into the vehicle's memory: without it a rover that loses us stays armed for ever.
+        Guard("FS_GCS_ENABLE", 1.0, frozenset((1.0, 2.0)), p.PARAM_INT8),
+    )
     reads: tuple[str, ...] = ("SYSID_MYGCS", "MAV_GCS_SYSID", "WP_SPEED")  # the second is the first's name from 4.7 on
     pose_checks: tuple[Check, ...] = (
         Check("VISO_TYPE", lambda v: "" if v else "VISO_TYPE must be 1, then a reboot, to take external poses"),
@@ -149,8 +174,28 @@ def clip(twist: Twist, limits: Limits, top_speed_m_s: float) -> Twist:
     return STAND if clipped == STAND else clipped  # no minus zero
 
 
-def unsupported(heartbeat: p.Heartbeat, known: Mapping[int, Autopilot]) -> str:
-    """Return why this vehicle must not be driven as a rover of one of the `known` autopilots; empty if it may."""
+def unsupported(
+    heartbeat: p.Heartbeat,
+    known: Mapping[int, Autopilot],
+    asked: Autopilot | None = None,
+    driven: Autopilot | None = None,
+) -> str:
+    """Return why this vehicle must not be driven as a rover of one of the `known` autopilots; empty if it may.
+
+    Parameters
+    ----------
+    asked
+        What the URL says it must be.
+    driven
+        As what it is being driven now.
+    """
+    told = known.get(heartbeat.autopilot)
+    if told is not None and asked is not None and told.number != asked.number:
+        return f"the vehicle runs {told.make}, but the URL says autopilot={asked.key}: make it autopilot={told.key}"
+    if told is not None and driven is not None and told.number != driven.number:
+        return (
+            f"it says it runs {told.make}, and ran {driven.make} a moment ago: give each vehicle a system id of its own"
+        )
     if heartbeat.autopilot not in known:
         names = ", ".join(f"{each.make} ({number})" for number, each in known.items())
         return f"autopilot {heartbeat.autopilot} is not supported: {names} are"

@@ -15,7 +15,7 @@ in metres; ``sign_key=`` the file with the key of MAVLink 2 signing, ``sign_stat
 ``origin=lat,lon,alt`` where its local frame begins then (see ``external.py`` for the parameters it needs).
 
 Opening writes one parameter, for good, so that a rover that loses us stops by itself: ``FS_GCS_ENABLE=1`` on
-ArduPilot (HOLD), ``COM_OBL_RC_ACT=5`` on PX4 (Hold).
+ArduPilot, once ``FS_ACTION`` is seen to be HOLD (2) or Terminate (5); ``COM_OBL_RC_ACT=5`` on PX4 (Hold).
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class MavlinkDriver:
 
     `activate` starts an attempt and returns: ACTIVE follows once the vehicle's heartbeats show GUIDED (PX4: OFFBOARD)
     and armed. When it refuses, the state stays READY and `fault` holds the firmware's words. When a pilot changes the
-    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands it back,
-    until `deactivate`, or until `activate` comes after a pause of a second.
+    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands it back, or
+    until `activate` comes after a pause of a second.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ class MavlinkDriver:
 
     @property
     def fault(self) -> str:
-        """Why it is in FAULT, or why it is no longer or not yet ACTIVE; empty otherwise."""
+        """Why it is in FAULT, why it is no longer or not yet ACTIVE, or what a person must set; empty otherwise."""
         session = self._session
-        return "" if session is None else session.fault
+        return "" if session is None else session.fault or session.unfit
 
     @property
     def why(self) -> str:
@@ -119,7 +119,13 @@ class MavlinkDriver:
         dialect()
         signing = self._settings.signing()
         session = Session(self._settings.options, self._clock.now_s(), signing)
-        transport = _open(self._address, session)
+        try:
+            transport = _open(self._address, session)
+        except DriverError:
+            if signing is not None:  # each try would push the signing clock ahead by what it reserved
+                with contextlib.suppress(DriverError):
+                    signing.close()
+            raise
         self._session, self._waker = session, Waker()
         self._closing.clear()
         # A daemon thread dies unheard when the interpreter exits, and the rover would stay armed.
@@ -137,7 +143,7 @@ class MavlinkDriver:
         self._wake()
 
     def deactivate(self) -> None:
-        """Zero set-point, then HOLD, then disarm; READY once the vehicle shows it."""
+        """Zero set-point, then HOLD, then disarm; READY once the vehicle shows it. Ends an attempt of `activate`."""
         with self._lock:
             if self._session is not None:
                 self._session.deactivate(self._clock.now_s())

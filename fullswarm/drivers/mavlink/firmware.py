@@ -6,7 +6,8 @@ a 3 s set-point timeout, a ground-station failsafe that is off by default and la
 whose throttle wins.
 
 Other than the real one: its map begins at the world's (0, 0), not where it was switched on; a standing rover stands.
-Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; RTL and LOITER stand still.
+Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; LOITER stands still, and SMART_RTL goes
+straight home as RTL does: to where it was armed.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ ARM_PROBLEMS = (
     (25.0, "Gyros inconsistent"), (REAL_BOOT_S, "AHRS: not using configured AHRS type"),
 )  # fmt: skip
 NEED_POSITION = frozenset({p.Mode.GUIDED, p.Mode.LOITER, p.Mode.RTL, p.Mode.SMART_RTL, p.Mode.CIRCLE})
-NOT_ARMABLE = frozenset({p.Mode.RTL, p.Mode.SMART_RTL})
+HOMING = NOT_ARMABLE = frozenset({p.Mode.RTL, p.Mode.SMART_RTL})
+FAILSAFE_MODES = {1: p.Mode.RTL, 2: p.Mode.HOLD, 3: p.Mode.SMART_RTL, 4: p.Mode.SMART_RTL, 6: p.Mode.LOITER}
+TERMINATE = 5
 BY_HAND = frozenset({p.Mode.MANUAL, p.Mode.ACRO, p.Mode.STEERING, p.Mode.SIMPLE})
 
 
@@ -87,6 +90,7 @@ class Firmware:
     failsafe: bool = False
     aborted: bool = False
     target: Target | None = None
+    home_m: tuple[float, float] | None = None
     reboot_due_s: float = math.inf
     sticks: Sticks = field(default_factory=Sticks)
     motors: Motors = field(default_factory=Motors)
@@ -114,7 +118,7 @@ class Firmware:
         self._booted_s = self._stepped_s = now_s
         self._talks_s = TALKS_AGAIN_S if again else TALKS_S
         self.mode, self.armed, self.failsafe, self.aborted = p.Mode.INITIALISING, False, False, False
-        self.target, self._target_s = None, -math.inf
+        self.target, self.home_m, self._target_s = None, None, -math.inf
         self._station_s, self.reboot_due_s, self._announced, self._refusal_s = None, math.inf, 0, math.inf
         self.sticks, self.motors = Sticks(), Motors()
         self.position.restart(now_s)
@@ -181,10 +185,14 @@ class Firmware:
 
     def _drive(self, now_s: float) -> None:
         motors, limits = self.motors, self.limits
-        wish = self._guided(now_s, limits) if self.mode == p.Mode.GUIDED else STAND
+        guided = self.mode == p.Mode.GUIDED or self.mode in HOMING
+        if self.armed == (self.home_m is None):
+            state = self.state()
+            self.home_m = (state.x_m, state.y_m) if self.armed else None
+        wish = self._guided(now_s, limits) if guided else STAND
         if not self.armed or self.safety:
             motors.cut(LOOP_S)
-        elif self.mode == p.Mode.GUIDED:
+        elif guided:
             accel, turn_accel = (self.parameters[each] for each in ("ATC_ACCEL_MAX", "ATC_STR_ACC_MAX"))
             # 0 and below: no limit.
             motors.follow(
@@ -226,8 +234,16 @@ class Firmware:
         if now_s - self._station_s > self.parameters["FS_GCS_TIMEOUT"] + self.parameters["FS_TIMEOUT"]:
             self.failsafe = True
             self.text("Radio Failsafe")  # sic: the real firmware names the wrong one
-            if self.armed and self.parameters["FS_ACTION"] == 2.0:
-                self._set_mode(p.Mode.HOLD)
+            if self.armed:
+                self._act(int(self.parameters["FS_ACTION"]), now_s)
+
+    def _act(self, action: int, now_s: float) -> None:
+        """Do what FS_ACTION says: nothing, a mode (HOLD if that one cannot be), or disarm."""
+        if action == TERMINATE:
+            self.armed = False
+        elif action in FAILSAFE_MODES:
+            mode = FAILSAFE_MODES[action]
+            self._set_mode(mode if mode == p.Mode.HOLD or self.positioned(now_s) else p.Mode.HOLD)
 
     def _watch_position(self, now_s: float) -> None:
         before_s, after_s = (self.position.silent_s(each) for each in (now_s - LOOP_S, now_s))
@@ -242,7 +258,7 @@ class Firmware:
     # ------------------------------------------------------------ what people do to it
     def _set_mode(self, mode: int) -> None:
         if mode != self.mode:
-            self.target = None
+            self.target = Target(place_m=self.home_m) if mode in HOMING and self.home_m is not None else None
         self.mode = mode
         for channel in self.channels:
             if channel.streams:

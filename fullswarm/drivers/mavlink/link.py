@@ -6,6 +6,7 @@ import errno
 import os
 import select
 import socket
+import termios
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -212,7 +213,7 @@ class SerialPort:
         self._lost: tuple[type[Exception], ...] = (serial.SerialException, OSError)
         try:
             self._port = serial.Serial(address.device, address.baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
-        except (*self._lost, ValueError) as error:
+        except (*self._lost, ValueError, termios.error) as error:  # the last is no OSError
             raise _cannot_open(address, error) from error
 
     def fileno(self) -> int:
@@ -292,6 +293,7 @@ def _family(address: Address) -> socket.AddressFamily:
 
 _HINTS = {
     errno.ENOENT: "is it plugged in and powered?",
+    errno.EIO: "is it plugged in and powered?",
     errno.EACCES: "may this user open it? (group dialout; ports below 1024 need root)",
     errno.EBUSY: "another program holds it",
     errno.EAGAIN: "another program holds it",
@@ -302,6 +304,8 @@ _HINTS = {
 
 
 def _cannot_open(address: Address, error: Exception) -> DriverError:
+    if isinstance(error, termios.error):
+        error = OSError(*error.args)
     number = getattr(error, "errno", None)
     text = getattr(error, "strerror", None) or str(error)
     hint = _HINTS.get(number, "") if number is not None else ""

@@ -132,13 +132,24 @@ class ReadParameter:
 
 
 class EnsureParameter:
-    """Reads a parameter, sets it if need be, and is content only with a value read back afterwards."""
+    """Reads a parameter, sets it if need be, and is content only with a value read back afterwards.
+
+    With `writes` off it only reads, again and again, until a person has set it.
+    """
 
     def __init__(
-        self, name: str, wanted: float, accepted: frozenset[float], kind: int, *, bytewise: bool = False
+        self,
+        name: str,
+        wanted: float,
+        accepted: frozenset[float],
+        kind: int,
+        *,
+        bytewise: bool = False,
+        writes: bool = True,
     ) -> None:
         self.name, self._wanted, self._accepted, self._kind = name, wanted, accepted, kind
-        self._bytewise = bytewise
+        self._bytewise, self._writes = bytewise, writes
+        self.found: float | None = None
         self.confirmed = False
         self.silent_tries = 0
         self._writing = False
@@ -148,7 +159,11 @@ class EnsureParameter:
         """Take any parameter's value."""
         if parameter.name != self.name:
             return
-        self.silent_tries, self._due_s = 0, 0.0
+        self.silent_tries, self.found = 0, parameter.value
+        if not self._writes:
+            self.confirmed = parameter.value in self._accepted
+            return
+        self._due_s = 0.0
         if self._writing:
             self._writing = False  # this may be the echo of our own write: ask what the vehicle holds
         elif parameter.value in self._accepted:

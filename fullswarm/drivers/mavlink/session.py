@@ -12,17 +12,18 @@ from typing import Any
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown
+from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown, left_armed
 from fullswarm.drivers.mavlink.autopilot import STATION, ArduPilot, Autopilot, unsupported
 from fullswarm.drivers.mavlink.codec import StationEncoder, decode
 from fullswarm.drivers.mavlink.external import ExternalPose
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
+from fullswarm.drivers.mavlink.requests import RESEND_S
 from fullswarm.drivers.mavlink.settings import Options as Options
 from fullswarm.drivers.mavlink.signing import Signing
 from fullswarm.drivers.mavlink.startup import Startup
 from fullswarm.drivers.mavlink.vehicle import LINK_SILENCE_S, Vehicle
 
-STATION_COMPONENT = 190
+STATION_COMPONENT, AUTOPILOT_COMPONENT = 190, 1
 HEARTBEAT_S = 1.0
 COMMAND_TTL_S = 0.3
 FAULT_DWELL_S = 0.5  # long enough for an agent's loop to see it
@@ -54,11 +55,9 @@ class Session:
         self._opened_s = now_s
         self._fault_s = -math.inf
         self._heartbeat_due_s = now_s
-        self._setpoint_due_s = now_s
-        self._wish = False
+        self._setpoint_due_s = self._stop_due_s = now_s
+        self._wish = self._taken_over = self._armed_by_us = False
         self._wished_s = self._retry_s = -math.inf
-        self._taken_over = False
-        self._armed_by_us = False
         self._command, self._command_s = STAND, -math.inf
         self._moving_sent_s = -math.inf
         self._confirm = False
@@ -77,6 +76,12 @@ class Session:
     def firmware(self) -> str:
         """The firmware's name and version, e.g. ``ArduRover 4.6.3``; empty until known."""
         return f"{self.autopilot.firmware} {self._vehicle.version}" if self._vehicle.version else ""
+
+    @property
+    def unfit(self) -> str:
+        """What a person must set before an OPEN vehicle can be READY; empty if nothing."""
+        unfit = self._startup.unfit if self.lifecycle is Lifecycle.OPEN else ""
+        return f"{self._options.where}: {unfit}" if unfit else ""
 
     def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
         """Return the warnings of the last `age_s`: the vehicle's own texts, then what is odd about its settings."""
@@ -116,10 +121,10 @@ class Session:
         self._wish = True
 
     def deactivate(self, now_s: float) -> None:
-        """Stand down: zero set-point, HOLD, disarm."""
-        self._wish, self._taken_over = False, False
-        self._command = STAND
-        if self.lifecycle is Lifecycle.ACTIVE or self._activation is not None:
+        """Stand down: zero set-point, HOLD, disarm; withdraws a wish. A pilot who has taken over is left in charge."""
+        self._wish, self._command = False, STAND
+        pending = self.lifecycle is Lifecycle.ACTIVE or self._activation is not None
+        if pending and self._stand_down is None:  # said again and again, it must not begin anew each time
             self._begin_stand_down(now_s)
 
     def command(self, twist: Twist, now_s: float) -> Twist:
@@ -148,11 +153,9 @@ class Session:
         return received is not None and self._is_ours(received) and isinstance(received.body, p.Heartbeat)
 
     def _is_ours(self, received: p.Received) -> bool:
-        if received.system != self._options.system:
-            return False
-        if isinstance(received.body, p.Heartbeat):
-            return received.body.is_vehicle
-        return received.component == 1  # the autopilot itself, not a camera beside it
+        # The autopilot itself, not a gimbal or a receiver beside it: some say they are ArduPilot too.
+        ours = received.system == self._options.system and received.component == AUTOPILOT_COMPONENT
+        return ours and not (isinstance(received.body, p.Heartbeat) and not received.body.is_vehicle)
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take one of the dialect's messages; those of other systems are ignored."""
@@ -162,6 +165,7 @@ class Session:
         body = received.body
         if isinstance(body, p.Heartbeat):
             self._recognise(body)
+            self._watch_hand_back(body)
             self._vehicle.signs = bool(message.get_header().incompat_flags & 1)
         elif isinstance(body, p.Parameter):
             body = replace(body, value=body.bytewise) if self.autopilot.bytewise else body
@@ -171,30 +175,26 @@ class Session:
             return  # the answer to another station
         if isinstance(body, p.Ack) and body.command in (p.COMMAND_SET_MODE, p.COMMAND_ARM):
             self._confirm = self.autopilot.slow_heartbeat
-        if isinstance(body, p.Heartbeat):
-            self._watch_hand_back(body)
         self._vehicle.receive(body, now_s)
         self._startup.receive(body)
         if self._external is not None:
             self._external.receive(body)
         if self._activation is not None:
             self._activation.receive(body, now_s)
-        if isinstance(body, p.Heartbeat) and self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None:
+        driving = self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None
+        if isinstance(body, p.Heartbeat) and driving and not self._unsupported(body):
             self._watch_mode(body, now_s)
 
     def _recognise(self, heartbeat: p.Heartbeat) -> None:
-        """Take the vehicle for what it says it is, unless the URL has said what it must be."""
+        """Take the vehicle for what it says it is, unless the URL has said what it must be, or while we drive it."""
         told = AUTOPILOTS.get(heartbeat.autopilot)
-        if told is not None and self._options.autopilot is None and told.number != self.autopilot.number:
+        settled = self._options.autopilot is not None or self.standing_down
+        if told is not None and not settled and told.number != self.autopilot.number:
             self._fly_by(told)
 
     def _unsupported(self, heartbeat: p.Heartbeat) -> str:
-        wanted, told = self._options.autopilot, AUTOPILOTS.get(heartbeat.autopilot)
-        if wanted is not None and told is not None and told.number != wanted.number:
-            return (
-                f"the vehicle runs {told.make}, but the URL says autopilot={wanted.key}: make it autopilot={told.key}"
-            )
-        return unsupported(heartbeat, AUTOPILOTS)
+        driven = self.autopilot if self.standing_down else None
+        return unsupported(heartbeat, AUTOPILOTS, self._options.autopilot, driven)
 
     @property
     def alone(self) -> bool:
@@ -221,9 +221,8 @@ class Session:
         """Return what stops a vehicle that we drive, for the moment when nothing else works any more."""
         if not self.standing_down:
             return []
-        controls, encoder = self._controls, self._encoder
-        stop = controls.stand() if self.lifecycle is Lifecycle.ACTIVE else b""
-        return [stop, self.autopilot.set_mode(encoder, self.autopilot.hold_mode, 0), encoder.arm(False)]
+        stop = self._controls.stop()
+        return stop if self.lifecycle is Lifecycle.ACTIVE else stop[1:]
 
     @property
     def _controls(self) -> Controls:
@@ -249,9 +248,7 @@ class Session:
             return frames
         problem = self._unsupported(vehicle.heartbeat)
         if problem:
-            if self.lifecycle is not Lifecycle.FAULT:
-                self._fail(problem, now_s)
-            return frames
+            return frames + self._give_up(problem, now_s)
         frames += self._startup.tick(now_s, vehicle)
         if self._external is not None:
             frames += self._external.tick(now_s, vehicle.heading_rad)
@@ -268,6 +265,20 @@ class Session:
     def _fail(self, reason: str, now_s: float) -> None:
         self.lifecycle, self.fault, self._fault_s = Lifecycle.FAULT, f"{self._options.where}: {reason}", now_s
         self._wish, self._command = False, STAND
+
+    def _give_up(self, problem: str, now_s: float) -> list[bytes]:
+        """Stop a vehicle that turns out not to be ours to drive, for a while, and then leave it alone."""
+        if self.lifecycle is not Lifecycle.FAULT:
+            driven, self._stop_due_s = self.standing_down, now_s
+            self._fail(problem, now_s)
+            if driven and self._stand_down is None:
+                self._begin_stand_down(now_s)
+        if self._stand_down is not None and now_s - self._stand_down.start_s > STAND_DOWN_S:
+            self._stand_down = None
+        if self._stand_down is None or now_s < self._stop_due_s:
+            return []
+        self._stop_due_s = now_s + RESEND_S
+        return self._controls.stop()
 
     def _forget(self) -> None:
         self._vehicle.forget()
@@ -303,7 +314,7 @@ class Session:
         elif self.lifecycle is Lifecycle.FAULT and settled and now_s - self._fault_s > FAULT_DWELL_S:
             self.lifecycle, self.fault, self._opened_s = Lifecycle.OPEN, "", now_s
         elif self.lifecycle is Lifecycle.OPEN and settled:
-            if self._left_armed():
+            if left_armed(self._vehicle, self.autopilot, by_us=self._armed_by_us):
                 self._begin_stand_down(now_s)
             elif not self.why:
                 self.lifecycle = Lifecycle.READY
@@ -316,17 +327,6 @@ class Session:
         if why and self.signing is None and self._vehicle.signs and not self._startup.answered:
             why += " (it signs its messages: give its key with ?sign_key=)"
         return why
-
-    def _left_armed(self) -> bool:
-        """Whether the vehicle is still armed from before the link was lost, or from another run of ours.
-
-        One that a failsafe holds is disarmed, whoever armed it: PX4 stays in its failsafe until then.
-        """
-        mode = self._vehicle.mode
-        heartbeat = self._vehicle.heartbeat
-        lost = heartbeat is not None and heartbeat.status == p.STATUS_CRITICAL
-        ours = (self._armed_by_us or lost) and mode == self.autopilot.hold_mode
-        return self._vehicle.armed and (mode == self.autopilot.drive_mode or ours)
 
     def _watch_mode(self, heartbeat: p.Heartbeat, now_s: float) -> None:
         """While ACTIVE: somebody else took the vehicle; say so and let him have it."""

@@ -48,7 +48,14 @@ class Startup:
         self._counts = dict.fromkeys(WATCHED.values(), 0)
         self._watch_s: float | None = None
         self._guards = [
-            EnsureParameter(each.name, each.wanted, each.accepted, each.kind, bytewise=autopilot.bytewise)
+            EnsureParameter(
+                each.name,
+                each.wanted,
+                each.accepted,
+                each.kind,
+                bytewise=autopilot.bytewise,
+                writes=each.unfit is None,
+            )
             for each in autopilot.guards
         ]
         self._reads = {
@@ -84,6 +91,8 @@ class Startup:
         frames = self._queue.tick(now_s)
         for guard in self._guards:
             frames += guard.tick(now_s, self._encoder)
+            if not guard.confirmed:
+                break  # the next one would set free what this one forbids
         for read in self._reads.values():
             frames += read.tick(now_s, self._encoder)
         return frames
@@ -136,14 +145,24 @@ class Startup:
             return "no position or attitude is being sent"
         return ""
 
+    @property
+    def unfit(self) -> str:
+        """Which parameter has a value that forbids driving until a person changes it; empty if none is known to."""
+        for guard, ensure in zip(self._autopilot.guards, self._guards, strict=True):
+            if guard.unfit is not None and ensure.found is not None and not ensure.confirmed:
+                return guard.unfit(ensure.found)
+        return self._autopilot.problem(self.known)
+
     def _setting_problem(self) -> str:
+        if self.unfit:
+            return self.unfit
         for guard, ensure in zip(self._autopilot.guards, self._guards, strict=True):
             if not ensure.confirmed:
                 silent = ensure.silent_tries > 3
                 return f"{guard.name}={guard.wanted:g} is not confirmed" + (
                     ": the vehicle does not answer" if silent else ""
                 )
-        return self._autopilot.problem(self.known) or next(iter(self._unfit(needed=True)), "")
+        return next(iter(self._unfit(needed=True)), "")
 
     @property
     def warnings(self) -> list[str]:
