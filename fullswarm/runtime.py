@@ -210,17 +210,23 @@ class Runtime:
         self.mailbox.put(_nothing, None)
 
     def stop_on_signals(self) -> None:
-        """Let Ctrl-C and SIGTERM end :meth:`run` in order; a second one exits at once."""
+        """Let Ctrl-C, SIGTERM and a closed terminal end :meth:`run` in order; a second Ctrl-C or SIGTERM exits at once.
+
+        Under ``nohup`` a closed terminal changes nothing.
+        """
 
         def on_signal(number: int, _frame: FrameType | None) -> None:
             if self._stopping:
+                if number == signal.SIGHUP:
+                    return  # the shell sends one and the kernel another: nobody has asked twice
                 signal.signal(number, signal.SIG_DFL)
                 signal.raise_signal(number)
             self.exit_signal = number
             self.stop()
 
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, on_signal)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, on_signal)
 
     def run(self, duration_s: float | None = None) -> None:
         """Serve until :meth:`stop` or, with `duration_s`, for that long.

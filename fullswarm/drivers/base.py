@@ -123,7 +123,7 @@ class Driver(Protocol):
 
     @property
     def fault(self) -> str:
-        """Why it is in FAULT and what to do; empty otherwise."""
+        """Why it is in FAULT, or why it does not become or stay ACTIVE, and what to do; empty otherwise."""
         ...
 
     @property
@@ -221,7 +221,7 @@ class Fleet(Protocol):
         ...
 
     def fault(self, row: int) -> str:
-        """Return why robot `row` is in FAULT; empty otherwise."""
+        """Return why robot `row` is in FAULT, or does not become or stay ACTIVE; empty otherwise."""
         ...
 
     def firmware(self, row: int) -> str:

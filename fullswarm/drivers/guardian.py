@@ -11,12 +11,14 @@ import errno
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers import guardian_process as process
 from fullswarm.drivers.link import claim
+from fullswarm.errors import DriverError
 
 SILENCE_S = 0.3
 HANGS_S = 0.5
@@ -25,6 +27,7 @@ LEAVE_S = process.FAREWELL_S + 0.5
 BACKLOG = 64
 GUARDED_SCHEMES = ("create",)
 OPTION = "guardian"
+NO_ROOM = "end other programs: this computer may be short of memory, processes or open files"
 
 
 def guarded_url(url: str) -> str:
@@ -50,16 +53,21 @@ class GuardedPort:
     Raises
     ------
     DriverError
-        See :func:`~fullswarm.drivers.link.claim`: the port is opened here and handed over.
+        See :func:`~fullswarm.drivers.link.claim`: the port is opened here and handed over. Or this computer has no
+        room for a guardian.
     """
 
     def __init__(self, path: str, baud: int, park: bytes, clock: Clock | None = None) -> None:
         self._clock = clock or MonotonicClock()
         # Before the guardian: whoever holds the port, and why it does not open, is said as without one.
         with claim(path, baud) as port:
-            self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            with other:
-                self._process = _start(port.fileno(), other.fileno(), park)
+            try:
+                self._socket, self._process = _start(port.fileno(), park)
+            except OSError as error:
+                with suppress(OSError):
+                    port.write(park)  # its last guardian may have died while it drove, and there is no next one yet
+                what = f"the process that guards this port does not start: {error.strerror or error}"
+                raise DriverError(what, where=path, hint=NO_ROOM) from error
         self._socket.setblocking(False)
         self._heard_s = self._clock.now_s()
         self._beat_s = 0.0
@@ -133,10 +141,20 @@ class GuardedPort:
             self._process.wait()
 
 
-def _start(port: int, link: int, park: bytes) -> subprocess.Popen[bytes]:
-    """Start a guardian; it lives in a session of its own, where no Ctrl-C and no killed process group reaches it."""
-    return subprocess.Popen(  # noqa: S603  (our own interpreter and file)
-        [sys.executable, "-I", "-S", str(Path(process.__file__)), str(port), str(link), park.hex(), str(SILENCE_S)],
-        pass_fds=(port, link), start_new_session=True,
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+def _start(port: int, park: bytes) -> tuple[socket.socket, subprocess.Popen[bytes]]:
+    """Start a guardian and return our end of its link; ``OSError`` when there is no room for one.
+
+    It lives in a session of its own, where no Ctrl-C and no killed process group reaches it.
+    """
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    command = [sys.executable, "-I", "-S", str(Path(process.__file__))]
+    with theirs:
+        try:
+            return ours, subprocess.Popen(  # noqa: S603  (our own interpreter and file)
+                [*command, str(port), str(theirs.fileno()), park.hex(), str(SILENCE_S)],
+                pass_fds=(port, theirs.fileno()), start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        except OSError:
+            ours.close()
+            raise

@@ -167,10 +167,15 @@ class SerialLink:
         Raises
         ------
         DriverError
-            The port is missing, held by somebody else, forbidden, or no serial port.
+            The port is missing, held by somebody else, forbidden, or no serial port; too many files are open.
         """
         self._port = self._opener(self._path, self._baud)
-        self._wake_r, self._wake_w = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            self._wake_r, self._wake_w = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            self._let_go()
+            hint = "end other programs that hold many files or ports"
+            raise DriverError(f"the port cannot be served: {_reason(error)}", where=self._path, hint=hint) from error
         self._thread = threading.Thread(target=self._run, name=f"link {self._path}", daemon=True)
         # A daemon thread dies unheard when the interpreter exits, and some robots would drive on for ever.
         atexit.register(self.close)

@@ -1,6 +1,7 @@
 """`fullswarm robots test URL`: drives one robot a little, slowly, and says whether it does as the driver tells.
 
-Each step gives a verdict. Whatever ends the test, Ctrl-C included, the wheels are told zero first.
+Each step gives a verdict. Whatever ends the test, Ctrl-C and a closed terminal included, the wheels are told zero
+first; should this process be killed, the robot's watchdog stops them, or the guardian of one that has none.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from rich.table import Table
 from fullswarm import registry
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import STAND, Description, Driver, Lifecycle
+from fullswarm.drivers.guardian import guarded_url
 from fullswarm.errors import ConfigError
 from fullswarm.launch.bench import Bench
 from fullswarm.launch.bring_up_steps import Step, steps
@@ -45,7 +47,7 @@ def run(url: str, *, speed_m_s: float, confirmed: bool, ready_s: float, as_json:
     DriverError
         The port cannot be had.
     """
-    driver: Driver = registry.driver_class(url)(url)
+    driver: Driver = registry.driver_class(url)(guarded_url(url))
     description = driver.description
     if speed_m_s > description.limits.speed_m_s:
         hint = f"its limit is {description.limits.speed_m_s:.2f} m/s"

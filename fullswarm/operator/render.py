@@ -73,7 +73,9 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
         return "no health report", True
     if health.fault or health.lifecycle == "FAULT":
         latched = "E-STOP, " if health.estop else ""
-        return f"{latched}FAULT: {health.fault or 'no reason given'}", True
+        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
+        word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
+        return f"{latched}{word}: {health.fault or 'no reason given'}", True
     if health.estop:
         # Health comes twice a second, states twenty times: who stands already must not be said to roll.
         rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Reading, Twist
-from fullswarm.drivers.body import FreeBody
+from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.firmware import Firmware, Quirks
 from fullswarm.drivers.create_oi.protocol import CREATE2, Generation, Mode
@@ -87,3 +87,13 @@ class Bench:
     def reading(self) -> Reading:
         assert self.session.reading is not None
         return self.session.reading
+
+
+class Held:
+    """A body that somebody holds."""
+
+    def drive(self, speed_m_s: float, turn_rad_s: float) -> None:
+        pass
+
+    def state(self) -> BodyState:
+        return BodyState()

@@ -7,13 +7,12 @@ import math
 import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.firmware import Quirks
 from fullswarm.drivers.create_oi.protocol import Mode, Op
 from fullswarm.drivers.create_oi.senses import Charging
 from fullswarm.errors import DriverError
-from tests.emulated.create_bench import GO, Bench
+from tests.emulated.create_bench import GO, Bench, Held
 
 
 # ---------------------------------------------------------------- sensors that do not follow
@@ -34,16 +33,6 @@ def test_stuck_sensors_are_a_fault_once_a_set_point_changes_nothing(wheels_turn:
     bench.robot.stick(False, bench.clock.now_s())
     bench.run(1.0)
     assert bench.at(Lifecycle.READY)
-
-
-class Held:
-    """A body that somebody holds."""
-
-    def drive(self, speed_m_s: float, turn_rad_s: float) -> None:
-        pass
-
-    def state(self) -> BodyState:
-        return BodyState()
 
 
 def test_a_blocked_wheel_is_no_stuck_sensor() -> None:

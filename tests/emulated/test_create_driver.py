@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 import serial
 
@@ -24,6 +25,7 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation, Mode
 from fullswarm.drivers.create_oi.settings import parse_url
+from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.link import SerialLink
 from fullswarm.errors import ConfigError, DriverError
 
@@ -144,6 +146,22 @@ def test_pty_cliff_stops_and_makes_ready() -> None:
         rig.driver.activate()
         assert "cliff" in rig.driver.blocked
         assert rig.driver.state is Lifecycle.READY
+
+
+def test_pty_a_robot_on_its_charger_tells_its_agent_why_it_stands() -> None:
+    with plugged() as rig:
+        rig.robot.set_charger(True)
+        fleet = OneRobot("r1", rig.driver)
+        fleet.open()
+        rig.reach(Lifecycle.READY)
+        assert fleet.fault(0) == ""
+        ask = np.array([[0.3, 0.0]]), np.array([True])
+        until(lambda: not fleet.command(*ask).any() and "charger is plugged in" in fleet.fault(0))
+        assert fleet.lifecycle(0) is Lifecycle.READY
+        assert rig.robot.port in fleet.fault(0)
+        rig.robot.set_charger(False)
+        until(lambda: bool(fleet.command(*ask).any()))
+        assert fleet.fault(0) == ""
 
 
 def test_pty_unplugged_is_a_fault_and_comes_back_ready() -> None:

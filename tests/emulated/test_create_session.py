@@ -12,10 +12,10 @@ from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.create_oi import packets, protocol
 from fullswarm.drivers.create_oi.firmware import BOOT_S, Quirks
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, ROOMBA500, Generation, Mode, Op
-from fullswarm.drivers.create_oi.senses import stream_ids
-from fullswarm.drivers.create_oi.session import CALM_S, Session
+from fullswarm.drivers.create_oi.senses import stream_ids, wheel_speeds
+from fullswarm.drivers.create_oi.session import CALM_S, REPEAT_S, Session
 from fullswarm.drivers.create_oi.settings import Settings
-from tests.emulated.create_bench import GO, Bench
+from tests.emulated.create_bench import GO, Bench, Held
 
 
 def close_to(told: Pose, true: BodyState, way_m: float) -> bool:
@@ -74,6 +74,31 @@ def test_a_lost_command_is_repeated_until_confirmed() -> None:
     bench.wire.clear()
     bench.run(0.2)
     assert bench.wheels == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("generation", [CREATE1, ROOMBA500, CREATE2])
+def test_a_lost_stop_is_repeated_where_a_slow_stream_cannot_confirm_it(generation: Generation) -> None:
+    bench = Bench(generation, baud=19200).active()
+    bench.run(0.5, GO)
+    assert bench.wheels != (0.0, 0.0)
+    bench.session.command(STAND, bench.clock.now_s())
+    bench.wire.clear()
+    bench.run(REPEAT_S + 0.03, STAND)  # the next frame after it
+    assert bench.wheels == (0.0, 0.0)
+    bench.run(3.0, GO)  # and nothing is taken for a stuck sensor
+    assert bench.at(Lifecycle.ACTIVE)
+    bench.robot._body = Held()
+    bench.run(3.0, GO)
+    assert bench.at(Lifecycle.ACTIVE)
+
+
+@pytest.mark.parametrize(("baud", "least", "most"), [(115200, 1, 4), (57600, 1, 4), (19200, 10, 17)])
+def test_a_set_point_takes_little_of_the_wire(baud: int, least: int, most: int) -> None:
+    bench = Bench(baud=baud).active()
+    bench.sent.clear()
+    bench.run(1.0, GO)
+    told = bench.sent.count(protocol.drive_direct(*wheel_speeds(GO, CREATE2.wheel_base_m)))
+    assert least <= told <= most
 
 
 def test_a_robot_left_driving_is_stopped_by_the_greeting() -> None:
@@ -334,8 +359,9 @@ def test_a_cliff_behind_matters_only_in_place_and_full_mode_ignores_all() -> Non
     assert bench.robot_in(Mode.FULL)
 
 
-def test_a_bad_wire_cannot_keep_the_robot_driving() -> None:
-    bench = Bench().active()
+@pytest.mark.parametrize("baud", [115200, 19200])
+def test_a_bad_wire_cannot_keep_the_robot_driving(baud: int) -> None:
+    bench = Bench(baud=baud).active()
     luck = random.Random(11)
     bench.session.send = lambda data: bench.wire.extend(data if luck.random() < 0.5 else b"")
     for round_ in range(20):

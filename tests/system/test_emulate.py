@@ -69,9 +69,9 @@ class Process:
         told, self.errors = self.errors[:end], self.errors[end:]
         return told
 
-    def interrupt(self) -> None:
-        """Press Ctrl-C."""
-        self._process.send_signal(signal.SIGINT)
+    def interrupt(self, number: signal.Signals = signal.SIGINT) -> None:
+        """Press Ctrl-C, or send another signal."""
+        self._process.send_signal(number)
 
     def end(self) -> tuple[int, str, str]:
         """Wait for the end; return exit code, the rest of stdout, the rest of stderr."""
@@ -162,6 +162,43 @@ def test_ctrl_c_stops_the_wheels_first(create: tuple[Process, str]) -> None:
     assert code == 130
     assert "stopping the wheels" in told
     process.tells("PASSIVE +0.00 m/s +0.00 rad/s")
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGKILL])
+def test_a_guided_test_that_is_hung_up_or_killed_leaves_the_wheels_at_zero(
+    create: tuple[Process, str], number: signal.Signals
+) -> None:
+    process, port = create
+    with Process("robots", "test", f"create://{port}", "--yes") as test:
+        process.tells("-0.10 m/s")  # backwards has begun
+        test.interrupt(number)
+        process.tells("PASSIVE +0.00 m/s +0.00 rad/s")
+        code, _, told = test.end()
+    assert code == (130 if number == signal.SIGHUP else -signal.SIGKILL)
+    assert ("stopping the wheels" in told) == (number == signal.SIGHUP)
+
+
+IN_A_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY)
+os.execv(sys.executable, [sys.executable, "-m", "fullswarm", *sys.argv[1:]])
+"""
+
+
+def test_a_closed_terminal_stops_the_wheels(create: tuple[Process, str]) -> None:
+    """As when an SSH connection drops: the signal comes, and nothing can be written any more."""
+    process, port = create
+    ours, theirs = os.openpty()
+    command = [sys.executable, "-c", IN_A_TERMINAL, "robots", "test", f"create://{port}", "--yes"]
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True) as test:
+        os.close(theirs)
+        try:
+            process.tells("-0.10 m/s")
+            os.close(ours)
+            process.tells("PASSIVE +0.00 m/s +0.00 rad/s")
+            test.wait(DONE_S)
+        finally:
+            test.kill()
 
 
 def test_a_pulled_cable_fails_the_test_without_a_stack_trace(create: tuple[Process, str]) -> None:

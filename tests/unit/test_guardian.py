@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import signal
@@ -11,6 +12,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -20,6 +22,7 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.create_oi.session import PARK
+from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, guarded_url
 from fullswarm.drivers.guardian_process import REPEATS
 from fullswarm.errors import DriverError
@@ -152,6 +155,53 @@ def test_a_cable_that_is_pulled_behind_the_guardian() -> None:
         robot.replug()
         until(lambda: driver.state is Lifecycle.READY, 3.0, drive)
         assert wheels(robot) == (0, 0)
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def no_room(*_: object, **__: object) -> NoReturn:
+    raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+
+@pytest.mark.parametrize("lacking", ["subprocess.Popen", "socket.socketpair"])
+def test_a_computer_without_room_for_another_guardian_stops_the_robot_and_recovers(
+    monkeypatch: pytest.MonkeyPatch, lacking: str
+) -> None:
+    with CreateEmulator() as robot, active(robot) as (driver, drive):
+        [guardian] = guardians(robot)
+        before = open_files()
+        with monkeypatch.context() as short:
+            short.setattr(f"fullswarm.drivers.guardian.{lacking}", no_room)
+            os.kill(guardian, signal.SIGKILL)
+            until(lambda: "does not start: Cannot allocate memory" in driver.fault, 2.0, drive)
+            assert "end other programs" in driver.fault
+            until(lambda: wheels(robot) == (0, 0), 1.0)  # nobody guards the port, but it can still be written
+            limit_s = CLOCK.now_s() + 0.8  # three more tries
+            until(lambda: CLOCK.now_s() > limit_s, 1.0, drive)
+            assert open_files() <= before
+            assert driver.state is Lifecycle.FAULT
+        until(lambda: driver.state is Lifecycle.READY, 3.0, drive)
+        driver.activate()
+        until(lambda: wheels(robot) != (0, 0), 2.0, drive)
+
+
+@pytest.mark.parametrize("lacking", ["guardian.subprocess.Popen", "guardian.socket.socketpair", "link.os.pipe2"])
+def test_a_computer_without_room_is_a_fault_that_passes(monkeypatch: pytest.MonkeyPatch, lacking: str) -> None:
+    with CreateEmulator() as robot:
+        fleet = OneRobot("r1", CreateDriver(guarded_url(robot.url)))
+        try:
+            with monkeypatch.context() as short:
+                short.setattr(f"fullswarm.drivers.{lacking}", no_room)
+                fleet.open()
+                assert "Cannot allocate memory" in fleet.fault(0)
+                assert "end other programs" in fleet.fault(0)
+                assert robot.port in fleet.fault(0)
+                assert not guardians(robot)
+            until(lambda: fleet.lifecycle(0) is Lifecycle.READY, 5.0, fleet.read)
+        finally:
+            fleet.close()
 
 
 @contextmanager

@@ -30,6 +30,7 @@ SILENCE_S = 1.0
         replace(GOOD, control_rate_hz=45.0),
         replace(GOOD, estop=True),  # it outlives every release, and says nothing about one
         replace(GOOD, battery=0.02),
+        replace(GOOD, fault="the charger is plugged in"),  # READY: it drives when that is mended
     ],
 )
 def test_healthy(good: Vitals) -> None:

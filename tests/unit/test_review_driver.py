@@ -15,7 +15,9 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.keys import Keys
-from fullswarm.messages import ControlAck, ControlRequest, Heartbeat
+from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat
+from fullswarm.operator.console.advice import advise
+from fullswarm.operator.view import RobotRow
 from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys()
@@ -39,7 +41,7 @@ class Base:
         """Nothing to close."""
 
     def activate(self) -> None:
-        if self.state is Lifecycle.READY:
+        if self.state is Lifecycle.READY and not self.fault:
             self.state = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
@@ -127,3 +129,25 @@ def test_a_base_that_is_switched_on_late_runs_what_it_should() -> None:
     lone.runtime.run(1.0)
     assert lone.base.applied != STAND
     lone.agent.close()
+
+
+def test_a_robot_that_is_barred_tells_why_keeps_its_task_and_drives_when_that_is_over(lone: Lone) -> None:
+    reports: list[HealthReport] = []
+    lone.bus.subscribe(KEYS.health("r1"), HealthReport, reports.append)
+    lone.base.fault = "the charger is plugged in"
+    assert not lone.drives("a")
+    health = reports[-1].robots[0]
+    assert (health.lifecycle, health.fault, health.behaviour) == ("READY", "the charger is plugged in", "drive")
+    assert advise(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, health)) == "Take it off its charger."
+    lone.base.fault = ""
+    lone.runtime.run(1.0)
+    assert lone.base.applied != STAND
+
+
+def test_a_robot_that_falls_ends_its_task_with_its_own_words(lone: Lone) -> None:
+    assert lone.drives("a")
+    lone.base.state, lone.base.fault = Lifecycle.READY, "the robot stopped itself: a wheel hangs"
+    lone.runtime.run(0.3)
+    lone.base.fault = ""
+    assert not lone.drives("a")
+    assert "a wheel hangs" in lone.acks[-1].reason

@@ -211,3 +211,29 @@ def test_a_signal_that_another_thread_gets_ends_an_idle_loop() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20, check=True)
     assert done.stdout.strip() == str(int(signal.SIGTERM))
+
+
+HUNG_UP = """
+import signal
+from fullswarm.clock import MonotonicClock
+from fullswarm.runtime import Runtime
+{before}
+runtime = Runtime(MonotonicClock())
+runtime.stop_on_signals()
+runtime.after(0.0, lambda: signal.raise_signal(signal.SIGHUP))
+runtime.run({limit_s})
+signal.raise_signal(signal.SIGHUP)  # the shell sends one and the kernel another: the second is no second wish
+print(runtime.exit_signal)
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "limit_s", "ended_by"),
+    [("", 20.0, int(signal.SIGHUP)), ("signal.signal(signal.SIGHUP, signal.SIG_IGN)", 0.1, None)],
+)
+def test_a_closed_terminal_ends_it_in_order_unless_it_runs_under_nohup(
+    before: str, limit_s: float, ended_by: int | None
+) -> None:
+    script = HUNG_UP.format(before=before, limit_s=limit_s)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, str(ended_by))

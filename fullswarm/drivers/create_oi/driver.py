@@ -58,13 +58,13 @@ class CreateDriver:
 
     @property
     def fault(self) -> str:
-        """Why it is in FAULT and what to do; empty otherwise."""
+        """Why it is in FAULT, or why it is no longer or not yet ACTIVE; empty when nobody asks for motion."""
         with self._lock:
-            return self._session.fault
+            return self._session.trouble(self._clock.now_s())
 
     @property
     def blocked(self) -> str:
-        """Why the robot left ACTIVE by itself, or why activate() had no effect; empty when neither."""
+        """Why the robot left ACTIVE by itself, or why activate() had no effect; stays until it is ACTIVE again."""
         with self._lock:
             return self._session.blocked
 

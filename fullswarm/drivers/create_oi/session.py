@@ -11,7 +11,8 @@
     FAULT of three falls -> 10 s in a row without cliff, wheel drop, charger or silence -> READY
 
 Safe mode, never Full: the robot's own reflexes stay on. It has no command timeout, so :meth:`Session.tick` sends
-zero when no command came for 0.3 s, and repeats a set-point until packets 41 and 42 confirm it.
+zero when no command came for 0.3 s, and repeats a set-point until packets 41 and 42 confirm it: for ever where a
+slow stream has no room for both.
 
 Ten calm seconds are what a person needs to put the robot down; READY moves nothing, and whoever drove it has lost
 his task with the FAULT, so that motion takes a new request.
@@ -41,6 +42,8 @@ STUCK_S = 1.0
 """A set-point neither confirmed nor followed for so long: what the robot tells is not true."""
 FALLS, FALL_WINDOW_S = 3, 10.0
 CALM_S = 10.0
+NEWS_S = 2.0
+"""For so long after somebody asked for motion, or lost it, what bars the robot is told as its fault."""
 
 PARK = drive_direct(0, 0) + simple(Op.START)
 """Stops the wheels and takes the drive away. Begins with zero: mode changes alone do not stop every firmware."""
@@ -84,6 +87,15 @@ class Session:
         self._safe_sent = False
         self._wheels = (0, 0)
         self._falls: list[float] = []
+        self._barred_s = -math.inf  # when `blocked` was news
+
+    def trouble(self, now_s: float) -> str:
+        """Return the fault, or why somebody who asks for motion does not get it; empty when there is neither.
+
+        A robot on its charger that nobody wants to drive is in no trouble.
+        """
+        barred = self.blocked and now_s - self._barred_s <= NEWS_S
+        return self.fault or (self._about(self.blocked) if barred else "")
 
     @property
     def power(self) -> Power | None:
@@ -138,7 +150,7 @@ class Session:
         elif self._activate_by_s is not None and now_s > self._activate_by_s:
             self._forget()
             self._park(now_s)
-            self.blocked = f"the robot did not go into Safe mode within {CONFIRM_S} s; take it off its charger"
+            self._bar(f"the robot did not go into Safe mode within {CONFIRM_S} s; take it off its charger", now_s)
         asleep = self._hello_s is not None and self._hellos > 1 and self._heard == 0
         if self._waking.tick(now_s, asleep) and self.state is Lifecycle.READY and self._may_nudge():
             self._waking.active(now_s)
@@ -150,9 +162,9 @@ class Session:
         """Ask for Safe mode; refused while a cause to fall out of it lasts."""
         if self.state is not Lifecycle.READY or self._activate_by_s is not None:
             return
-        cause = self._senses.cause
-        self.blocked = f"not activated: {cause}" if cause else ""
-        if not cause:
+        if self._senses.cause:
+            self._refuse(now_s)
+        else:  # what barred it before stands until it is ACTIVE: an agent tries again at once, and nobody could read it
             self._activate_by_s, self._safe_sent = now_s + CONFIRM_S, False
 
     def deactivate(self, now_s: float) -> None:
@@ -204,6 +216,7 @@ class Session:
         self._odometry.rebase()
         self._waking.active(now_s)
         self._hello_s, self._hellos, self._list_s, self._heard, self._mode = now_s, 0, None, 0, -1
+        self.blocked = ""
         self._forget()
 
     def _hello(self, now_s: float) -> None:
@@ -268,7 +281,7 @@ class Session:
 
     def _go_on_activating(self, mode: int, now_s: float) -> None:
         if self._senses.cause:
-            self.blocked = f"not activated: {self._senses.cause}"
+            self._refuse(now_s)
             self._forget()
             self._park(now_s)
         elif not self._safe_sent:
@@ -293,8 +306,10 @@ class Session:
         elif mode != Mode.SAFE:
             self._fall(now_s)
         else:
-            told = sensors.left_mm_s is None or (sensors.left_mm_s, sensors.right_mm_s) == self._wheels
-            if told or moved:
+            wheels = sensors.left_mm_s, sensors.right_mm_s
+            unseen = None in wheels  # a stream at 19200 baud has no room for packet 42: repeated for ever
+            told = wheels == self._wheels
+            if unseen or told or moved:
                 self._followed_s = now_s
             if not told and now_s - self._sent_s > REPEAT_S:
                 self._turn_wheels(self._wheels, now_s)
@@ -325,9 +340,16 @@ class Session:
             self._fail(self._latched)
 
     def _stand_down(self, now_s: float, why: str) -> None:
-        self.state, self.blocked = Lifecycle.READY, why
+        self.state = Lifecycle.READY
+        self._bar(why, now_s)
         self._forget()
         self._park(now_s)
+
+    def _refuse(self, now_s: float) -> None:
+        self._bar(f"not activated: {self._senses.cause}; mend that first", now_s)
+
+    def _bar(self, why: str, now_s: float) -> None:
+        self.blocked, self._barred_s = why, now_s
 
     def _may_nudge(self) -> bool:
         chargers = self._newest.chargers if self._newest is not None else 0

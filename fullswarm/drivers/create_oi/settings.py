@@ -3,7 +3,8 @@
 ``create:///dev/ttyUSB0?model=create2``; ``model`` is ``create1``, ``roomba500`` or ``create2`` (default), ``baud``
 overrides the model's rate, ``mode_offset=1`` is for firmware that reports its mode one too high, ``speed_step=28.5``
 for wheels that only know multiples of so many mm/s: `command()` then rounds to them and tells so, ``guardian=1`` has
-the port held by a process that stops the robot when this one is paused or killed (agents do so unless told 0).
+the port held by a process that stops the robot when this one is paused or killed (agents and `robots test` do so
+unless told 0).
 """
 
 from __future__ import annotations

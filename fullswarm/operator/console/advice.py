@@ -25,6 +25,9 @@ _FAULTS = (
     ("is the world running", "Start the simulated world again: `fullswarm sim`."),
     ("permission", "Give this user access to the device: `fullswarm doctor` says how."),
     ("no such", "Plug the robot's adapter in; `fullswarm robots find` shows what is there."),
+    ("charger", "Take it off its charger."),
+    ("wheel hangs", "Put all its wheels on the floor, away from edges."),
+    ("sees no floor", "Put all its wheels on the floor, away from edges."),
     ("battery", "Charge or change its battery."),
     ("overcurrent", "Free the wheels, then switch the robot off and on."),
     ("watchdog", "The link was silent too long: check the cable; it connects again by itself."),
@@ -43,8 +46,10 @@ def advise(row: RobotRow) -> str:
 
 
 def _of(health: RobotHealth) -> str:
-    if health.fault or health.lifecycle == "FAULT":
+    if health.lifecycle == "FAULT":
         return _first(_FAULTS, health.fault) or "Check power and cable; it connects again by itself. Its log has more."
+    if health.fault:
+        return _first(_FAULTS, health.fault) or "It is connected, but bars motion: mend what it says, then ask again."
     if health.estop:
         return "Look whether the way is free, then clear the e-stop."
     if health.stop_reason and (known := _first(_STOPS, health.stop_reason)):
