@@ -28,6 +28,8 @@ PX4 = 12
 MAKES = {3: "ArduPilot", PX4: "PX4"}
 KINDS = {1: "Plane", 2: "Copter", 10: "Rover", 11: "Boat", 12: "Submarine"}
 GROUND_STATION = 6
+AUTOPILOT = 1
+"""Its component id."""
 SILENCE = "no heartbeat within 1.5 s: is the vehicle on, and does it send to this port?"
 
 
@@ -102,6 +104,8 @@ def ask(link: Link, port: str, url: str, clock: Clock, *, several: bool = False)
 
 
 def _note(seen: dict[int, _Seen], message: Any) -> None:
+    if message.get_srcComponent() != AUTOPILOT:  # some gimbals and receivers say that they are ArduPilot, too
+        return
     system = message.get_srcSystem()
     match message.get_type():
         case "HEARTBEAT" if message.autopilot != p.AUTOPILOT_NONE and message.type != GROUND_STATION:
