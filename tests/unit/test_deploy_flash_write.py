@@ -99,7 +99,7 @@ def test_a_target_that_is_not_there_or_not_ours_is_explained(tmp_path: Path) -> 
     (outcome,) = write_jobs([b"x"], [gone], quiet)
     assert "is gone" in str(outcome.error)
     for number, words in (
-        (errno.EACCES, "run it with sudo"),
+        (errno.EACCES, "may not read and write it.*sudo -E"),
         (errno.EBUSY, "unmount it"),
         (errno.EIO, "fails at 7 MB.*another card, then another reader"),
         (errno.ENOMEDIUM, "was the card pulled out"),
