@@ -20,7 +20,8 @@ from fullswarm.clock import MonotonicClock
 
 pytestmark = pytest.mark.system
 CLOCK = MonotonicClock()
-COMMAND = [sys.executable, "-m", "fullswarm"]
+# Whoever runs these tests under `nohup` passes on that a closed terminal is nothing.
+COMMAND = ["env", "--default-signal=HUP", sys.executable, "-m", "fullswarm"]
 START_S, DONE_S = 30.0, 60.0
 
 
@@ -179,7 +180,8 @@ def test_a_guided_test_that_is_hung_up_or_killed_leaves_the_wheels_at_zero(
 
 
 IN_A_TERMINAL = """
-import fcntl, os, sys, termios
+import fcntl, os, signal, sys, termios
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 fcntl.ioctl(0, termios.TIOCSCTTY)
 os.execv(sys.executable, [sys.executable, "-m", "fullswarm", *sys.argv[1:]])
 """

@@ -217,7 +217,7 @@ HUNG_UP = """
 import signal
 from fullswarm.clock import MonotonicClock
 from fullswarm.runtime import Runtime
-{before}
+signal.signal(signal.SIGHUP, signal.{before})
 runtime = Runtime(MonotonicClock())
 runtime.stop_on_signals()
 runtime.after(0.0, lambda: signal.raise_signal(signal.SIGHUP))
@@ -229,7 +229,7 @@ print(runtime.exit_signal)
 
 @pytest.mark.parametrize(
     ("before", "limit_s", "ended_by"),
-    [("", 20.0, int(signal.SIGHUP)), ("signal.signal(signal.SIGHUP, signal.SIG_IGN)", 0.1, None)],
+    [("SIG_DFL", 20.0, int(signal.SIGHUP)), ("SIG_IGN", 0.1, None)],
 )
 def test_a_closed_terminal_ends_it_in_order_unless_it_runs_under_nohup(
     before: str, limit_s: float, ended_by: int | None
