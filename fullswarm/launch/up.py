@@ -26,9 +26,10 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     robots = f"{len(config.robot)} robot{'s' if len(config.robot) > 1 else ''}"
     if config.network.conditions is not None:
         robots += f" on a bad network ({config.network.conditions})"
-    if away := sum(map(elsewhere, config.robot)):
-        robots += f", {away} of them with agents on computers of their own"
-    return f"{robots} of swarm '{config.swarm}'; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
+    away = sum(map(elsewhere, config.robot))
+    others = f" ({away} with an agent on another computer)" if away else ""
+    swarm = f"{robots} of swarm '{config.swarm}'{others}"
+    return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
 def run(config: SwarmConfig, insecure_network: bool, network: str | None = None, *, console: bool = False) -> int:
