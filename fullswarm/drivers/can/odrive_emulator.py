@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from fullswarm.drivers.can import odrive
 from fullswarm.drivers.can.odrive import Firmware
 from fullswarm.drivers.can.odrive_states import AxisState, error_bit
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.drivers.can.spin import BOOT_S, DRIVEN_S, STEP_S, Mishaps, Sender, Spin
+from fullswarm.drivers.can.spin import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
 
 HEARTBEAT_S = 0.1
 COUNTS_PER_TURN = 8192
 SERIAL = bytes.fromhex("393538313338")
 VERSION = odrive.Version(2, 4, 4, 58, 0, 6, 10)
+TORQUE_CONTROL, POSITION_CONTROL = 1, 3
+TRAP_TRAJ = 5
+"""Input mode of planned moves."""
+POSITION_GAIN, CRUISE_TURN_S = 20.0, 2.0
+"""The firmware's defaults: ``pos_gain`` in (turn/s)/turn, ``trap_traj.config.vel_limit``."""
+ACCEL_PER_NM = 8.0
+"""What a motor torque does to the wheel, (m/s²)/Nm, before friction."""
 _SETPOINTS = (odrive.SetVelocity, odrive.SetPosition, odrive.SetTorque)
 
 
 class ODriveEmulator:
-    """One axis in velocity control.
+    """One axis in velocity, position or torque control.
 
-    Torque and position control are accepted and let the wheel roll: nothing here uses them.
+    Input filters and ramps are not emulated: a set-point acts at once, but for a planned move, which keeps to its
+    cruise speed.
     """
 
     def __init__(
@@ -43,8 +52,9 @@ class ODriveEmulator:
         self.error = self._disarm_reason = 0
         self.cyclic_motion = True  # sends encoder estimates by itself, not only when asked
         self.refuses = False  # never enters closed loop, as an axis that is not calibrated
-        self._turn_s = 0.0
-        self._velocity_control = False
+        self._control, self._input = POSITION_CONTROL, odrive.PASSTHROUGH  # as delivered
+        self._set = odrive.SetPosition(0.0)  # input position, velocity and torque
+        self._position_gain, self._cruise_turn_s = POSITION_GAIN, CRUISE_TURN_S
         self._zero_turn = 0.0
         self._told = odrive.Encoder(0.0, 0.0)
         self._fed_s = self._beat_s = self._encoder_s = -math.inf
@@ -58,7 +68,7 @@ class ODriveEmulator:
 
     def drop_out(self) -> None:
         """Leave closed loop without saying why."""
-        self.state, self._turn_s = AxisState.IDLE, 0.0
+        self.state, self._set = AxisState.IDLE, odrive.SetPosition(0.0)
 
     def press_estop(self, on: bool) -> None:
         """Press the button, or free it and clear the error at the controller, as its owner would."""
@@ -70,7 +80,8 @@ class ODriveEmulator:
 
     def reboot(self, now_s: float) -> None:
         """Start anew: silent for a while, idle, position zero, no errors but a pressed button."""
-        self.error, self._velocity_control, self._zero_turn = 0, False, self._turns()
+        self.error, self._zero_turn = 0, self._turns()
+        self._control, self._input = POSITION_CONTROL, odrive.PASSTHROUGH  # as delivered
         self.drop_out()
         self.mishaps.booting_until_s = now_s + BOOT_S
         if self.mishaps.estop:
@@ -94,10 +105,18 @@ class ODriveEmulator:
         match message:
             case odrive.SetState(state=state):
                 self._request(state, now_s)
-            case odrive.SetMode(control=control):
-                self._velocity_control = control == odrive.VELOCITY_CONTROL
-            case odrive.SetVelocity(velocity_turn_s=turn_s) if self._velocity_control:
-                self._turn_s = max(-self._limit_turn_s, min(self._limit_turn_s, turn_s))
+            case odrive.SetMode(control=control, input=mode):
+                self._control, self._input = control, mode
+            case odrive.SetPosition():
+                self._set = message
+            case odrive.SetVelocity(velocity_turn_s=turn_s, torque_nm=torque_nm):
+                self._set = replace(self._set, velocity_turn_s=turn_s, torque_nm=torque_nm)
+            case odrive.SetTorque(torque_nm=torque_nm):
+                self._set = replace(self._set, torque_nm=torque_nm)
+            case odrive.SetPositionGain(gain=gain) if gain >= 0.0:
+                self._position_gain = gain
+            case odrive.SetTrajectoryVelocity(velocity_turn_s=turn_s) if turn_s > 0.0:
+                self._cruise_turn_s = turn_s
             case odrive.SetLimits(velocity_turn_s=turn_s) if turn_s > 0.0:
                 self._limit_turn_s = turn_s
             case odrive.SetAbsolutePosition(position_turn=turns):
@@ -114,6 +133,8 @@ class ODriveEmulator:
     def _request(self, state: int, now_s: float) -> None:
         if state == AxisState.CLOSED_LOOP and not self.error and not self.refuses:
             self.state, self._fed_s = AxisState.CLOSED_LOOP, now_s
+            # The firmware starts a position loop where the axis stands, not at the set-point of before.
+            self._set = replace(self._set, position_turn=self._turns() - self._zero_turn)
         elif state == AxisState.IDLE:
             self.drop_out()
         elif state not in (AxisState.CLOSED_LOOP, AxisState.IDLE) and self._firmware == "0.5":
@@ -160,14 +181,38 @@ class ODriveEmulator:
         if driving and self._watchdog_s and now_s - self._fed_s > self._watchdog_s:
             self.inject("WATCHDOG_TIMER_EXPIRED")
             driving = False
-        moved = driving and self._velocity_control
-        self.spin.step(self._wheel.metres(self._turn_s) if moved else 0.0, DRIVEN_S if driving else None, now_s)
+        self._turn(driving, now_s)
         if now_s - self._beat_s >= HEARTBEAT_S - STEP_S / 2.0:
             self._beat_s = now_s
             self._answer(1, now_s)
         if self.cyclic_motion and now_s - self._encoder_s >= STEP_S / 2.0:
             self._encoder_s = now_s
             self._answer(9, now_s)
+
+    def _turn(self, driving: bool, now_s: float) -> None:
+        """Turn the wheel as mode and set-point have it; an idle axis lets it roll out."""
+        if not driving:
+            self.spin.step(0.0, None, now_s)
+        elif self._control == TORQUE_CONTROL:
+            forwards = math.copysign(1.0, self._wheel.metres(1.0))
+            accel_m_s2 = forwards * self._set.torque_nm * ACCEL_PER_NM
+            self.spin.push(accel_m_s2, abs(self._wheel.metres(self._limit_turn_s)), now_s)
+        else:
+            self.spin.step(self._wheel.metres(self._regulated_turn_s()), DRIVEN_S, now_s)
+
+    def _regulated_turn_s(self) -> float:
+        """Return the speed that the velocity loop is given, within ``vel_limit``; zero where there is none."""
+        turn_s, most_turn_s = self._set.velocity_turn_s, self._limit_turn_s
+        if self._control == POSITION_CONTROL:
+            left_turn = self._set.position_turn - (self._turns() - self._zero_turn)
+            if abs(self._wheel.metres(left_turn)) <= STOPS_M:
+                left_turn = 0.0
+            turn_s += self._position_gain * left_turn
+            if self._input == TRAP_TRAJ:
+                most_turn_s = min(most_turn_s, self._cruise_turn_s)
+        elif self._control != odrive.VELOCITY_CONTROL:
+            return 0.0  # voltage control, or a mode that there is not
+        return max(-most_turn_s, min(most_turn_s, turn_s))
 
     def _send(self, message: object, now_s: float) -> None:
         if not self.mishaps.dumb(now_s):

@@ -17,6 +17,8 @@ FRICTION_M_S2 = 1.5
 """What slows a wheel that is let go: geared motors roll out soon."""
 STUCK_M_S = 1e-3
 """Below this a wheel that shall stand does."""
+STOPS_M = 5e-4
+"""A position regulator whose wheel is nearer to its target sets no speed."""
 
 
 class Sender(Protocol):
@@ -47,6 +49,22 @@ class Spin:
             self.speed_m_s += (wished_m_s - self.speed_m_s) * -math.expm1(-passed_s / lag_s)
             if wished_m_s == 0.0 and abs(self.speed_m_s) < STUCK_M_S:
                 self.speed_m_s = 0.0
+
+    def push(self, accel_m_s2: float, limit_m_s: float, now_s: float) -> None:
+        """Move on to `now_s` under a motor torque that alone would give `accel_m_s2`; friction works against it.
+
+        The motor drives no faster than `limit_m_s`, by its back EMF or by the controller's own limit.
+        """
+        passed_s = 0.0 if self._now_s is None else max(0.0, now_s - self._now_s)
+        self._now_s = now_s
+        if self.speed_m_s == 0.0 and abs(accel_m_s2) <= FRICTION_M_S2:
+            return
+        friction_m_s2 = math.copysign(FRICTION_M_S2, self.speed_m_s or accel_m_s2)
+        speed_m_s = self.speed_m_s + (accel_m_s2 - friction_m_s2) * passed_s
+        if speed_m_s * self.speed_m_s < 0.0 and abs(accel_m_s2) <= FRICTION_M_S2:
+            speed_m_s = 0.0
+        most_m_s = max(limit_m_s, abs(self.speed_m_s) - FRICTION_M_S2 * passed_s)
+        self.speed_m_s = max(-most_m_s, min(most_m_s, speed_m_s))
 
     def felt(self, travelled_m: float, speed_m_s: float) -> None:
         """Take note of how far the body has carried the wheel, and how fast it turns."""

@@ -1,20 +1,38 @@
-"""An emulated VESC in speed control: dead band, brake, timeout, pongs, status messages."""
+"""An emulated VESC: speed, duty cycle, current and position control, brakes, timeout, pongs, status messages."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from fullswarm.drivers.can import vesc
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.drivers.can.spin import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, Mishaps, Sender, Spin
+from fullswarm.drivers.can.spin import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
 
 STATUS_S, SLOW_STATUS_S = 0.02, 0.2
+FULL_DUTY_ERPM = 50_000.0
+"""No-load speed of the emulated motor at duty cycle 1."""
+CURRENT_LIMIT_A = 60.0
+"""Greatest motor current, the firmware's default ``l_current_max``; relative currents are shares of it."""
+MIN_DUTY, MIN_CURRENT_A = 0.005, 0.05
+"""Below these the firmware lets the motor go: its defaults ``l_min_duty`` and ``cc_min_current``."""
+ACCEL_PER_AMPERE = 0.6
+"""What a motor current does to the wheel, (m/s²)/A: 10 A are 6 m/s², less friction."""
+POSITION_GAIN_PER_S = 10.0
+POSITION_SPEED_M_S = 0.5
 _SLOW = (2, 3, 4, 6)
-_BRAKES = (vesc.SetBrake, vesc.SetRelativeBrake, vesc.SetHandbrake, vesc.SetRelativeHandbrake)
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """What the newest SET command asks for, with relative currents in amperes."""
+
+    message: object = vesc.SetCurrent(0.0)
+    amperes: float = 0.0  # motor or brake current
 
 
 class VescEmulator:
-    """One controller. Currents, duty cycles and positions let the wheel roll: nothing here sends them.
+    """One controller.
 
     Parameters
     ----------
@@ -38,16 +56,10 @@ class VescEmulator:
         self.volts = volts
         self.spin = Spin()
         self.mishaps = Mishaps()
-        self._erpm = 0
-        self._brakes = False
+        self._order = _Order()
         self._zero_m = 0.0
         self._told: tuple[int, int] = (0, 0)  # ERPM and tachometer
         self._set_s = self._status_s = self._slow_s = -math.inf
-
-    @property
-    def driving(self) -> bool:
-        """Tell whether the speed is regulated now."""
-        return abs(self._erpm) >= self._min_erpm and not self.mishaps.estop
 
     def press_estop(self, on: bool) -> None:
         """Press or free the kill switch: the motor is let go; no message tells that."""
@@ -55,7 +67,7 @@ class VescEmulator:
 
     def reboot(self, now_s: float) -> None:
         """Start anew: silent for a while, motor let go, tachometer zero."""
-        self._erpm, self._brakes, self._zero_m = 0, False, self.spin.travelled_m
+        self._order, self._zero_m = _Order(), self.spin.travelled_m
         self.mishaps.booting_until_s = now_s + BOOT_S
 
     def receive(self, frame: Frame, now_s: float) -> None:
@@ -66,17 +78,14 @@ class VescEmulator:
         if isinstance(message, vesc.Ping):
             self._send(message.host, vesc.Pong(self.node), now_s)
         elif message is not None and frame.id >> 8 in vesc.ORDERS:
-            self._erpm = message.erpm if isinstance(message, vesc.SetErpm) else 0
-            self._brakes = isinstance(message, _BRAKES)
+            self._order = _Order(message, _amperes(message))
             self._set_s = now_s
 
     def step(self, now_s: float) -> None:
         """Turn the wheel and send the status messages."""
         if now_s - self._set_s > self._timeout_s:
-            self._erpm, self._brakes = 0, False
-        wished_m_s = self._wheel.speed_of_erpm(self._erpm) if self.driving else 0.0
-        lag_s = DRIVEN_S if self.driving else BRAKED_S if self._brakes else None
-        self.spin.step(wished_m_s, lag_s, now_s)
+            self._order = _Order()
+        self._turn(now_s)
         if not self.mishaps.stuck_sensor:
             self._told = round(self._wheel.erpm(self.spin.measured_m_s)), self._tachometer()
         if now_s - self._status_s >= STATUS_S - STEP_S / 2.0:
@@ -86,13 +95,50 @@ class VescEmulator:
             self._slow_s = now_s
             self._tell(now_s, self.statuses.intersection(_SLOW))
 
+    def _turn(self, now_s: float) -> None:
+        """Turn the wheel as the newest order has it; let it roll out where there is none to obey."""
+        spin, wheel, amperes = self.spin, self._wheel, self._order.amperes
+        if self.mishaps.estop:
+            spin.step(0.0, None, now_s)
+            return
+        match self._order.message:
+            case vesc.SetErpm(erpm=erpm) if abs(erpm) >= self._min_erpm:
+                spin.step(wheel.speed_of_erpm(erpm), DRIVEN_S, now_s)
+            case vesc.SetDuty(duty=duty) if abs(duty) >= MIN_DUTY:
+                spin.step(wheel.speed_of_erpm(max(-1.0, min(1.0, duty)) * FULL_DUTY_ERPM), DRIVEN_S, now_s)
+            case vesc.SetPosition(position_deg=degrees):
+                spin.step(self._towards_m_s(degrees), DRIVEN_S, now_s)
+            case vesc.SetCurrent() | vesc.SetRelativeCurrent() if abs(amperes) >= MIN_CURRENT_A:
+                forwards = math.copysign(1.0, wheel.speed_of_erpm(1.0))
+                spin.push(forwards * amperes * ACCEL_PER_AMPERE, abs(wheel.speed_of_erpm(FULL_DUTY_ERPM)), now_s)
+            case vesc.SetBrake() | vesc.SetRelativeBrake() | vesc.SetHandbrake() | vesc.SetRelativeHandbrake() if (
+                abs(amperes) >= MIN_CURRENT_A
+            ):
+                spin.step(0.0, BRAKED_S, now_s)
+            case _:
+                spin.step(0.0, None, now_s)
+
+    def _position_deg(self) -> float:
+        """Return the motor's angle within one turn, [0, 360)."""
+        return 360.0 * (self._wheel.turns(self.spin.travelled_m - self._zero_m) % 1.0)
+
+    def _towards_m_s(self, degrees: float) -> float:
+        """Return the wheel speed with which the position regulator takes the shorter way to an angle of the motor."""
+        left_deg = (degrees - self._position_deg() + 180.0) % 360.0 - 180.0
+        left_m = self._wheel.metres(left_deg / 360.0)
+        speed_m_s = POSITION_GAIN_PER_S * left_m if abs(left_m) > STOPS_M else 0.0
+        return max(-POSITION_SPEED_M_S, min(POSITION_SPEED_M_S, speed_m_s))
+
     def _tell(self, now_s: float, statuses: frozenset[int]) -> None:
         erpm, tachometer = self._told
+        duty = max(-1.0, min(1.0, erpm / FULL_DUTY_ERPM))
+        drives = isinstance(self._order.message, vesc.SetCurrent | vesc.SetRelativeCurrent)
+        amperes = self._order.amperes if drives and not self.mishaps.estop else 0.0
         messages: dict[int, object] = {
-            1: vesc.Status1(erpm, 0.0, 0.0),
+            1: vesc.Status1(erpm, amperes, duty),
             2: vesc.Status2(0.0, 0.0),
             3: vesc.Status3(0.0, 0.0),
-            4: vesc.Status4(35.0, 30.0, 0.5, 0.0),
+            4: vesc.Status4(35.0, 30.0, 0.5, self._position_deg()),
             5: vesc.Status5(tachometer, self.volts),
             6: vesc.Status6(0.0, 0.0, 0.0, 0.0),
         }
@@ -108,3 +154,19 @@ class VescEmulator:
     def _send(self, address: int, message: object, now_s: float) -> None:
         if not self.mishaps.dumb(now_s):
             self._bus.send(vesc.encode(address, message))
+
+
+def _amperes(message: object) -> float:
+    """Return the motor or brake current that an order asks for, within the limit; zero for other orders."""
+    match message:
+        case (
+            vesc.SetCurrent(current_a=amperes) | vesc.SetBrake(current_a=amperes) | vesc.SetHandbrake(current_a=amperes)
+        ):
+            return max(-CURRENT_LIMIT_A, min(CURRENT_LIMIT_A, amperes))
+        case (
+            vesc.SetRelativeCurrent(share=share)
+            | vesc.SetRelativeBrake(share=share)
+            | vesc.SetRelativeHandbrake(share=share)
+        ):
+            return max(-1.0, min(1.0, share)) * CURRENT_LIMIT_A
+    return 0.0
