@@ -87,6 +87,28 @@ def _overcurrent(emulator: Any, text: str) -> None:
     emulator.set_overcurrent(left=much, right=much)
 
 
+def _button(emulator: Any, text: str) -> None:
+    names = () if text == "none" else tuple(text.split(","))
+    try:
+        emulator.press_buttons(*names)
+    except KeyError as error:
+        known = "clean, spot, dock, minute, hour, day, schedule, clock, play, advance or none"
+        raise ConfigError(f"no button {error}", hint=known) from error
+
+
+def _light(emulator: Any, text: str) -> None:
+    left, right = (number(each, 0, 4095) for each in (text.partition(" ")[0], text.partition(" ")[2] or "0"))
+    emulator.set_light_bumper(
+        left=int(left), front_left=int(left), centre_left=int(left), centre_right=int(right), front_right=int(right),
+        right=int(right),
+    )  # fmt: skip
+
+
+def _infrared(emulator: Any, text: str) -> None:
+    code = None if text == "none" else int(number(text, 0, 255))
+    emulator.set_infrared(code, code or 0, code or 0)
+
+
 ORDERS: dict[str, Order] = {
     "unplug": Order("", "pull the cable", lambda it, _: it.unplug(), "unplug"),
     "replug": Order("", "put it back", lambda it, _: it.replug(), "replug"),
@@ -104,6 +126,12 @@ ORDERS: dict[str, Order] = {
                    "pilot_mode"),
     "gps": Order("on|off", "position from satellites", lambda it, text: it.set_gps(switch(text)), "set_gps"),
     "dock": Order("on|off", "stands on its home base", lambda it, text: it.set_dock(switch(text)), "set_dock"),
+    "button": Order("NAME[,NAME]|none", "buttons held down", _button, "press_buttons"),
+    "wall": Order("0..1023", "wall at its right", lambda it, text: it.set_wall(int(number(text, 0, 1023))), "set_wall"),
+    "light": Order("LEFT [RIGHT]", "light bumper, 0 to 4095", _light, "set_light_bumper"),
+    "infrared": Order("0..255|none", "byte that it receives", _infrared, "set_infrared"),
+    "virtual_wall": Order("on|off", "a virtual wall ahead", lambda it, text: it.set_virtual_wall(switch(text)),
+                          "set_virtual_wall"),
     "bump": Order("on|off|left|right", "press the bumper", _bump),
     "push": Order("METRES [RADIANS]", "move it by hand", _push),
     "drop": Order("0..1", "share of chunks lost", _set_fault("drop", 1.0), "faults"),

@@ -321,3 +321,96 @@ def test_counts_keep_their_sign_while_a_wheel_runs_out() -> None:
     left_m, right_m = wheels_rolled(body.state(), BASE_M)
     assert encoder_delta(answer.encoder_left, math.floor(left_m / PER_COUNT_M) & 0xFFFF) in (-1, 0, 1)
     assert encoder_delta(answer.encoder_right, math.floor(right_m / PER_COUNT_M) & 0xFFFF) in (-1, 0, 1)
+
+
+def test_cliff_signals_are_high_over_floor_and_fall_where_it_is_gone() -> None:
+    bench = Bench()
+    assert all(signal > 1000 for signal in cliff_signals(bench))
+    bench.robot.cliffs[1] = True
+    left, front_left, front_right, right = cliff_signals(bench)
+    assert front_left < 100
+    assert min(left, front_right, right) > 1000
+
+
+def cliff_signals(bench: Bench) -> list[int]:
+    told = bench.ask(28, 29, 30, 31)
+    signals = (
+        told.cliff_left_signal, told.cliff_front_left_signal, told.cliff_front_right_signal, told.cliff_right_signal,
+    )  # fmt: skip
+    return [signal for signal in signals if signal is not None]
+
+
+@pytest.mark.parametrize("op", [Op.SAFE, Op.CONTROL])
+def test_entering_safe_mode_switches_the_lamps_off(op: Op) -> None:
+    bench = Bench()
+    panel = bench.robot.panel
+    shows = protocol.leds(5, 128, 255), protocol.digit_leds("OK 1"), protocol.scheduling_leds(3, 4)
+    bench.tell(protocol.simple(Op.SAFE), *shows, protocol.simple(Op.FULL))
+    assert (panel.led_bits, panel.power_intensity, panel.digits) == (5, 255, "OK 1")
+    bench.tell(protocol.simple(op))
+    assert (panel.led_bits, panel.power_colour, panel.power_intensity) == (0, 0, 0)
+    assert (panel.digits, panel.weekday_leds, panel.schedule_leds) == ("    ", 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "radius", "told"),
+    [
+        (900, 5000, (500, 2000)),
+        (-900, -5000, (-500, -2000)),
+        (200, -32768, (200, -32768)),
+        (200, 32767, (200, 32767)),
+        (200, 1, (200, 1)),
+    ],
+)
+def test_requested_velocity_and_radius_are_told_within_their_ranges(
+    velocity: int, radius: int, told: tuple[int, int]
+) -> None:
+    bench = Bench()
+    drive = bytes([Op.DRIVE]) + velocity.to_bytes(2, "big", signed=True) + radius.to_bytes(2, "big", signed=True)
+    bench.tell(protocol.simple(Op.SAFE), drive)
+    sensors = bench.ask(39, 40)
+    assert (sensors.velocity_mm_s, sensors.radius_mm) == told
+
+
+def test_walls_and_light_bumper_set_bits_by_their_signals() -> None:
+    bench = Bench()
+    around = bench.robot.surroundings
+    assert bench.ask(8, 27, 45) == Sensors(wall=0, wall_signal=0, light_bumper=0)
+    around.wall_signal, around.light_signals = 700, (0, 20, 900, 0, 0, 3000)
+    assert bench.ask(8, 27) == Sensors(wall=1, wall_signal=700)
+    sensors = bench.ask(106, 45)
+    assert sensors.light_bumper == 0b100100
+    assert (sensors.light_front_left, sensors.light_centre_left, sensors.light_right) == (20, 900, 3000)
+
+
+@pytest.mark.parametrize(("generation", "nothing", "wall"), [(CREATE2, 0, 162), (CREATE1, 255, 255)])
+def test_infrared_bytes_and_virtual_walls(generation: Generation, nothing: int, wall: int) -> None:
+    bench = Bench(generation)
+    around = bench.robot.surroundings
+    assert bench.ask(13, 17) == Sensors(virtual_wall=0, ir_omni=nothing)
+    around.virtual_wall = True
+    assert bench.ask(13, 17) == Sensors(virtual_wall=1, ir_omni=wall)
+    around.infrared = 172, 168, 164
+    assert bench.ask(17).ir_omni == 172
+    if generation is CREATE2:
+        assert bench.ask(52, 53) == Sensors(ir_left=168, ir_right=164)
+
+
+def test_the_clean_button_sets_it_going_in_passive_mode_only() -> None:
+    bench = Bench()
+    bench.robot.panel.held = 0b1
+    bench.go(0.1)
+    assert not bench.still()
+    bench.robot.panel.held = 0
+    bench.go(0.1)
+    assert not bench.still()
+    bench.robot.panel.held = 0b1  # pressed again: it stops
+    bench.go(0.1)
+    assert bench.still()
+    bench.robot.panel.held = 0
+    bench.tell(protocol.simple(Op.SAFE))
+    bench.go(0.1)
+    bench.robot.panel.held = 0b1
+    bench.go(0.1)
+    assert bench.still()
+    assert bench.ask(18).buttons == 0b1

@@ -100,7 +100,8 @@ def test_help_names_only_what_the_robot_can_suffer() -> None:
 
 ARGUMENTS = {
     "": [""], "on|off": ["on", "off"], "on|off|left|right": ["right", "off"], "0..1": ["0.5", "0"], "NUMBER": ["4"],
-    "SECONDS": ["0.1", "0"], "METRES [RADIANS]": ["0.5", "0.5 0.1"],
+    "SECONDS": ["0.1", "0"], "METRES [RADIANS]": ["0.5", "0.5 0.1"], "NAME[,NAME]|none": ["clean", "day,clock", "none"],
+    "0..1023": ["700", "0"], "LEFT [RIGHT]": ["900", "0 3000"], "0..255|none": ["172", "none"],
 }  # fmt: skip
 COMMON = {"unplug", "replug", "reboot", "mute", "stick", "battery", "bump", "push", "drop", "corrupt", "delay"}
 
@@ -108,7 +109,7 @@ COMMON = {"unplug", "replug", "reboot", "mute", "stick", "battery", "bump", "pus
 @pytest.mark.parametrize(
     ("wish", "more"),
     [
-        (Wish("create"), {"cliff", "wheel_drop", "overcurrent", "charger", "dock"}),
+        (Wish("create"), {"cliff", "wheel_drop", "overcurrent", "charger", "dock", "button", "light", "infrared"}),
         (Wish("mavlink", listen="udpin://127.0.0.1:0"), {"estop", "pilot", "gps"}),
         (Wish("mavlink", listen="udpin://127.0.0.1:0", model="px4"), {"pilot"}),
         (Wish("odrive"), {"estop"}),

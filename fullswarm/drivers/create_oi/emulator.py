@@ -17,10 +17,14 @@ from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.create_oi.firmware import Firmware, Quirks
 from fullswarm.drivers.create_oi.protocol import CREATE2, PERIOD_S, Generation, Mode
 from fullswarm.drivers.create_oi.pty_port import PtyPort, Wire
+from fullswarm.drivers.create_oi.surroundings import MAX_LIGHT, MAX_WALL
 from fullswarm.drivers.faults import LinkFaults
 
 __all__ = ["CreateEmulator", "FreeBody", "Quirks"]
 
+_NAMES = ("clean", "spot", "dock", "minute", "hour", "day", "schedule", "clock")
+BUTTONS = {**{name: 1 << bit for bit, name in enumerate(_NAMES)}, "play": 0b001, "advance": 0b100}
+"""Bits of packet 18."""
 _NOISE = bytes((each * 149 + 71) & 0xFF for each in range(256))
 
 
@@ -144,6 +148,39 @@ class CreateEmulator:
         """Let wheel motors draw too much."""
         with self._lock:
             self._firmware.overcurrents = right << 3 | left << 4
+
+    def press_buttons(self, *names: str) -> None:
+        """Hold these buttons down, let go of the others: clean, spot, dock, minute, hour, day, schedule, clock.
+
+        A Create 1 has play (clean) and advance (dock). Raises ``KeyError`` for a name that there is not.
+        """
+        with self._lock:
+            self._firmware.panel.held = sum({BUTTONS[name] for name in names})
+
+    def set_wall(self, signal: int) -> None:
+        """Bring a wall to its right-hand side: signal 0 (none) to 1023."""
+        with self._lock:
+            self._firmware.surroundings.wall_signal = max(0, min(MAX_WALL, signal))
+
+    def set_light_bumper(
+        self, left: int = 0, front_left: int = 0, centre_left: int = 0, centre_right: int = 0, front_right: int = 0,
+        right: int = 0,
+    ) -> None:  # fmt: skip
+        """Bring things before the light bumper: signals 0 (nothing) to 4095, grow as they come nearer."""
+        signals = (left, front_left, centre_left, centre_right, front_right, right)
+        a, b, c, d, e, f = (max(0, min(MAX_LIGHT, each)) for each in signals)
+        with self._lock:
+            self._firmware.surroundings.light_signals = a, b, c, d, e, f
+
+    def set_infrared(self, omni: int | None = None, left: int = 0, right: int = 0) -> None:
+        """Let its receivers get these bytes; None: nothing sends."""
+        with self._lock:
+            self._firmware.surroundings.infrared = None if omni is None else (omni & 0xFF, left & 0xFF, right & 0xFF)
+
+    def set_virtual_wall(self, on: bool) -> None:
+        """Switch a virtual wall in front of it on or off."""
+        with self._lock:
+            self._firmware.surroundings.virtual_wall = on
 
     def set_battery(self, fraction: float) -> None:
         """Fill the battery to this part of its capacity."""

@@ -24,6 +24,7 @@ from fullswarm.drivers.create_oi.protocol import (
     Mode,
     Op,
 )
+from fullswarm.drivers.create_oi.surroundings import Surroundings
 from fullswarm.drivers.create_oi.waits import WAITS, Wait
 
 BANNER = (
@@ -38,9 +39,12 @@ SLEEP_S = 300.0
 BUFFER = 256
 """Bytes that it keeps while it waits; what comes on top is lost."""
 STRAIGHT = (-32768, 32767)
+TOP_RADIUS_MM = 2000
 OWN_SPEED_MM_S = 200
 """How fast it goes when it cleans or looks for its dock by itself."""
 
+_GOES = 0b111
+"""The buttons Clean, Spot and Dock."""
 _BY_ITSELF = (Op.SPOT, Op.CLEAN, Op.MAX, Op.DOCK)
 _NEED_CONTROL = (
     Op.PLAY, Op.LEDS, Op.SCHEDULING_LEDS, Op.DIGIT_LEDS, Op.DIGIT_LEDS_RAW, Op.MOTORS, Op.MOTORS_PWM,
@@ -83,7 +87,7 @@ class Firmware:
         self.drops = [False, False]  # left, right
         self.overcurrents = 0
         self.charger = self.dock = False
-        self.battery, self.panel = Battery(), Panel()
+        self.battery, self.panel, self.surroundings = Battery(), Panel(), Surroundings()
         self._body, self._quirks, self._encoders = body, quirks or Quirks(), encoders
         self._parser = CommandParser(generation)
         self._rolled = wheels_rolled(body.state(), generation.wheel_base_m)
@@ -103,6 +107,7 @@ class Firmware:
         self._script = b""
         self._wait: Wait | None = None
         self._wheels = (0, 0)  # as told, mm/s
+        self._buttons = 0  # as pressed at the last step
         self._velocity, self._radius = 0, 0
         self._stream: tuple[int, ...] = ()
         self._streaming = False
@@ -152,6 +157,7 @@ class Firmware:
             self._boot_s = -math.inf
             said = BANNER if self.generation is not CREATE1 else b""
         self._measure(now_s)
+        self._press(now_s)
         self._guard(now_s)
         charges = (self.charger or self.dock) and self.mode in (Mode.OFF, Mode.PASSIVE)
         self.battery.step(now_s, charges, self._wheels != (0, 0))
@@ -230,6 +236,8 @@ class Firmware:
     def _change_mode(self, op: Op, now_s: float) -> None:
         if op in (Op.SAFE, Op.CONTROL, Op.FULL):
             if not self._quirks.deaf_to_safe:
+                if op is not Op.FULL:
+                    self.panel.dark()
                 self._enter(Mode.FULL if op is Op.FULL else Mode.SAFE, now_s)
         elif op in (Op.START, Op.POWER, *_BY_ITSELF):
             self._enter(Mode.PASSIVE, now_s)
@@ -257,8 +265,9 @@ class Firmware:
         first = int.from_bytes(data[:2], "big", signed=True)
         second = int.from_bytes(data[2:], "big", signed=True)
         if op is Op.DRIVE:
-            self._velocity, self._radius = first, second
-            self._turn(self._arc(max(-TOP_MM_S, min(TOP_MM_S, first)), second), now_s)
+            self._velocity = _clip(first)
+            self._radius = second if second in STRAIGHT else max(-TOP_RADIUS_MM, min(TOP_RADIUS_MM, second))
+            self._turn(self._arc(self._velocity, self._radius), now_s)
         else:
             scale = 1.0 if op is Op.DRIVE_DIRECT else TOP_MM_S / 255.0
             self._turn((_clip(second * scale), _clip(first * scale)), now_s)
@@ -308,6 +317,15 @@ class Firmware:
         if cliff or any(self.drops) or self.charger:
             self._enter(Mode.PASSIVE, now_s)
 
+    def _press(self, now_s: float) -> None:
+        """Clean, Spot and Dock, pressed by hand or by command, set it going in Passive mode, or stop it again."""
+        pressed = self.panel.values(now_s)["buttons"]
+        fresh, self._buttons = pressed & ~self._buttons, pressed
+        if self.mode is Mode.PASSIVE and self.generation is not CREATE1 and fresh & _GOES:
+            stands = self._wheels == (0, 0)
+            self._turn((OWN_SPEED_MM_S, OWN_SPEED_MM_S) if stands else (0, 0), now_s)
+            self._awake_s = now_s
+
     def _turn_radius_m(self) -> float:
         left, right = self._wheels
         if left == right:
@@ -330,15 +348,9 @@ class Firmware:
             return self._frozen
         bump_left, bump_right = self._body.state().bumps
         drop_left, drop_right = self.drops
-        left, front_left, front_right, right = (int(each) for each in self.cliffs)
         return {
             "bumps_drops": bump_right | bump_left << 1 | drop_right << 2 | drop_left << 3,
-            "cliff_left": left,
-            "cliff_front_left": front_left,
-            "cliff_front_right": front_right,
-            "cliff_right": right,
             "overcurrents": self.overcurrents,
-            "ir_omni": 0 if self.generation.m_per_count is not None else 255,
             "chargers": self.charger | self.dock << 1,
             "mode": self.mode + self._quirks.mode_offset,
             "stream_count": len(self._stream),
@@ -347,6 +359,7 @@ class Firmware:
             "right_mm_s": self._wheels[1],
             "left_mm_s": self._wheels[0],
             "stasis": int(self._wheels != (0, 0)),
+            **self.surroundings.values(self.generation, self.cliffs),
             **self.battery.values(),
             **self.panel.values(now_s),
             **self._counters.values(),

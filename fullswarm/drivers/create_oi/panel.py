@@ -65,6 +65,11 @@ class Panel:
         commanded = self._pressed if now_s < self._pressed_until_s else 0
         return {"song": self.song, "playing": int(now_s < self._until_s), "buttons": self.held | commanded}
 
+    def dark(self) -> None:
+        """Switch all lamps off, as opcodes 130 and 131 do."""
+        self.led_bits = self.power_colour = self.power_intensity = self.weekday_leds = self.schedule_leds = 0
+        self.digits, self.segments = "    ", (0, 0, 0, 0)
+
     def stop(self) -> None:
         """Switch brushes and vacuum off: the mode that let them run is over."""
         self.motor_bits, self.motor_pwm = 0, (0, 0, 0)
