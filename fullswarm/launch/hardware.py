@@ -1,4 +1,4 @@
-"""The commands that deal with robots and ports themselves: ``robots find``, ``robots test``, ``doctor``, ``emulate``.
+"""The commands that deal with robots and ports: ``robots find|test|check``, ``doctor``, ``emulate``.
 
 They import drivers, which the operator's commands may not; so the verbs are hung to the operator's ``robots`` here.
 """
@@ -84,6 +84,48 @@ def bring_up(
         from fullswarm.launch.bring_up import run
 
         return run(url, speed_m_s=speed, confirmed=yes, ready_s=timeout, as_json=as_json)
+
+    _run(debug, command)
+
+
+@robots_app.command("check")
+def check(
+    url: Annotated[
+        str | None, typer.Argument(metavar="[URL]", help="The driver's, as in a fleet file; of any package.")
+    ] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(metavar="MODULE:FUNCTION", help="Instead: a context manager that yields a fullswarm.testing.Rig."),
+    ] = None,
+    wire: Annotated[
+        bool, typer.Option("--wire", help="Put a relay into the link, and unplug, mute and disturb it there.")
+    ] = False,
+    baud: Annotated[int, typer.Option(min=300, help="Of a serial line with --wire.")] = 115200,
+    still: Annotated[
+        bool, typer.Option("--still", help="Do not move the robot: lifecycle and promptness only.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation prompt.")] = False,
+    settle: Annotated[
+        float, typer.Option(metavar="SECONDS", min=0.1, max=60, help="To reach or leave half its speed.")
+    ] = 2.0,
+    timeout: Annotated[
+        float, typer.Option(metavar="SECONDS", min=1, max=600, help="For each step that the robot confirms.")
+    ] = 10.0,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Run the published check of drivers on one robot or emulator. Exit code 0: passed; 1: failed, says what and why.
+
+    For those who write drivers. Operators want `robots test`.
+    """
+
+    def command() -> int:
+        from fullswarm.launch.robot_check import run
+
+        return run(
+            url, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle, deadline_s=timeout,
+            as_json=as_json,
+        )  # fmt: skip
 
     _run(debug, command)
 

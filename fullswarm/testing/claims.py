@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
-from fullswarm.drivers.base import STAND, Hazard, Twist
+from fullswarm.drivers.base import STAND, Hazard, Reading, Twist
 from fullswarm.geometry import wrap
 from fullswarm.testing.trial import DRIFT_RAD, NEXT_S, PACE, Trial
 
-CLAIMS = ("speed told and true", "can_reverse", "senses_bumps", "senses_pose", "senses_obstacles")
+CLAIMS = (
+    "speed told and true",
+    "odometry against the truth",
+    "slow driving",
+    "can_reverse",
+    "senses_bumps",
+    "senses_pose",
+    "senses_obstacles",
+)
 TRUE = 0.25
 """Share by which the true speed may differ from the measured one."""
+WAY_S, WAYS = 1.5, 3
+"""How long the odometry is compared with the truth, and how often before it counts as wrong."""
+SLOW = (Twist(0.05, 0.0), Twist(0.0, 0.1))
+SLOW_S, SLOW_SHARE = 1.0, 0.4
+"""How long a slow robot is watched, and by which share it may be slower or faster than applied."""
 POSE_M = 0.1
 BACK_S = 0.4
 
@@ -22,6 +36,9 @@ def check_claims(trial: Trial) -> None:
     rig, report, description = trial.rig, trial.report, trial.driver.description
     if not report.lacks("speed told and true", body_speed=rig.body_speed):
         report.add("speed told and true", _check_truth(trial))
+    if not report.lacks("odometry against the truth", body_speed=rig.body_speed):
+        report.add("odometry against the truth", _check_odometry(trial))
+    report.add("slow driving", _check_slow(trial))
     report.add("can_reverse", _check_reverse(trial))
     if not description.senses_bumps:
         report.add("senses_bumps", "not claimed, and never told")
@@ -66,6 +83,94 @@ def _error(trial: Trial, applied: Twist) -> float:
     if applied.linear_m_s:
         return abs(told.linear_m_s - true.linear_m_s) / max(abs(true.linear_m_s), 1e-6)
     return abs(told.angular_rad_s - true.angular_rad_s) / max(abs(true.angular_rad_s), 1e-6)
+
+
+@dataclass
+class _Way:
+    """Adds up how far the odometry goes and how far the body truly goes, along its heading or round."""
+
+    trial: Trial
+    turning: bool
+    before: Reading
+    told: float = 0.0  # m or rad
+    true_rate: float = 0.0  # m/s or rad/s, added up …
+    looks: int = 0  # … over so many looks
+
+    def look(self) -> None:
+        """Take the newest reading, and the body's motion now."""
+        reading = self.trial.newest
+        if reading is not None and reading.stamp_s > self.before.stamp_s:
+            a, b = self.before.odometry, reading.odometry
+            turned = wrap(b.heading_rad - a.heading_rad)
+            halfway = a.heading_rad + turned / 2.0
+            along = math.cos(halfway) * (b.x_m - a.x_m) + math.sin(halfway) * (b.y_m - a.y_m)
+            self.told += turned if self.turning else along
+            self.before = reading
+        motion = self.trial.motion or STAND
+        self.true_rate += motion.angular_rad_s if self.turning else motion.linear_m_s
+        self.looks += 1
+
+
+def _measure_way(trial: Trial, wished: Twist, duration_s: float) -> tuple[float, float]:
+    """Drive for a while; return the mean speed by the odometry, and as it truly was (m/s or rad/s)."""
+    way = _Way(trial, wished.angular_rad_s != 0.0, trial.fresh())
+    began_s = way.before.stamp_s
+
+    def each() -> None:
+        trial.command(wished)
+        way.look()
+
+    trial.wait(lambda: False, duration_s, each)
+    return way.told / max(way.before.stamp_s - began_s, 1e-6), way.true_rate / max(way.looks, 1)
+
+
+def _check_odometry(trial: Trial) -> str:
+    """The way that the odometry counts is the body's: a wheel radius or base that is 10 % wrong shows here."""
+    worst, most = 0.0, trial.rig.odometry_share
+    for wished in (Twist(trial.pace.linear_m_s, 0.0), Twist(0.0, trial.pace.angular_rad_s)):
+        off, told, true = math.inf, 0.0, 0.0
+        for _ in range(WAYS):  # the body may have been bumped, or this machine busy
+            trial.go()
+            trial.drive(wished, share=0.9)
+            told, true = _measure_way(trial, wished, WAY_S)
+            off = abs(told - true) / max(abs(true), 1e-6)
+            if off <= most:
+                break
+        what = "wheel radius" if wished.linear_m_s else "wheel base"
+        trial.demand(
+            off <= most,
+            f"under {wished} the odometry counts {told:.3f} a second, the body goes {true:.3f}: {off:.0%} apart, more "
+            f"than {most:.0%}; check {what} and counts per turn",
+        )
+        worst = max(worst, off)
+    trial.halt("a zero command", each=lambda: trial.command(STAND))
+    return f"within {worst:.1%}"
+
+
+def _check_slow(trial: Trial) -> str:
+    """What is said to be applied moves the robot, however slow it is: a dead band is told by applying zero."""
+    found = []
+    for wished in SLOW:
+        trial.go()
+        trial.halt("a zero command", each=lambda: trial.command(STAND))
+        applied = trial.command(wished)
+        rate = applied.linear_m_s or applied.angular_rad_s
+        unit = "m/s" if wished.linear_m_s else "rad/s"
+        if rate == 0.0:
+            found.append(f"{wished.linear_m_s or wished.angular_rad_s:g} {unit}: applies zero, and says so")
+            continue
+        trial.spend(min(trial.settle_s, SLOW_S), wished)
+        told, true = _measure_way(trial, wished, SLOW_S)
+        moves = true if trial.rig.body_speed is not None else told
+        rest = trial.rig.rest_m_s if wished.linear_m_s else 0.0
+        trial.demand(
+            abs(moves - rate) <= SLOW_SHARE * abs(rate) + rest,
+            f"command({wished}) says that it applies {rate:.3f} {unit}, but the robot moves with {moves:.3f} {unit}; "
+            "where the device has a dead band, return what it really does: zero",
+        )
+        found.append(f"{moves:.3f} of {rate:.3f} {unit}")
+    trial.halt("a zero command", each=lambda: trial.command(STAND))
+    return ", ".join(found)
 
 
 def _check_reverse(trial: Trial) -> str:

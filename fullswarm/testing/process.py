@@ -107,7 +107,9 @@ class _Puppet:
             self._trial.wait(lambda: process.poll() is not None, self._trial.deadline_s)
         if process.poll() is None:
             process.kill()
-        process.communicate()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
 
     def drive(self) -> None:
         """Wait until the robot moves."""
@@ -123,7 +125,7 @@ class _Puppet:
         trial.wait(lambda: moves() or process.poll() is not None, limit_s)
         if not moves():
             process.kill()
-            said = process.communicate()[1].decode(errors="replace").strip()
+            said = process.stderr.read().decode(errors="replace").strip() if process.stderr is not None else ""
             trial.demand(False, f"a process of its own does not get the robot to move: {said or 'it says nothing'}")
 
     def signal(self, number: signal.Signals) -> None:

@@ -40,6 +40,8 @@ class Rig:
     """Press or release the bumper."""
     obstacle: Callable[[], object] | None = None
     """Put an obstacle within reach of the robot's senses, or do nothing if one is there."""
+    motors_on: Callable[[], bool] | None = None
+    """Whether the device itself would obey a set-point now: armed, in closed loop, in Safe mode."""
     other_process: bool = False
     """Whether another process may open the driver's URL: then one is started, paused and killed while it drives."""
     fault_s: float = 1.5
@@ -48,6 +50,8 @@ class Rig:
     """It is READY so long after the link is whole again."""
     rest_m_s: float = 0.0
     """How fast the device creeps although told zero."""
+    odometry_share: float = 0.06
+    """By which share of the way its odometry may be wrong."""
 
 
 @dataclass

@@ -23,6 +23,10 @@ TURN_RAD_S = 4.0
 STILL = 0.04
 """Share of the limits below which a robot counts as standing."""
 DRIFT_M, DRIFT_RAD = 0.02, 0.05
+LATE_S = 0.03
+"""A step that begins so much too late shows that this machine is busy: it does not count against the driver."""
+PATIENCE = 4.0
+"""A busy machine stretches a time limit to at most this many times itself."""
 NEXT_S = 1.0
 """In which a new reading must come; an agent stops its robot after 0.5 s without."""
 
@@ -40,6 +44,7 @@ class Trial:
     newest: Reading | None = None
     opened_s: float = 0.0
     ignored_s: float = -math.inf  # readings up to here are not looked at: the clock has jumped since
+    late_s: float = 0.0  # by how much the steps of all waits were too late, added up
 
     @property
     def pace(self) -> Twist:
@@ -53,9 +58,12 @@ class Trial:
             raise AssertionError(f"{self.driver.url}: {otherwise}")
 
     def wait(self, until: Callable[[], bool], limit_s: float, each: Callable[[], object] | None = None) -> bool:
-        """Wait for a condition, calling `each` and the pump at 50 Hz; tell whether it came true in time."""
+        """Wait for a condition, calling `each` and the pump at 50 Hz; tell whether it came true in time.
+
+        Time in which this process did not get the processor is not counted: the driver's threads did not either.
+        """
         pause, due_s = threading.Event(), self.clock.now_s()
-        end_s = due_s + limit_s
+        end_s, latest_s = due_s + limit_s, due_s + PATIENCE * limit_s
         self._look()
         while not until():
             if self.clock.now_s() >= end_s:
@@ -67,6 +75,10 @@ class Trial:
             # On a grid, so that a pumped world keeps up with real time; but never two steps at once.
             due_s = max(due_s + STEP_S, self.clock.now_s())
             pause.wait(due_s - self.clock.now_s())
+            late_s = self.clock.now_s() - due_s
+            if late_s > LATE_S:
+                self.late_s += late_s
+                end_s = min(end_s + late_s, latest_s)
             self._look()
         return True
 

@@ -19,6 +19,7 @@ from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.drivers.can.emulator import EmulatedBase
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
@@ -93,6 +94,7 @@ def create() -> Iterator[Rig]:
             garbage=robot.garbage,
             cut=robot.cut,
             bump=lambda pressed: body.press(pressed, pressed),
+            motors_on=lambda: robot.mode in (Mode.SAFE, Mode.FULL),
             other_process=True,
             fault_s=0.8,
         )
@@ -121,6 +123,7 @@ def mavlink(
                 mute=rover.mute,
                 garbage=wire.garbage,
                 cut=wire.cut,
+                motors_on=lambda: rover.firmware.armed,
                 other_process=True,
                 fault_s=1.5,
             )
@@ -150,6 +153,7 @@ def can(scheme: str, options: str) -> Callable[[], AbstractContextManager[Rig]]:
                     mute=base.mute,
                     garbage=wire.garbage,
                     cut=wire.cut,
+                    motors_on=lambda: base.left.energised or base.right.energised,
                     other_process=True,
                     fault_s=1.3,
                 )
@@ -168,13 +172,16 @@ RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
     "px4": mavlink(Px4Emulator, "speed=0.3&turn=0.8"),
 }
 
+MOTORS = "motors off unless ACTIVE"
 NO_DEVICE = {
-    "speed told and true", "unplug", "close while unplugged", "unplug in mid-frame", "mute and stale data", "garbage",
-    "frames cut short", "controller's process paused", "watchdog_s",
+    MOTORS, "odometry against the truth", "speed told and true", "unplug", "close while unplugged",
+    "unplug in mid-frame", "mute and stale data", "garbage", "frames cut short",
+    "controller's process paused", "watchdog_s",
 }  # fmt: skip
 UNCHECKED: dict[str, set[str]] = {
     "null": NO_DEVICE,  # there is nothing at the other end
-    "sim": {"senses_bumps"},  # what bumps is a matter of the world: tests/unit/test_sim_world.py
+    # A simulated body has no motors to switch off; what bumps is a matter of the world: tests/unit/test_sim_world.py
+    "sim": {"senses_bumps", MOTORS},
 }
 
 

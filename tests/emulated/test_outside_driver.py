@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import subprocess
 import sys
@@ -45,6 +46,18 @@ def test_its_own_tests_pass_and_the_check_leaves_nothing_out(installed: Path) ->
     assert run.returncode == 0, run.stdout + run.stderr
     assert "passed" in run.stdout
     assert "skipped" not in run.stdout
+
+
+def test_one_command_checks_it_with_all_its_hands(installed: Path) -> None:
+    command = [sys.executable, "-m", "fullswarm", "robots", "check", "--rig", "fullswarm_acme.rig:rig", "--json"]
+    paths = os.pathsep.join([str(installed), str(PACKAGE.parents[1])])
+    run = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": paths}, check=False, capture_output=True, text=True, timeout=120
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    told = json.loads(run.stdout)
+    assert told["skipped"] == {}
+    assert "after open(), deactivate() and close()" in told["checked"].values()
 
 
 @pytest.fixture

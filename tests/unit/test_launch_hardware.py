@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from collections.abc import Iterator
 
@@ -31,6 +32,11 @@ def keep_signals() -> Iterator[None]:
         (("robots", "find", "--udp", "many"), "not a UDP port"),
         (("robots", "test", "crate:///dev/ttyUSB0", "--yes"), "did you mean 'create'"),
         (("robots", "test", "create:///dev/ttyUSB0", "--yes", "--speed", "5"), "--speed"),
+        (("robots", "check"), "name either a URL or --rig"),
+        (("robots", "check", "crate:///dev/ttyUSB0", "--yes"), "did you mean 'create'"),
+        (("robots", "check", "--rig", "no_such_module:rig"), "does not import"),
+        (("robots", "check", "--rig", "fullswarm.testing"), "module:function"),
+        (("robots", "check", "null://r1", "--yes", "--wire"), "no relay fits"),
         (("doctor", "nowhere.toml"), "no such file"),
     ],
 )
@@ -44,4 +50,18 @@ def test_usage_errors_are_one_clear_line(arguments: tuple[str, ...], word: str) 
 def test_the_verbs_hang_on_the_operators_robots() -> None:
     done = CliRunner().invoke(app, ["robots", "--help"], env={"COLUMNS": "120"})
     assert done.exit_code == 0
-    assert all(word in done.stdout for word in ("find", "test", "--json", "--hub", "--swarm"))
+    assert all(word in done.stdout for word in ("find", "test", "check", "--json", "--hub", "--swarm"))
+
+
+@pytest.mark.usefixtures("keep_signals")
+def test_robots_check_prints_what_was_checked_or_what_is_wrong() -> None:
+    done = CliRunner().invoke(app, ["robots", "check", "null://r1", "--still", "--json"])
+    assert done.exit_code == 0
+    told = json.loads(done.stdout)
+    assert told["passed"]
+    assert "lifecycle" in told["checked"]
+    assert "exercise=False" in told["skipped"]["slow driving"]
+    failed = CliRunner().invoke(app, ["robots", "check", "--rig", "tests.unit.tethered:dead_band", "--settle", "0.3"])
+    assert failed.exit_code == 1
+    assert "return what it really does: zero" in failed.stdout
+    assert "Traceback" not in failed.stderr

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fullswarm.drivers.base import Lifecycle, Pose, Reading
-from fullswarm.drivers.null.driver import NullDriver
-from fullswarm.testing import Report, Rig, check_driver, claims, contract, driver, faults, jumps, trial
+from fullswarm.drivers.null.driver import WATCHDOG_S, NullDriver
+from fullswarm.testing import Report, Rig, check_driver, claims, contract, driver, faults, jumps, process, trial
 from tests.unit.tethered import (
     BackActive,
     BelievesNoise,
@@ -20,24 +19,33 @@ from tests.unit.tethered import (
     Chokes,
     CountsTheHour,
     Creeps,
+    DeadBand,
     Deaf,
     DrivesOn,
     DrivesThroughTheHour,
+    DropsOut,
     FeelsForEver,
     FeelsNothing,
     KeepsFault,
+    LeaksAThread,
+    LeavesTheRestToTheWatchdog,
     LosesItsThread,
     MindsTheWall,
     Mirrored,
     NoFault,
     NotBack,
+    RaisesButDrivesOn,
     Reverses,
+    Rival,
     Robot,
     SaysNothing,
     SeesNothing,
+    StaysArmed,
     TellsAgain,
+    TenPercent,
     Tethered,
     TrustsTheWall,
+    TurnsTenPercent,
     WrongScale,
 )
 
@@ -65,16 +73,31 @@ BROKEN: list[tuple[type[Tethered], str]] = [
     (DrivesThroughTheHour, "still moves .* after a jump of the clock"),
     (TrustsTheWall, "not FAULT, .* and the wall clock was set back"),
     (MindsTheWall, "after the wall clock was set by 3600 s"),
+    (RaisesButDrivesOn, r"a value that is not finite slows it after 0\.[23]"),
+    (LeavesTheRestToTheWatchdog, r"close\(\) slows it after (0\.9|1\.0)"),
+    (StaysArmed, r"the motors are on although it is READY after deactivate"),
+    (LeaksAThread, r"close\(\) leaves the thread 'forgotten'"),
+    (DropsOut, "although it was activated and commanded|not ACTIVE"),
+    (Rival, "constructing a second driver disturbs the first"),
+    (TenPercent, r"10% apart, more than 6%; check wheel radius"),
+    (TurnsTenPercent, r"10% apart, more than 6%; check wheel base"),
+    (DeadBand, r"applies 0\.050 m/s, but the robot moves with 0\.000 m/s"),
 ]
 
 
-SECTION = dict.fromkeys((WrongScale, FeelsNothing, FeelsForEver, Mirrored, SeesNothing, Reverses), "check_claims") | (
-    dict.fromkeys((CountsTheHour, DrivesThroughTheHour, TrustsTheWall, MindsTheWall), "check_jumps")
+CLAIM = (
+    WrongScale, FeelsNothing, FeelsForEver, Mirrored, SeesNothing, Reverses, TenPercent, TurnsTenPercent, DeadBand,
+)  # fmt: skip
+CONTRACT = (RaisesButDrivesOn, LeavesTheRestToTheWatchdog, StaysArmed, LeaksAThread, DropsOut, Rival)
+SECTION = (
+    dict.fromkeys(CLAIM, "check_claims")
+    | dict.fromkeys(CONTRACT, "check_contract")
+    | (dict.fromkeys((CountsTheHour, DrivesThroughTheHour, TrustsTheWall, MindsTheWall), "check_jumps"))
 )
 
 
-def rig(kind: Callable[..., Tethered] = Tethered) -> Rig:
-    robot = Robot()
+def rig(kind: type[Tethered] = Tethered) -> Rig:
+    robot = Robot(watchdog_s=float(str(kind.claims.get("watchdog_s", WATCHDOG_S))))
     return Rig(
         make=lambda: kind(robot),
         make_on=lambda clock: kind(robot, clock),
@@ -87,6 +110,7 @@ def rig(kind: Callable[..., Tethered] = Tethered) -> Rig:
         cut=robot.cut,
         bump=robot.press,
         obstacle=lambda: None,
+        motors_on=lambda: robot.armed,
         fault_s=0.4,
         ready_s=0.3,
     )
@@ -101,6 +125,8 @@ def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "IDLE_S", 0.05)
     monkeypatch.setattr(trial, "STEP_S", 0.005)
     monkeypatch.setattr(claims, "NEXT_S", 0.2)
+    monkeypatch.setattr(claims, "WAY_S", 0.3)
+    monkeypatch.setattr(claims, "SLOW_S", 0.1)
     monkeypatch.setattr(faults, "NOISE_S", 0.1)
     monkeypatch.setattr(faults, "UNHEARD_S", 0.12)
 
@@ -138,8 +164,8 @@ def test_a_driver_without_fault_passes_and_the_report_says_what_was_left_out() -
 def test_without_a_rig_nothing_is_believed_to_be_checked() -> None:
     report = check_driver(lambda: NullDriver("null://r1"), settle_s=0.3, deadline_s=0.3)
     assert set(report.checked) == {
-        "lifecycle", "limits, signs and scale", "silence of the controller", "promptness", "deactivate and close",
-        "can_reverse", "senses_bumps", "senses_pose", "senses_obstacles",
+        "lifecycle", "limits, signs and scale", "silence of the controller", "not finite", "promptness",
+        "deactivate and close", "slow driving", "can_reverse", "senses_bumps", "senses_pose", "senses_obstacles",
     }  # fmt: skip
     for name, lack in (("unplug", "no unplug, no replug"), ("garbage", "no garbage"), ("wall clock set", "no make_on")):
         assert lack in report.skipped[name]
@@ -170,3 +196,27 @@ def test_the_obstacles_of_a_driver_that_sees_them_are_enough(monkeypatch: pytest
             return replace(reading, obstacles=np.ones((1, 6)))
 
     assert check_driver(rig(Sees), settle_s=0.3, deadline_s=0.3).checked["senses_obstacles"] == "told"
+
+
+def test_what_is_late_on_a_busy_machine_is_no_fault_of_the_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This process gets the processor for 20 ms and then loses it for 100 ms, all the time."""
+    only(monkeypatch, "check_contract")
+    monkeypatch.setattr(trial, "STEP_S", 0.02)
+    real_wait = threading.Event.wait
+
+    def late(event: threading.Event, timeout: float | None = None) -> bool:
+        return real_wait(event, timeout if timeout is None or timeout > 0.03 else timeout + 0.1)
+
+    monkeypatch.setattr(threading.Event, "wait", late)
+    report = check_driver(rig(), settle_s=0.3, deadline_s=0.3)
+    assert "lifecycle" in report.checked
+
+
+def test_a_process_that_cannot_drive_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("check_contract", "check_claims", "check_faults", "check_jumps"):
+        monkeypatch.setattr(driver, name, lambda *_: None)
+    shy = replace(rig(), other_process=True, make=lambda: NullDriver("null://r1"))  # another process is another robot
+    monkeypatch.setattr(process, "START_S", 0.5)
+    monkeypatch.setattr(process, "_MODULE", "fullswarm.no_such_module")
+    with pytest.raises(AssertionError, match=r"does not get the robot to move: .*No module named fullswarm"):
+        check_driver(shy, settle_s=0.3, deadline_s=0.3)

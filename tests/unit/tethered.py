@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.null.driver import WATCHDOG_S, NullDriver
+from fullswarm.testing import Rig
 
 SILENT_S = 0.1
 WALL_S = time.time()
@@ -26,6 +29,8 @@ class Robot:
     noise: bytes = b""
     cuts: int = 0
     pressed: bool = False
+    watchdog_s: float = WATCHDOG_S
+    armed: bool = False
     clock: Clock = field(default_factory=MonotonicClock)
 
     def obey(self, twist: Twist) -> None:
@@ -33,7 +38,7 @@ class Robot:
             self.told, self.told_s = twist, self.clock.now_s()
 
     def speed(self) -> Twist:
-        return self.told if self.clock.now_s() - self.told_s < WATCHDOG_S else STAND
+        return self.told if self.clock.now_s() - self.told_s < self.watchdog_s else STAND
 
     def plug(self, plugged: bool) -> None:
         self.plugged = plugged
@@ -301,3 +306,91 @@ class MindsTheWall(Tethered):
         super().listen()
         if abs(time.time() - WALL_S) > 1800.0:
             self.lose()
+
+
+class RaisesButDrivesOn(Tethered):
+    """A value that is not finite raises; the set-point before it holds until it expires."""
+
+    def command(self, twist: Twist) -> Twist:
+        if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
+            raise ValueError("not finite")
+        return super().command(twist)
+
+
+class LeavesTheRestToTheWatchdog(Tethered):
+    claims = {"watchdog_s": 1.0}  # noqa: RUF012
+
+    def close(self) -> None:
+        NullDriver.close(self)
+
+
+class TenPercent(Tethered):
+    """Its wheels are a tenth larger than it believes."""
+
+    def look(self, reading: Reading) -> Reading:
+        pose = reading.odometry
+        return replace(reading, odometry=Pose(0.9 * pose.x_m, 0.9 * pose.y_m, pose.heading_rad))
+
+
+class TurnsTenPercent(Tethered):
+    def look(self, reading: Reading) -> Reading:
+        pose = reading.odometry
+        return replace(reading, odometry=Pose(pose.x_m, pose.y_m, math.remainder(1.1 * pose.heading_rad, math.tau)))
+
+
+class DeadBand(Tethered):
+    """Says that it applies what its motors do not turn for."""
+
+    def _set(self, twist: Twist) -> None:
+        super()._set(twist)
+        if abs(self._twist.linear_m_s) < 0.1:
+            self.robot.obey(Twist(0.0, self._twist.angular_rad_s))
+
+
+class StaysArmed(Tethered):
+    """Switches the motors on when it is activated, and never off."""
+
+    def activate(self) -> None:
+        super().activate()
+        self.robot.armed |= self.state is Lifecycle.ACTIVE
+
+
+class LeaksAThread(Tethered):
+    def open(self) -> None:
+        super().open()
+        threading.Thread(target=threading.Event().wait, args=(20.0,), name="forgotten", daemon=True).start()
+
+
+class DropsOut(Tethered):
+    """Leaves ACTIVE by itself, a moment after it was activated."""
+
+    activated_s = math.inf
+
+    def activate(self) -> None:
+        super().activate()
+        self.activated_s = self._clock.now_s()
+
+    def listen(self) -> None:
+        super().listen()
+        if self.state is Lifecycle.ACTIVE and self._clock.now_s() - self.activated_s > 0.02:
+            self.state = Lifecycle.READY
+
+
+class Rival(Tethered):
+    """Constructing it takes the robot from whoever drives it."""
+
+    def __init__(self, robot: Robot, clock: Clock | None = None) -> None:
+        super().__init__(robot, clock)
+        robot.owner = self  # type: ignore[attr-defined]
+
+    def listen(self) -> None:
+        super().listen()
+        if self.state is Lifecycle.ACTIVE and self.robot.owner is not self:  # type: ignore[attr-defined]
+            self.state, self.robot.owner = Lifecycle.READY, self  # type: ignore[attr-defined]
+
+
+@contextmanager
+def dead_band() -> Iterator[Rig]:
+    """Yield the hands for a robot whose driver keeps its dead band to itself."""
+    robot = Robot()
+    yield Rig(make=lambda: DeadBand(robot), body_speed=robot.speed)

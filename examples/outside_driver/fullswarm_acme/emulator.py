@@ -93,6 +93,12 @@ class AcmeEmulator:
         """What the driver is opened with."""
         return f"acme://127.0.0.1:{self._port}"
 
+    @property
+    def motors_on(self) -> bool:
+        """Whether it is enabled: it obeys set-points."""
+        with self._lock:
+            return self._firmware.enabled
+
     def start(self) -> Self:
         """Switch the robot on."""
         self._thread.start()

@@ -9,40 +9,20 @@ from fullswarm import registry
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
 from fullswarm.drivers.body import FreeBody
 from fullswarm.errors import ConfigError, DriverError
-from fullswarm.testing import Rig, check_driver
+from fullswarm.testing import check_driver
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm_acme.driver import AcmeDriver
 from fullswarm_acme.emulator import AcmeEmulator
 from fullswarm_acme.protocol import LineParser, State, drive, line, parse_drive, parse_state, quantised, state
+from fullswarm_acme.rig import rig
 from fullswarm_acme.session import Session
 
 
-def rig(robot: AcmeEmulator, body: FreeBody) -> Rig:
-    def body_speed() -> Twist:
-        now = body.state()
-        return Twist(now.speed_m_s, now.turn_rad_s)
-
-    return Rig(
-        make=lambda: AcmeDriver(robot.url),
-        make_on=lambda clock: AcmeDriver(robot.url, clock),
-        body_speed=body_speed,
-        unplug=robot.unplug,
-        replug=robot.replug,
-        mute=robot.mute,
-        garbage=robot.garbage,
-        cut=robot.cut,
-        bump=lambda pressed: body.press(pressed, pressed),
-        other_process=True,
-        fault_s=0.8,
-    )
-
-
 def test_keeps_the_contract() -> None:
-    body = FreeBody(Pose(2.0, 1.0, 2.5))
-    with AcmeEmulator(body=body) as robot:
-        report = check_driver(rig(robot, body))
+    with rig() as hands:
+        report = check_driver(hands)
     print(report)
     assert report.skipped == {}
 

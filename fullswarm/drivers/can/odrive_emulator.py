@@ -59,6 +59,11 @@ class ODriveEmulator:
         self._told = odrive.Encoder(0.0, 0.0)
         self._fed_s = self._beat_s = self._encoder_s = -math.inf
 
+    @property
+    def energised(self) -> bool:
+        """Whether the axis obeys set-points."""
+        return self.state is AxisState.CLOSED_LOOP
+
     # ------------------------------------------------------------ what happens to it
     def inject(self, error: str) -> None:
         """Raise an error by its name: the axis disarms."""

@@ -61,6 +61,11 @@ class VescEmulator:
         self._told: tuple[int, int] = (0, 0)  # ERPM and tachometer
         self._set_s = self._status_s = self._slow_s = -math.inf
 
+    @property
+    def energised(self) -> bool:
+        """Whether an order regulates or brakes the motor now."""
+        return self._order.message != vesc.SetCurrent(0.0)
+
     def press_estop(self, on: bool) -> None:
         """Press or free the kill switch: the motor is let go; no message tells that."""
         self.mishaps.estop = on
