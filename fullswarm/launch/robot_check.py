@@ -98,7 +98,7 @@ def _wire(url: str, baud: int) -> Iterator[tuple[Wire, str]]:
     parts = urlsplit(url)
     if parts.path and Path(parts.path).exists():
         with serial_wire(parts.path, baud) as wire:
-            yield wire, urlunsplit(parts._replace(path=str(wire.port)))
+            yield wire, url.replace(parts.path, str(wire.port), 1)
     elif parts.hostname and parts.port:
         with udp_wire(f"{parts.hostname}:{parts.port}") as wire:
             yield wire, urlunsplit(parts._replace(netloc=f"127.0.0.1:{wire.port}"))
