@@ -83,8 +83,8 @@ class Session:
 
     @property
     def unfit(self) -> str:
-        """What a person must set before an OPEN vehicle can be READY; empty if nothing."""
-        unfit = self._startup.unfit if self.lifecycle is Lifecycle.OPEN else ""
+        """What keeps an OPEN vehicle from READY and does not pass by itself, or not soon; empty if nothing."""
+        unfit = (self._startup.unfit or self.unguarded) if self.lifecycle is Lifecycle.OPEN else ""
         return f"{self._options.where}: {unfit}" if unfit else ""
 
     def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
