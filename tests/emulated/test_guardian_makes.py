@@ -166,13 +166,12 @@ def put_away(robot: Plugged, *, gone: bool) -> bool:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_an_agent_that_is_killed_at_full_speed(
-    name: str, tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_an_agent_that_is_killed_at_full_speed(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with ROBOTS[name](tmp_path) as robot:
         with driven(robot) as process:
             took_s, way_m = to_rest(robot, process.kill)
-        record_property("to rest", f"{took_s:.2f} s, {way_m:.2f} m")
+        with capsys.disabled():
+            sys.stdout.write(f"\n{name}: killed, at rest after {took_s:.2f} s and {way_m:.2f} m\n")
         assert took_s < BOUND_S
         until(lambda: put_away(robot, gone=True), 2.0, "held and let go")
         driver = robot.kind(robot.url)
@@ -194,11 +193,12 @@ def opens(driver: Any) -> bool:
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_an_agent_that_is_paused_at_full_speed_and_goes_on(
-    name: str, tmp_path: Path, record_property: Callable[[str, object], None]
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with ROBOTS[name](tmp_path) as robot, driven(robot) as process:
         took_s, way_m = to_rest(robot, lambda: process.send_signal(signal.SIGSTOP))
-        record_property("to rest", f"{took_s:.2f} s, {way_m:.2f} m")
+        with capsys.disabled():
+            sys.stdout.write(f"\n{name}: paused, at rest after {took_s:.2f} s and {way_m:.2f} m\n")
         assert took_s < SILENCE_S + BOUND_S
         limit_s = CLOCK.now_s() + 1.0
         until(lambda: CLOCK.now_s() > limit_s or robot.speed() > RESTS_M_S, 2.0, "a second")
