@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,6 +117,8 @@ ROBOTS: dict[str, Callable[[Path], Any]] = {
     "odrive multicast": lambda _: base(f"can+odrive://{multicast()}&{ODRIVE}"),
     "create serial": lambda _: create(),
 }
+SLOW = ("rover udpout", "vesc multicast", "odrive slcan")
+"""The same frames on a link that another make has in the quick tests."""
 ONE_OF_EACH = ("rover udp", "rover tcp signed", "px4 udp", "vesc slcan", "odrive multicast", "create serial")
 
 
@@ -165,7 +167,11 @@ def put_away(robot: Plugged, *, gone: bool) -> bool:
     return bool(emulator.firmware.mode == hold and not emulator.firmware.armed)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+def names(chosen: Iterable[str]) -> list[Any]:
+    return [pytest.param(each, marks=[pytest.mark.slow] if each in SLOW else []) for each in chosen]
+
+
+@pytest.mark.parametrize("name", names(ROBOTS))
 def test_an_agent_that_is_killed_at_full_speed(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with ROBOTS[name](tmp_path) as robot:
         with driven(robot) as process:
@@ -191,7 +197,7 @@ def opens(driver: Any) -> bool:
     return True
 
 
-@pytest.mark.parametrize("name", ONE_OF_EACH)
+@pytest.mark.parametrize("name", names(ONE_OF_EACH))
 def test_an_agent_that_is_paused_at_full_speed_and_goes_on(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
