@@ -24,7 +24,7 @@ from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.create_oi.session import PARK
 from fullswarm.drivers.fleet import OneRobot
-from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, guarded
+from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPlan, guarded
 from fullswarm.drivers.guardian_process import REPEATS
 from fullswarm.errors import DriverError
 
@@ -255,6 +255,38 @@ def test_a_silent_driver_is_told_nothing_old_when_it_speaks_again() -> None:
             assert answer == b"new"
         finally:
             guarded.close()
+
+
+def test_a_watched_port_gets_what_was_left_for_it_and_nothing_while_nobody_drives() -> None:
+    with port() as (master, path):
+        descriptor, said = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), b""
+        guardian = Guardian()
+
+        def listen() -> None:
+            nonlocal said
+            said += heard(master)
+
+        def fall_silent(duration_s: float) -> None:
+            limit_s = CLOCK.now_s() + duration_s
+            until(lambda: CLOCK.now_s() > limit_s, duration_s + 1.0, listen)
+
+        try:
+            guardian.watch(descriptor)
+            assert "starting" in guardian.trouble
+            until(lambda: not guardian.trouble, 5.0, guardian.beat)
+            fall_silent(SILENCE_S + 0.3)
+            assert not guardian.beat()
+            guardian.stop_with(StopPlan(((0.0, b"stop."), (0.1, b"again.")), ((0.0, b"off."),)))
+            until(lambda: said == b"stop.again.", 2.0, listen)
+            assert guardian.beat()  # it says that it has stopped the robot, once
+            assert not guardian.beat()
+            guardian.stop_with(None)
+            fall_silent(SILENCE_S + 0.3)
+            assert said == b"stop.again."
+        finally:
+            guardian.release()
+            os.close(descriptor)
+        assert not guardian.watching
 
 
 def test_it_is_small_and_starts_at_once() -> None:
