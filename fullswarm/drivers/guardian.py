@@ -151,8 +151,10 @@ class _Process:
                 break
             except ConnectionError:
                 packet = b""
+            if not packet and packets:
+                break  # what it said last comes first
             if not packet:
-                raise self._lost("has ended")
+                raise self._lost("ended")
             if not self.has_spoken:
                 self.has_spoken = True
                 self._attempts.worked()
@@ -167,16 +169,16 @@ class _Process:
     def hangs(self) -> HolderLost:
         """End it; return what to raise."""
         self._process.kill()
-        return self._lost("hangs")
+        return self._lost("does not respond")
 
     def _lost(self, how: str) -> HolderLost:
         if self.has_spoken:
-            return HolderLost(errno.EPIPE, f"its guardian {how}")
+            return HolderLost(errno.EPIPE, f"its guardian process {how}")
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVE_S)  # its end of the link is closed: it is ending
         code = self._process.poll()
-        died = f"with exit code {code} " if how == "has ended" and code is not None else ""
-        why = f"its guardian {how} {died}before it said a word, {sys.executable}"
+        died = f" with exit code {code}" if how == "ended" and code is not None else ""
+        why = f"its guardian process {how}{died} before it was ready (interpreter: {sys.executable})"
         self._attempts.failed(why)
         return HolderLost(errno.EPIPE, why)
 
@@ -187,7 +189,7 @@ class _Process:
         except BlockingIOError:
             raise
         except OSError as error:
-            raise self._lost("has ended") from error
+            raise self._lost("ended") from error
         self._beat_s = self._clock.now_s()
 
     def beat(self) -> None:

@@ -26,6 +26,7 @@ from fullswarm.drivers.create_oi.session import PARK
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPlan, guarded
 from fullswarm.drivers.guardian_process import REPEATS
+from fullswarm.drivers.link import HolderLost
 from fullswarm.errors import DriverError
 
 CLOCK = MonotonicClock()
@@ -158,6 +159,24 @@ def test_a_cable_that_is_pulled_behind_the_guardian() -> None:
         robot.replug()
         until(lambda: driver.state is Lifecycle.READY, 3.0, drive)
         assert wheels(robot) == (0, 0)
+
+
+def test_why_the_port_is_gone_comes_before_the_guardian_s_own_end() -> None:
+    master, slave = os.openpty()
+    guarded = GuardedPort(os.ttyname(slave), 115200, PARK)
+    try:
+        until(lambda: guarded.read(512) == b"" and not guarded.waits_for, 5.0)
+        os.close(master)
+        os.close(slave)
+        state = Path(f"/proc/{guarded.pid}/stat")
+        until(lambda: state.read_text().rpartition(")")[2].split()[0] == "Z", 2.0)  # its words and its end wait here
+        with pytest.raises(OSError, match=r"Input/output error|hung up") as gone:
+            guarded.read(512)
+        assert not isinstance(gone.value, HolderLost)
+        with pytest.raises(HolderLost):
+            guarded.read(512)
+    finally:
+        guarded.close()
 
 
 def open_files() -> int:
@@ -363,7 +382,7 @@ def test_a_guardian_that_ends_before_its_first_word_is_tried_ever_less_often_and
                 context.setattr(sys, "executable", str(broken))
                 limit_s = CLOCK.now_s() + 4.0
                 until(lambda: CLOCK.now_s() > limit_s, 5.0)
-                assert "exit code 3 before it said a word" in driver.fault
+                assert "ended with exit code 3 before it was ready" in driver.fault
                 assert "cable" not in driver.fault
                 assert 3 <= len(starts.read_text()) <= 6  # four a second would be 16
             until(lambda: driver.state is Lifecycle.READY, 8.0)  # a whole Python again
