@@ -28,6 +28,7 @@ from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPla
 from fullswarm.drivers.guardian_process import REPEATS
 from fullswarm.drivers.link import HolderLost
 from fullswarm.errors import DriverError
+from fullswarm.operator.console.advice import of_fault
 
 CLOCK = MonotonicClock()
 LOOK_S = 0.15
@@ -353,13 +354,14 @@ def test_a_guardian_that_needs_three_seconds_to_start_is_waited_for(slow_starts:
         faults = set[str]()
         driver.open()
         try:
-            until(lambda: driver.state is Lifecycle.READY, 10.0, lambda: faults.add(driver.fault))
+            until(lambda: driver.state is Lifecycle.READY, START_S, lambda: faults.add(driver.fault))
             assert CLOCK.now_s() - began_s > 3.0
             assert slow_starts() == guardians(robot)
             assert len(slow_starts()) == 1
             [fault] = faults - {""}
             assert "still starting" in fault
             assert "cable" not in fault
+            assert "overloaded" in of_fault(fault)
             driver.activate()
             until(lambda: driver.state is Lifecycle.ACTIVE, 2.0)
         finally:
