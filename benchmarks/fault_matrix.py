@@ -23,7 +23,7 @@ HEAD = """# Safety: the fault matrix, measured
 
 This page is written by `python -m benchmarks.fault_matrix`; do not edit it. `make test-all` measures the same and
 judges it (`tests/system/test_reflexes.py`). What each reflex is and why: [how a robot comes to
-stand](explanation-safety-stops.md). The process that watches over a Create: [decision 14](decisions/0014-guardian.md).
+stand](explanation-safety-stops.md). The process that watches over an agent: [decision 14](decisions/0014-guardian.md).
 
 Five robots drive at 0.35 m/s in one kinematic world: real agents, real drivers, real ports, emulated firmware. Then a
 process is killed, a cable pulled, a sensor pressed. Each cell: **time until the device's own set-point is zero** · time
@@ -39,8 +39,9 @@ FOOT = """
   (then its first words are zero). Only its own bumper, cliff and wheel-drop reflexes stop it before.
 - **Create, computer without power, or agent and guardian killed together**: the same. One of them alone is covered;
   a guardian that is killed is replaced within about half a second, which the robot drives on.
-- **Agent killed or paused, cable pulled, other makes**: only the device's own time-out is left
-  ({devices}). No software on board makes that shorter.
+- **Cable pulled, computer without power, or agent and guardian killed together, other makes**: only the device's own
+  time-out is left ({devices}). No software on board makes that shorter.
+- **A rover whose agent is killed** is told HOLD: its motors are off, and it rolls out.
 - **A rover** brakes by its firmware's own acceleration limit, so it stands late although its set-point is zero.
 - **A low battery** is seen when the robot tells it: {battery}.
 - Sensors that a make does not have (—) trigger nothing.
@@ -78,10 +79,10 @@ def table(measured: Sequence[Result]) -> str:
         ("every silence (command, hub, readings, clock)", SILENCES, f"{SILENCE_S} s"),
         ("core heartbeat", ("core heartbeat",), "1.02 s"),
         ("reflexes", REFLEXES, "one sensor period + 0.02 s"),
-        ("agent SIGKILL and SIGSTOP of a Create (guardian) and a simulated robot", ("agent SIGKILL", "agent SIGSTOP"),
-         f"{SILENCE_S} s"),
+        ("agent SIGKILL and SIGSTOP of robots with a guardian, and a simulated one", ("agent SIGKILL", "agent SIGSTOP"),
+         "0.36 s"),
     ):  # fmt: skip
-        own = ("sim", "create2") if names[0].startswith("agent") else tuple(BACKENDS.values())
+        own = ("sim", "create2", "rover", "vesc") if names[0].startswith("agent") else tuple(BACKENDS.values())
         worst_s = max((each.zero_s for each in measured if each.fault in names and each.backend in own), default=0.0)
         lines.append(f"- {title}: zero after {worst_s:.3f} s (bound: {bound})")
     lines.append(f"- nearest to its own bound: {nearest(measured)}")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fullswarm.agent.belief import Array, Belief
-from fullswarm.agent.track import Fix, Taken, Track
+from fullswarm.agent.track import Fix, Taken, Track, breaks_of
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
 from fullswarm.errors import ConfigError, MissingExtra
@@ -76,10 +76,10 @@ class EkfEstimator:
         del dt_s
         rows = zip(
             self._tracks, reading.stamp_s.tolist(), reading.odometry.tolist(), reading.twist.tolist(),
-            reading.pose.tolist(), strict=True,
+            reading.pose.tolist(), breaks_of(reading), strict=True,
         )  # fmt: skip
-        for track, stamp_s, odometry, twist, pose in rows:
-            if not track.follow(stamp_s, odometry, twist) or math.isnan(sum(pose)):
+        for track, stamp_s, odometry, twist, pose, breaks in rows:
+            if not track.follow(stamp_s, odometry, twist, breaks) or math.isnan(sum(pose)):
                 continue
             seen = Belief.around(pose, *self._sigma)
             if track.anchored:

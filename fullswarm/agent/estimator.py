@@ -13,7 +13,7 @@ import numpy as np
 
 from fullswarm.agent.belief import UNSEEN_RAD, Belief
 from fullswarm.agent.ekf import EkfEstimator
-from fullswarm.agent.track import Fix, Taken, Track
+from fullswarm.agent.track import Fix, Taken, Track, breaks_of
 from fullswarm.agent.view import Array
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
@@ -88,11 +88,11 @@ class DirectEstimator:
             self._sensed = None
         rows = zip(
             self._tracks, reading.stamp_s.tolist(), reading.odometry.tolist(), reading.twist.tolist(),
-            reading.pose.tolist(), strict=True,
+            reading.pose.tolist(), breaks_of(reading), strict=True,
         )  # fmt: skip
         poses = []
-        for track, stamp_s, odometry, twist, pose in rows:
-            track.follow(stamp_s, odometry, twist)
+        for track, stamp_s, odometry, twist, pose, breaks in rows:
+            track.follow(stamp_s, odometry, twist, breaks)
             poses.append(track.belief.mean if math.isnan(sum(pose)) else pose)
         return np.array(poses)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from fullswarm.agent.belief import UNSEEN_RAD, Belief, Motion, OdometryNoise, Row, between, distance
 from fullswarm.config import AgentConfig
-from fullswarm.drivers.base import Pose
+from fullswarm.drivers.base import FleetReading, Pose
 from fullswarm.geometry import wrap
 
 AHEAD_S = 0.1
@@ -28,6 +28,8 @@ SLACK_M, SLACK_RAD, SLACK_S = 0.5, 0.5, 0.5
 JUMP_M = 0.05
 UNKNOWN_M = 1000.0
 UNKNOWN_RAD = math.pi
+BREAK_RAD_S = 4.0
+"""A small robot turns no faster, for all that is known of a time that the odometry has lost."""
 
 
 class Verdict(enum.Enum):
@@ -89,6 +91,12 @@ class Rival:
     count: int = 1
 
 
+def breaks_of(reading: FleetReading) -> list[int]:
+    """Return how often the odometry of each robot has lost motion."""
+    breaks = reading.odometry_breaks
+    return [0] * len(reading.stamp_s) if breaks is None else breaks.tolist()
+
+
 class Track:
     """Follows one robot.
 
@@ -117,6 +125,7 @@ class Track:
         self._history: deque[tuple[float, Row]] = deque()
         self._odometry: Row | None = [0.0, 0.0, 0.0]
         self._stamp_s = -math.inf
+        self._breaks = 0
         self._twist: Row = [0.0, 0.0]
         self._slack = Slack(-math.inf)
         self._rival: Rival | None = None
@@ -128,11 +137,15 @@ class Track:
         return (spread_m, math.sqrt(self.belief.hh)) if spread_m < UNKNOWN_M else (-1.0, -1.0)
 
     # ------------------------------------------------------------------ odometry
-    def follow(self, stamp_s: float, odometry: Row, twist: Row) -> bool:
-        """Move on by the odometry since the last reading; tell whether this one is new."""
+    def follow(self, stamp_s: float, odometry: Row, twist: Row, breaks: int = 0) -> bool:
+        """Move on by the odometry since the last reading; tell whether this one is new.
+
+        `breaks` is how often the odometry has lost motion so far; then anything may have happened meanwhile.
+        """
         if stamp_s <= self._stamp_s:
             return False
         before, elapsed_s = self._odometry, stamp_s - self._stamp_s
+        broken, self._breaks = breaks > self._breaks, breaks
         self._odometry, self._stamp_s, self._twist = odometry, stamp_s, twist
         if before is not None:
             known = math.isfinite(elapsed_s)
@@ -144,11 +157,22 @@ class Track:
                 self._move(self.belief, self._slack, motion)
                 if self._rival is not None:
                     self._move(self._rival.belief, self._rival.slack, motion)
+            if broken and known:
+                self._doubt(elapsed_s)
         history = self._history
         history.append((stamp_s, odometry))
         while history[0][0] < stamp_s - self._horizon_s:
             history.popleft()
         return True
+
+    def _doubt(self, lost_s: float) -> None:
+        """Widen the belief by wherever the robot can have driven to in a time that the odometry has lost."""
+        self._history.clear()
+        self._rival = None
+        way_m = min(self._top_speed_m_s * lost_s, UNKNOWN_M)
+        turn_rad = min(BREAK_RAD_S * lost_s, UNKNOWN_RAD)
+        # Evenly spread to either side: the variance is a third of the square.
+        self.belief.widen(way_m**2 / 3.0, turn_rad**2 / 3.0)
 
     def _move(self, belief: Belief, slack: Slack, motion: Motion) -> None:
         belief.move(motion)

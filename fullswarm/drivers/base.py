@@ -100,6 +100,7 @@ class Reading:
     stamp_s: float  # arrival, on this machine's monotonic clock
     odometry: Pose  # since open(), from wheels or gyro; starts at (0, 0, 0)
     twist: Twist  # measured
+    odometry_breaks: int = 0  # how often since open() motion may have been lost: it goes on from where it was
     pose: Pose | None = None  # world frame, only if `senses_pose`
     hazards: Hazard = Hazard.NONE
     contacts: int = 0  # bodies touched now
@@ -192,6 +193,7 @@ class FleetReading:
     contacts: NDArray[np.int64]  # (n,)
     battery: Array  # (n,) 0 to 1, -1 unknown
     obstacles: Array  # (k, 6) as in Reading; of all robots together
+    odometry_breaks: NDArray[np.int64] | None = None  # (n,) as in Reading; None: never any
 
 
 class Fleet(Protocol):

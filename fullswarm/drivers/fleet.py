@@ -47,6 +47,7 @@ class OneRobot:
         self._again_s = math.inf
         self._wished = False
         self._last: Reading | None = None
+        self._breaks = np.zeros(1, np.int64)
         self._reading = FleetReading(
             stamp_s=np.full(1, -math.inf),
             pose=np.full((1, 3), math.nan),
@@ -56,6 +57,7 @@ class OneRobot:
             contacts=np.zeros(1, np.int64),
             battery=np.full(1, -1.0),
             obstacles=NO_OBSTACLES,
+            odometry_breaks=self._breaks,
         )
 
     def open(self) -> None:
@@ -80,6 +82,7 @@ class OneRobot:
         rows.stamp_s[0] = new.stamp_s
         _write(rows.pose, new.pose or UNKNOWN)
         _write(rows.odometry, new.odometry)
+        self._breaks[0] = new.odometry_breaks
         rows.twist[0, 0] = new.twist.linear_m_s
         rows.twist[0, 1] = new.twist.angular_rad_s
         rows.hazards[0] = int(new.hazards)

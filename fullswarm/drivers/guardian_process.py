@@ -1,15 +1,23 @@
-"""The guardian's own process: holds a serial port for a driver and stops the robot when that driver is silent or gone.
+"""The guardian's own process: stops the robot of a driver that is silent or gone.
 
 Run as a file by :mod:`.guardian` with nothing but Python's own modules, so that it starts in about 20 ms and takes
-10 MB: ``python -I -S guardian_process.py PORT LINK PARK SILENCE``, two open file descriptors, the bytes that stop the
-robot in hexadecimal, and after how many seconds of silence they are sent.
+10 MB. It serves in one of two ways, with two open file descriptors, the port and the link to the driver:
 
-`LINK` is one end of a packet socket. Each packet begins with a kind: 0 "I am alive", 1 bytes for or from the robot,
-2 "I leave" (from the driver), 3 "the port is gone" and why (from here).
+``relay PORT LINK SILENCE PARK``
+    Holds the port alone and passes bytes on; `PARK` are the bytes that stop the robot, in hexadecimal.
+``watch PORT LINK SILENCE``
+    Holds a duplicate of a port (serial, UDP, TCP, CAN) that the driver itself uses, and writes to it only when the
+    driver is silent or gone: the frames that the driver has left here beforehand.
+
+`SILENCE` is after how many seconds the driver counts as silent. `LINK` is one end of a packet socket. Each packet
+begins with a kind: 0 "I am alive", 1 bytes for or from the robot, 2 "I leave" (from the driver), 3 "the port is gone"
+and why (from here), 4 the frames that stop the robot (from the driver, see :func:`plan`), 5 "I have stopped it" (from
+here).
 """
 
 from __future__ import annotations
 
+import _socket  # the module `socket` without its wrapper, which takes as long to import as all the rest
 import errno
 import fcntl
 import os
@@ -19,7 +27,7 @@ import sys
 import termios
 import time
 
-ALIVE, BYTES, BYE, GONE = b"\0", b"\1", b"\2", b"\3"
+ALIVE, BYTES, BYE, GONE, PLAN, STOPPED = b"\0", b"\1", b"\2", b"\3", b"\4", b"\5"
 BEAT_S = 0.05
 STUCK_S = 0.25
 """A port that takes no byte for so long is lost."""
@@ -29,6 +37,9 @@ FAREWELL_S = 0.5
 """At most, for the last words to leave."""
 MOUTHFUL = 512
 PACKET = 65536
+
+Frames = tuple[tuple[float, bytes], ...]
+"""When each frame is due, in seconds, and its bytes."""
 
 
 class Guardian:
@@ -76,12 +87,9 @@ class Guardian:
 
     def _hear(self) -> None:
         """Take what the driver sends; a driver that died has closed its end."""
-        try:
-            packet = os.read(self._link, PACKET)
-        except BlockingIOError:
+        packet = take(self._link)
+        if packet is None:
             return
-        except ConnectionError:
-            packet = b""
         if not packet or packet[:1] == BYE:
             self._driver = False
             self._parks = REPEATS - 1 if packet else 0
@@ -102,10 +110,7 @@ class Guardian:
             self._tell(BYTES + data)
 
     def _tell(self, packet: bytes) -> None:
-        try:
-            os.write(self._link, packet)
-        except (BlockingIOError, ConnectionError):
-            return  # it does not listen: it is late, or gone, which shows when it is heard
+        tell(self._link, packet)
 
     def _stop(self, now_s: float) -> None:
         """Tell the robot to stop, behind whatever is still on its way there."""
@@ -143,12 +148,152 @@ class Guardian:
         return any(fcntl.ioctl(self._port, termios.TIOCOUTQ, bytes(4)))
 
 
+class Watcher:
+    """Writes to a duplicate of a driver's port when that driver is silent or gone; see the module.
+
+    It changes nothing about the port: whether it blocks, for example, belongs to the driver as well.
+    """
+
+    def __init__(self, port: int, link: int, silence_s: float) -> None:
+        self._port, self._link, self._silence_s = port, link, silence_s
+        self._stop: Frames = ()
+        self._leave: Frames = ()
+        self._to: tuple[str, int] | None = None
+        self._socket: _socket.socket | None = None  # the port, where frames need an address
+        self._due: list[tuple[float, bytes]] = []
+        self._stopping = False
+        self._heard_s, self._beat_s = time.monotonic(), -1.0
+        os.set_blocking(link, False)
+
+    def run(self) -> None:
+        """Serve until the driver leaves or is gone; then stop the robot, and let go of the port."""
+        gone = None
+        while gone is None:
+            gone = self._turn()
+        if gone:
+            self._begin(self._stop + self._leave)
+        while gone and self._due:
+            wait_s = self._due[0][0] - time.monotonic()
+            if wait_s > 0.0:
+                time.sleep(wait_s)
+            self._send()
+
+    def _turn(self) -> bool | None:
+        """Wait and act once; return whether the driver is gone (True) or has left (False)."""
+        now_s = time.monotonic()
+        next_s = now_s + BEAT_S if self._stopping else min(now_s + BEAT_S, self._heard_s + self._silence_s)
+        next_s = min(next_s, self._due[0][0]) if self._due else next_s
+        poll = select.poll()
+        poll.register(self._link, select.POLLIN)
+        if poll.poll(max(1.0, (next_s - now_s) * 1000.0)):
+            packet = take(self._link)
+            if packet is not None and packet[:1] in (b"", BYE):
+                return not packet
+            if packet is not None:
+                self._hear(packet)
+        now_s = time.monotonic()
+        if self._stop and not self._stopping and now_s - self._heard_s >= self._silence_s:
+            self._stopping = True
+            tell(self._link, STOPPED)
+            self._begin(self._stop)
+        self._send()
+        if now_s - self._beat_s >= BEAT_S:
+            self._beat_s = now_s
+            tell(self._link, ALIVE)
+        return None
+
+    def _hear(self, packet: bytes) -> None:
+        """Take a word of a driver that lives: it is in charge again."""
+        self._heard_s, self._stopping = time.monotonic(), False
+        self._due.clear()
+        if packet[:1] == PLAN:
+            self._stop, self._leave, self._to = understood(packet)
+            if self._to is not None and self._socket is None:
+                self._socket = _socket.socket(fileno=self._port)
+
+    def _begin(self, frames: Frames) -> None:
+        now_s = time.monotonic()
+        self._due = [(now_s + after_s, data) for after_s, data in frames]
+
+    def _send(self) -> None:
+        """Write the frames that are due; one that the port does not take now is not waited for."""
+        poll = select.poll()
+        poll.register(self._port, select.POLLOUT)
+        while self._due and self._due[0][0] <= time.monotonic():
+            _, data = self._due.pop(0)
+            try:
+                if not any(ready & select.POLLOUT for _, ready in poll.poll(0.0)):
+                    continue
+                if self._socket is not None and self._to is not None:
+                    self._socket.sendto(data, self._to)
+                else:
+                    left = os.write(self._port, data)
+                    if left < len(data):
+                        self._due.insert(0, (0.0, data[left:]))
+            except OSError:
+                continue  # a refused datagram, or a port that is gone: the next frame will show
+
+
+def plan(stop: Frames, leave: Frames = (), to: tuple[str, int] | None = None) -> bytes:
+    """Return the packet that leaves frames with a watcher.
+
+    Parameters
+    ----------
+    stop
+        What stops the robot: sent when the driver is silent or gone.
+    leave
+        What follows if it is gone for good.
+    to
+        Host and port, for a socket that is not connected.
+    """
+    address = b"" if to is None else f"{to[1]} {to[0]}".encode()
+    packet = PLAN + bytes([len(address)]) + address
+    for kind, frames in enumerate((stop, leave)):
+        for after_s, data in frames:
+            packet += bytes([kind]) + round(after_s * 1000.0).to_bytes(2) + len(data).to_bytes(2) + data
+    return packet
+
+
+def understood(packet: bytes) -> tuple[Frames, Frames, tuple[str, int] | None]:
+    """Return what :func:`plan` has packed."""
+    start = 2 + packet[1]
+    port, _, host = packet[2:start].decode().partition(" ")
+    frames: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]] = ([], [])
+    while start < len(packet):
+        after_s, size = int.from_bytes(packet[start + 1 : start + 3]) / 1000.0, packet[start + 3 : start + 5]
+        end = start + 5 + int.from_bytes(size)
+        frames[packet[start]].append((after_s, packet[start + 5 : end]))
+        start = end
+    return tuple(frames[0]), tuple(frames[1]), (host, int(port)) if host else None
+
+
+def take(link: int) -> bytes | None:
+    """Return the driver's next packet: empty when it is gone, None when there is none."""
+    try:
+        return os.read(link, PACKET)
+    except BlockingIOError:
+        return None
+    except ConnectionError:
+        return b""
+
+
+def tell(link: int, packet: bytes) -> None:
+    """Say something to the driver."""
+    try:
+        os.write(link, packet)
+    except (BlockingIOError, ConnectionError):
+        return  # it does not listen: it is late, or gone, which shows when it is heard
+
+
 def main(arguments: list[str]) -> None:
     """Serve; the driver alone decides when it is over, not who ends a group of processes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    port, link, park, silence_s = arguments
-    Guardian(int(port), int(link), bytes.fromhex(park), float(silence_s)).run()
+    way, port, link, silence_s, *park = arguments
+    if way == "watch":
+        Watcher(int(port), int(link), float(silence_s)).run()
+    else:
+        Guardian(int(port), int(link), bytes.fromhex(park[0]), float(silence_s)).run()
 
 
 if __name__ == "__main__":

@@ -30,15 +30,22 @@ FAREWELL_S = 0.5
 MOUTHFUL = 512
 """Bytes handed over at once: a user works under a lock that must not be held long."""
 
+PATIENCE_S = 1.0
+"""An open port that cannot be used yet for so long is told as a fault, with what it waits for."""
+
 ByteLog = Callable[[str, bytes], None]
 """Called with ``"<"`` (from the robot) or ``">"`` and the bytes, on the link thread."""
+
+
+class HolderLost(OSError):
+    """The process that holds the port is gone, not the port."""
 
 
 class LinkUser(Protocol):
     """What a driver does with a link; called on the link thread, except for the first `linked`, within open()."""
 
     def linked(self) -> None:
-        """Take note that the port has been opened (again)."""
+        """Take note that the port has been opened (again), or can be used now."""
         ...
 
     def received(self, data: bytes) -> None:
@@ -56,6 +63,11 @@ class LinkUser(Protocol):
 
 class Port(Protocol):
     """An open port as the link uses it; nothing here blocks, ``OSError`` means that the port is gone."""
+
+    @property
+    def waits_for(self) -> str:
+        """What must come before it can be used, for people; empty: nothing."""
+        ...
 
     @property
     def out_waiting(self) -> int:
@@ -92,6 +104,11 @@ class PlainPort:
 
     def __init__(self, path: str, baud: int) -> None:
         self._port = claim(path, baud)
+
+    @property
+    def waits_for(self) -> str:
+        """Nothing."""
+        return ""
 
     @property
     def out_waiting(self) -> int:
@@ -218,7 +235,33 @@ class SerialLink:
         if reason:
             self._user.lost(reason)
 
+    def _await(self, port: Port) -> bool:
+        """Wait until the port can be used; return False when it is gone, or it is time to leave."""
+        if not port.waits_for:
+            return True
+        began_s, told = self._clock.now_s(), False
+        poll = select.poll()
+        poll.register(self._wake_r, select.POLLIN)
+        poll.register(port.fileno(), select.POLLIN)
+        while port.waits_for and not self._stopping:
+            self._drain_wakes(self._wake_r in dict(poll.poll(self._tick_s * 1000.0)))
+            try:
+                port.read(MOUTHFUL)
+                port.beat()
+            except OSError as error:
+                self._lose(error)
+                return False
+            if not told and self._clock.now_s() - began_s > PATIENCE_S:
+                told = True
+                self._user.lost(port.waits_for)
+        with self._lock:
+            self._outbox.clear()  # what was said into the void meanwhile
+        self._user.linked()
+        return not self._stopping
+
     def _serve(self, port: Port) -> None:
+        if not self._await(port):
+            return
         self._moved_s = self._clock.now_s()
         poll = select.poll()
         poll.register(self._wake_r, select.POLLIN)
@@ -231,7 +274,7 @@ class SerialLink:
                 data = self._exchange(port, events.get(descriptor, 0))
                 port.beat()
             except OSError as error:
-                self._lose(_reason(error))
+                self._lose(error)
                 return
             if data:
                 self._user.received(data)
@@ -279,9 +322,13 @@ class SerialLink:
             self._port = port
         self._user.linked()
 
-    def _lose(self, reason: str) -> None:
+    def _lose(self, error: OSError) -> None:
         self._let_go()
-        self._user.lost(f"the port is gone ({reason}): plug it in again; the driver keeps trying to open it")
+        if isinstance(error, HolderLost):
+            self._user.lost(f"{_reason(error)}; the driver starts another one")
+        else:
+            gone = f"the port is gone ({_reason(error)})"
+            self._user.lost(f"{gone}: plug it in again; the driver keeps trying to open it")
 
     def _let_go(self) -> None:
         with self._lock:

@@ -16,7 +16,7 @@ from rich.table import Table
 from fullswarm import registry
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import STAND, Description, Driver, Lifecycle
-from fullswarm.drivers.guardian import guarded_url
+from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
 from fullswarm.launch.bench import Bench
 from fullswarm.launch.bring_up_steps import Step, steps
@@ -47,7 +47,7 @@ def run(url: str, *, speed_m_s: float, confirmed: bool, ready_s: float, as_json:
     DriverError
         The port cannot be had.
     """
-    driver: Driver = registry.driver_class(url)(guarded_url(url))
+    driver: Driver = guarded(registry.driver_class(url)(url))
     description = driver.description
     if speed_m_s > description.limits.speed_m_s:
         hint = f"its limit is {description.limits.speed_m_s:.2f} m/s"

@@ -62,14 +62,14 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     from fullswarm.agent.latch_folder import LatchFolder
     from fullswarm.agent.node import Identity
     from fullswarm.drivers.fleet import OneRobot
-    from fullswarm.drivers.guardian import guarded_url
+    from fullswarm.drivers.guardian import guarded
     from fullswarm.launch import nodes
     from fullswarm.launch.latching import latch_folder
     from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
-    url = guarded_url(driver_url(config, entry))
-    fleet = OneRobot(robot, registry.driver_class(url)(url))
+    url = driver_url(config, entry)
+    fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)))
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
         identity = Identity(robot, process_id(robot))

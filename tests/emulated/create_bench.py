@@ -37,7 +37,8 @@ class Bench:
         self.ear = protocol.CommandParser(generation)
         self.wire = bytearray()
         self.sent = bytearray()
-        self.cut = False
+        self.cut = False  # the robot is not heard
+        self.pulled = False  # nor does it hear: the cable is out
         self.session.send = self.wire.extend
         self.session.linked(0.0)
 
@@ -62,8 +63,8 @@ class Bench:
             told = bytes(self.wire)
             self.wire.clear()
             self.sent += told
-            said = self.robot.receive(told, now_s) + self.robot.step(now_s)
-            if said and not self.cut:
+            said = self.robot.receive(b"" if self.pulled else told, now_s) + self.robot.step(now_s)
+            if said and not (self.cut or self.pulled):
                 self.session.received(said, now_s)
             self.session.tick(now_s)
 

@@ -228,12 +228,9 @@ def test_silence_is_a_fault_that_mends_itself_but_never_to_active() -> None:
     assert "silent" in bench.session.fault
     assert bench.wheels == (0.0, 0.0)  # the way to the robot still works: it was told to stop
     assert bench.session.command(GO, bench.clock.now_s()) == STAND
-    before = bench.reading.odometry
-    bench.body.push(0.02, 0.0)
     bench.cut = False
     bench.run(1.0, GO)
     assert bench.at(Lifecycle.READY)
-    assert bench.reading.odometry == before  # what happened in the dark is not guessed
     assert bench.session.fault == ""
     assert bench.robot_in(Mode.PASSIVE)
 
@@ -370,3 +367,81 @@ def test_a_bad_wire_cannot_keep_the_robot_driving(baud: int) -> None:
         bench.run(1.5)
         assert bench.wheels == (0.0, 0.0), round_
         assert bench.at(Lifecycle.ACTIVE)
+
+
+def driven_into_a_gap(gap_s: float, generation: Generation = CREATE2, *, pulled: bool, start: int = 300) -> Bench:
+    """Drive a robot, lose it for a while, and have it back."""
+    bench = Bench(generation, encoders=(start, start)).active()
+    bench.run(1.0, GO)
+    bench.cut, bench.pulled = not pulled, pulled
+    bench.run(gap_s, GO)
+    bench.cut = bench.pulled = False
+    bench.run(1.0)
+    assert bench.at(Lifecycle.READY)
+    return bench
+
+
+@pytest.mark.parametrize("generation", [ROOMBA500, CREATE2])
+@pytest.mark.parametrize(("gap_s", "pulled"), [(0.7, False), (0.7, True), (3.0, True)])
+def test_odometry_holds_what_the_robot_drove_while_nobody_heard_it(
+    generation: Generation, gap_s: float, pulled: bool
+) -> None:
+    bench = driven_into_a_gap(gap_s, generation, pulled=pulled, start=65000)  # and its counts wrap meanwhile
+    state = bench.body.state()
+    assert state.rolled_m > 0.3 + 0.3 * min(gap_s, 0.5)
+    assert close_to(bench.reading.odometry, state, state.rolled_m)
+    assert bench.reading.odometry_breaks == 0
+    assert bench.reading.twist.linear_m_s == 0.0
+
+
+def test_a_restart_in_a_gap_is_a_break_in_the_odometry_and_no_motion() -> None:
+    bench = Bench().active()
+    bench.run(1.0, GO)
+    before, state = bench.reading.odometry, bench.body.state()
+    bench.robot.reboot(bench.clock.now_s())
+    bench.run(3.0)
+    assert bench.at(Lifecycle.READY)
+    assert bench.session.firmware.endswith("3.5.4")  # its text has been heard
+    assert bench.reading.odometry_breaks == 1
+    assert bench.reading.odometry == before
+    bench.pulled = True
+    bench.robot.reboot(bench.clock.now_s())
+    bench.run(3.0)  # its text goes into the void
+    bench.pulled = False
+    bench.run(1.0)
+    assert bench.at(Lifecycle.READY)
+    assert bench.reading.odometry == before
+    assert close_to(before, state, state.rolled_m)
+
+
+def test_counts_that_began_anew_in_the_dark_are_a_break_and_no_way_back() -> None:
+    bench = Bench().active()
+    bench.run(1.0, GO)  # 700 counts: as far back as it may have driven in the gap
+    before = bench.reading.odometry
+    bench.pulled = True
+    bench.robot.reboot(bench.clock.now_s())
+    bench.run(3.0)
+    bench.pulled = False
+    bench.run(1.0)
+    assert bench.at(Lifecycle.READY)
+    assert bench.reading.odometry_breaks == 1
+    assert bench.reading.odometry == before
+
+
+def test_a_gap_in_which_the_counts_may_have_wrapped_is_a_break() -> None:
+    bench = driven_into_a_gap(40.0, pulled=True)
+    assert bench.reading.odometry_breaks == 1
+    standing = Bench().active()
+    standing.run(1.0, GO)
+    standing.session.deactivate(standing.clock.now_s())
+    standing.run(0.1)
+    standing.pulled = True
+    standing.run(40.0)
+    standing.pulled = False
+    standing.run(1.0)
+    assert standing.reading.odometry_breaks == 0  # it stood, and its counts say so
+
+
+def test_a_create_1_forgets_what_it_has_told_nobody() -> None:
+    bench = driven_into_a_gap(0.7, CREATE1, pulled=True)
+    assert bench.reading.odometry_breaks == 1

@@ -54,7 +54,7 @@ SETTINGS: dict[str, Any] = {
 }  # fmt: skip
 
 DEVICE_S = {"s1": 0.3, "c1": math.inf, "m1": 3.0, "o1": 0.5, "v1": 1.0}
-"""What each device's own watchdog takes; a Create has none."""
+"""What each device's own watchdog takes; a Create has none. Those above 0.5 s have a guardian besides."""
 GUARDIAN_S = 0.3
 
 
@@ -135,14 +135,16 @@ class Rig:
         return float(self.node.world.pose[self.node.world.row(robot)][0])
 
     def kill_guardian(self, robot: str) -> None:
-        """Kill the process that holds a robot's port."""
-        device = Path(self.emulator(robot).port).resolve()
-        for process in Path("/proc").glob("[0-9]*"):
-            if int(process.name) == os.getpid():
-                continue
+        """Kill the process that watches over a robot's port, a child of its agent's."""
+        process, found = self.swarm.supervisor.children[robot].process, 0
+        assert process is not None
+        for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):  # ended meanwhile, or somebody else's
-                if any(entry.readlink() == device for entry in (process / "fd").iterdir()):
-                    os.kill(int(process.name), signal.SIGKILL)
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == process.pid and b"guardian_process" in (entry / "cmdline").read_bytes():
+                    os.kill(int(entry.name), signal.SIGKILL)
+                    found += 1
+        assert found == 1, f"{found} guardians of {robot}"
 
     def place(self, robot: str, x_m: float) -> None:
         """Carry a robot along its lane."""
@@ -224,14 +226,18 @@ SENSOR_S = {"s1": 0.02, "c1": 0.015, "m1": 0.05, "o1": 0.05, "v1": 0.05}
 BATTERY_S = {"c1": 0.015, "m1": 0.25, "o1": 1.0, "v1": 0.02}
 """How often it tells, or its driver asks, how full the battery is."""
 REPLACED_S = 0.45
-"""A guardian that is killed: a quarter of a second until the next try, its start, the first words."""
+"""A guardian that is killed: a quarter of a second until the next try and the first words."""
 BATTERY = {robot: sensor_s + PERIOD_S for robot, sensor_s in BATTERY_S.items()}
 REFLEX = {robot: sensor_s + PERIOD_S for robot, sensor_s in SENSOR_S.items()}
 ALONE = {"m1": "the firmware's own time-out", "o1": "the axis' own watchdog", "v1": "the controller's own time-out"}
-GUARDED = {"c1": "its guardian", "s1": "the world's watchdog", **ALONE}
+WATCHED = ("c1", "m1", "v1")
+GUARDED = {"s1": "the world's watchdog", **ALONE, **dict.fromkeys(WATCHED, "its guardian")}
 OWN = {robot: wait_s + 3.0 * PERIOD_S for robot, wait_s in DEVICE_S.items()}
 """The last set-point is on its way, is heard, and is seen to be old: a loop of the emulated firmware each."""
-DIES = {**OWN, "s1": DEVICE_S["s1"] + PERIOD_S, "c1": GUARDIAN_S + PERIOD_S}
+DIES = {
+    **OWN, "s1": DEVICE_S["s1"] + PERIOD_S, "c1": GUARDIAN_S + PERIOD_S,
+    **dict.fromkeys(("m1", "v1"), GUARDIAN_S + 3.0 * PERIOD_S),
+}  # fmt: skip
 NO_SENSOR = "no such sensor"
 
 FAULTS = {
@@ -263,8 +269,11 @@ FAULTS = {
               DIES, notes=GUARDED),
         Fault("agent SIGSTOP", to_agent(signal.SIGSTOP), to_agent(signal.SIGCONT), DIES, notes=GUARDED),
         Fault(
-            "guardian SIGKILL", each(lambda rig, robot: rig.kill_guardian(robot)), nothing, REPLACED_S, ("c1",),
-            "it needs no guardian", notes={"c1": "its driver starts another one, whose first words are zero"},
+            "guardian SIGKILL", each(lambda rig, robot: rig.kill_guardian(robot)), nothing, REPLACED_S, WATCHED,
+            "it needs no guardian", notes={
+                "c1": "its driver opens the port again, and its first words are zero",
+                **dict.fromkeys(("m1", "v1"), "its driver stops it, until another one watches"),
+            },
         ),
         Fault("bump", nothing, bound_s=REFLEX, robots=("s1", "c1"), lacking=NO_SENSOR, start_m=BOX_M - 1.4,
               from_mark=True),
@@ -316,7 +325,8 @@ def quick_rounds() -> list[Round]:
         {"c1": "agent SIGKILL", "s1": "bump", "m1": "low battery", "o1": "agent SIGKILL", "v1": "low battery"},
         {"c1": "cliff", "s1": "agent SIGSTOP"},
         {"c1": "wheel drop", "o1": "clock jump"},
-        {"c1": "guardian SIGKILL"},
+        {"c1": "guardian SIGKILL", "m1": "agent SIGKILL", "v1": "agent SIGSTOP"},
+        {"m1": "guardian SIGKILL", "v1": "guardian SIGKILL"},
         {"s1": "frozen simulation clock"},
     ]
     together = ("command time-to-live", "hub lost", "e-stop", "core heartbeat")  # the slowest to mend comes last

@@ -11,7 +11,7 @@ import pytest
 from fullswarm.agent.estimator import DirectEstimator, Estimator
 from fullswarm.agent.track import Fix, Verdict
 from fullswarm.drivers.base import Pose
-from tests.unit.estimator_run import FIX_M, MAKES, TICK_S, Run, both, reading
+from tests.unit.estimator_run import FIX_M, FIX_RAD, MAKES, TICK_S, Run, both, reading
 
 
 # ---------------------------------------------------------------- odometry alone
@@ -86,3 +86,25 @@ def test_the_direct_estimator_keeps_its_own_heading_then() -> None:
     for x_m in (1.0, 1.01):
         assert estimator.take(0, Fix(1.0, Pose(x_m, 2.0, 0.0), 0.01, math.pi)).verdict is Verdict.ACCEPTED
     assert estimator.update(reading(1.0, [0.0, 0.0, 0.7]), TICK_S)[0] == pytest.approx([1.01, 2.0, 0.7])
+
+
+@both
+def test_a_break_in_the_odometry_widens_the_doubt_by_what_may_have_happened(make: Callable[[], Estimator]) -> None:
+    run = Run(make(), 3)
+    for _ in range(50):
+        run.tick()
+        run.fix()
+    before = run.estimator.sigma(0)
+    after = reading(run.now_s + 2.0, run.odometry)
+    after.odometry_breaks = np.array([2])  # of two, one reading was lost
+    pose = run.estimator.update(after, TICK_S)[0]
+    position_m, heading_rad = run.estimator.sigma(0)
+    assert position_m == pytest.approx(2.0 * 0.5 / math.sqrt(3.0), rel=0.1)  # 2 s at 0.5 m/s, either way
+    assert heading_rad == pytest.approx(math.pi / math.sqrt(3.0), rel=0.05)
+    again = reading(run.now_s + 2.1, run.odometry)
+    again.odometry_breaks = np.array([2])
+    assert run.estimator.update(again, TICK_S)[0] == pytest.approx(pose)
+    assert run.estimator.sigma(0)[0] < 1.1 * position_m  # the same break counts once
+    far = Pose(pose[0] + 0.8, pose[1] - 0.5, pose[2] + 1.0)
+    assert run.estimator.take(0, Fix(run.now_s + 2.1, far, FIX_M, FIX_RAD)).verdict is Verdict.ACCEPTED
+    assert run.estimator.sigma(0)[0] < 2.0 * max(before[0], FIX_M)

@@ -16,22 +16,27 @@ from typing import NoReturn
 
 import pytest
 
+from fullswarm import registry
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.base import Lifecycle, Twist
+from fullswarm.drivers.base import Description, Lifecycle, Limits, Twist
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.create_oi.session import PARK
 from fullswarm.drivers.fleet import OneRobot
-from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, guarded_url
+from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPlan, guarded
 from fullswarm.drivers.guardian_process import REPEATS
+from fullswarm.drivers.link import HolderLost
 from fullswarm.errors import DriverError
+from fullswarm.operator.console.advice import of_fault
 
 CLOCK = MonotonicClock()
 LOOK_S = 0.15
 """For a busy machine to run us."""
 START_S = 15.0
 PACE_M_S = 0.2
+ODRIVE = "left=1&right=2&wheel_radius=0.05&base=0.3"
+VESC = f"{ODRIVE}&gear=10&pole_pairs=7"
 
 
 def until(condition: Callable[[], bool], timeout_s: float, each: Callable[[], object] = lambda: None) -> float:
@@ -53,7 +58,7 @@ def puppet(robot: CreateEmulator) -> Iterator[subprocess.Popen[bytes]]:
     kind, paths = CreateDriver, os.pathsep.join(each for each in sys.path if each)
     command = [
         sys.executable, "-m", "fullswarm.testing.drives_on", f"{kind.__module__}:{kind.__qualname__}",
-        guarded_url(robot.url), repr(PACE_M_S),
+        f"{robot.url}&guardian=1", repr(PACE_M_S),
     ]  # fmt: skip
     with subprocess.Popen(command, env=os.environ | {"PYTHONPATH": paths}, stdin=subprocess.DEVNULL) as process:
         try:
@@ -102,7 +107,7 @@ def test_a_driver_that_is_paused_and_goes_on() -> None:
 @contextmanager
 def active(robot: CreateEmulator) -> Iterator[tuple[CreateDriver, Callable[[], object]]]:
     """Yield a guarded driver whose robot drives, and what keeps it driving."""
-    driver = CreateDriver(guarded_url(robot.url))
+    driver = guarded(CreateDriver(robot.url))
     driver.open()
     try:
         until(lambda: driver.state is Lifecycle.READY, 5.0)
@@ -157,6 +162,24 @@ def test_a_cable_that_is_pulled_behind_the_guardian() -> None:
         assert wheels(robot) == (0, 0)
 
 
+def test_why_the_port_is_gone_comes_before_the_guardian_s_own_end() -> None:
+    master, slave = os.openpty()
+    guarded = GuardedPort(os.ttyname(slave), 115200, PARK)
+    try:
+        until(lambda: guarded.read(512) == b"" and not guarded.waits_for, 5.0)
+        os.close(master)
+        os.close(slave)
+        state = Path(f"/proc/{guarded.pid}/stat")
+        until(lambda: state.read_text().rpartition(")")[2].split()[0] == "Z", 2.0)  # its words and its end wait here
+        with pytest.raises(OSError, match=r"Input/output error|hung up") as gone:
+            guarded.read(512)
+        assert not isinstance(gone.value, HolderLost)
+        with pytest.raises(HolderLost):
+            guarded.read(512)
+    finally:
+        guarded.close()
+
+
 def open_files() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
@@ -190,7 +213,7 @@ def test_a_computer_without_room_for_another_guardian_stops_the_robot_and_recove
 @pytest.mark.parametrize("lacking", ["guardian.subprocess.Popen", "guardian.socket.socketpair", "link.os.pipe2"])
 def test_a_computer_without_room_is_a_fault_that_passes(monkeypatch: pytest.MonkeyPatch, lacking: str) -> None:
     with CreateEmulator() as robot:
-        fleet = OneRobot("r1", CreateDriver(guarded_url(robot.url)))
+        fleet = OneRobot("r1", guarded(CreateDriver(robot.url)))
         try:
             with monkeypatch.context() as short:
                 short.setattr(f"fullswarm.drivers.{lacking}", no_room)
@@ -232,10 +255,10 @@ def test_a_silent_driver_is_told_nothing_old_when_it_speaks_again() -> None:
             said += heard(master)
 
         try:
-            guarded.write(b"go")
-            took_s = until(lambda: said.count(PARK) == REPEATS, 2.0, listen)
+            guarded.write(b"go")  # it counts from here: the guardian hears it first of all
+            took_s = until(lambda: said.count(PARK) == 1 + REPEATS, 2.0, listen)
             assert SILENCE_S <= took_s < SILENCE_S + 0.2 + LOOK_S
-            assert said == b"go" + PARK * REPEATS
+            assert said == PARK + b"go" + PARK * REPEATS  # the first one from who opened the port
             os.write(master, b"old")
             select.select([], [], [], 2 * 0.05)  # the guardian looks each 50 ms
             guarded.write(b"back")
@@ -254,13 +277,45 @@ def test_a_silent_driver_is_told_nothing_old_when_it_speaks_again() -> None:
             guarded.close()
 
 
+def test_a_watched_port_gets_what_was_left_for_it_and_nothing_while_nobody_drives() -> None:
+    with port() as (master, path):
+        descriptor, said = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), b""
+        guardian = Guardian()
+
+        def listen() -> None:
+            nonlocal said
+            said += heard(master)
+
+        def fall_silent(duration_s: float) -> None:
+            limit_s = CLOCK.now_s() + duration_s
+            until(lambda: CLOCK.now_s() > limit_s, duration_s + 1.0, listen)
+
+        try:
+            guardian.watch(descriptor)
+            assert "starting" in guardian.trouble
+            until(lambda: not guardian.trouble, 5.0, guardian.beat)
+            fall_silent(SILENCE_S + 0.3)
+            assert not guardian.beat()
+            guardian.stop_with(StopPlan(((0.0, b"stop."), (0.1, b"again.")), ((0.0, b"off."),)))
+            until(lambda: said == b"stop.again.", 2.0, listen)
+            assert guardian.beat()  # it says that it has stopped the robot, once
+            assert not guardian.beat()
+            guardian.stop_with(None)
+            fall_silent(SILENCE_S + 0.3)
+            assert said == b"stop.again."
+        finally:
+            guardian.release()
+            os.close(descriptor)
+        assert not guardian.watching
+
+
 def test_it_is_small_and_starts_at_once() -> None:
     with port() as (master, path):
         began_s = CLOCK.now_s()
         guarded = GuardedPort(path, 115200, PARK)
         try:
             guarded.write(b"x")
-            until(lambda: heard(master) == b"x", 2.0, guarded.beat)
+            until(lambda: heard(master).endswith(b"x"), 2.0, guarded.beat)
             assert CLOCK.now_s() - began_s < 0.3
             status = Path(f"/proc/{guarded.pid}/status").read_text()
             resident_kb = int(status.partition("VmRSS:")[2].split()[0])
@@ -283,14 +338,88 @@ def test_a_port_that_is_held_or_missing_is_said_as_without_a_guardian() -> None:
         GuardedPort("/dev/ttyNONE", 115200, PARK)
 
 
+@pytest.fixture
+def slow_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[int]]:
+    """Let an interpreter need 3 s to start, as on a small board that is busy; return what names those started."""
+    starts, wrapper = tmp_path / "starts", tmp_path / "python"
+    wrapper.write_text(f'#!/bin/sh\necho $$ >> {starts}\nsleep 3\nexec {sys.executable} "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(wrapper))
+    return lambda: [int(each) for each in starts.read_text().split()]
+
+
+def test_a_guardian_that_needs_three_seconds_to_start_is_waited_for(slow_starts: Callable[[], list[int]]) -> None:
+    with CreateEmulator() as robot:
+        driver, began_s = guarded(CreateDriver(robot.url)), CLOCK.now_s()
+        faults = set[str]()
+        driver.open()
+        try:
+            until(lambda: driver.state is Lifecycle.READY, START_S, lambda: faults.add(driver.fault))
+            assert CLOCK.now_s() - began_s > 3.0
+            assert slow_starts() == guardians(robot)
+            assert len(slow_starts()) == 1
+            [fault] = faults - {""}
+            assert "still starting" in fault
+            assert "cable" not in fault
+            assert "overloaded" in of_fault(fault)
+            driver.activate()
+            until(lambda: driver.state is Lifecycle.ACTIVE, 2.0)
+        finally:
+            driver.close()
+
+
+def test_a_guardian_that_ends_before_its_first_word_is_tried_ever_less_often_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts, broken = tmp_path / "starts", tmp_path / "python"
+    broken.write_text(f"#!/bin/sh\necho >> {starts}\nexit 3\n")
+    broken.chmod(0o755)
+    with CreateEmulator() as robot:
+        driver = guarded(CreateDriver(robot.url))
+        with monkeypatch.context() as context:
+            context.setattr(sys, "executable", str(broken))
+            driver.open()
+        try:
+            with monkeypatch.context() as context:
+                context.setattr(sys, "executable", str(broken))
+                limit_s = CLOCK.now_s() + 4.0
+                until(lambda: CLOCK.now_s() > limit_s, 5.0)
+                assert "ended with exit code 3 before it was ready" in driver.fault
+                assert "cable" not in driver.fault
+                assert 3 <= len(starts.read_text()) <= 6  # four a second would be 16
+            until(lambda: driver.state is Lifecycle.READY, 8.0)  # a whole Python again
+        finally:
+            driver.close()
+
+
 @pytest.mark.parametrize(
-    ("url", "guarded"),
+    ("url", "watched"),
     [
-        ("create:///dev/ttyUSB0", "create:///dev/ttyUSB0?guardian=1"),
-        ("create:///dev/ttyUSB0?model=create1", "create:///dev/ttyUSB0?model=create1&guardian=1"),
-        ("create:///dev/ttyUSB0?guardian=0", "create:///dev/ttyUSB0?guardian=0"),
-        ("sim://r1", "sim://r1"),
+        ("create:///dev/ttyUSB0", True),
+        ("create:///dev/ttyUSB0?guardian=0", False),
+        ("mavlink+udp://127.0.0.1:14550", True),
+        ("mavlink+tcp://127.0.0.1:5760?autopilot=px4", True),
+        ("mavlink+serial:///dev/ttyACM0?guardian=0", False),
+        (f"can+vesc://vcan0?{VESC}", True),
+        (f"can+vesc://vcan0?{VESC}&watchdog=0.5", False),
+        (f"can+odrive://vcan0?{ODRIVE}", True),
+        (f"can+odrive://vcan0?{ODRIVE}&watchdog=0.5", False),
+        ("sim://127.0.0.1:4000/r1", False),
     ],
 )
-def test_which_urls_get_a_guardian(url: str, guarded: str) -> None:
-    assert guarded_url(url) == guarded
+def test_whose_own_watchdog_is_missing_or_slow_gets_a_guardian(url: str, watched: bool) -> None:
+    driver = guarded(registry.driver_class(url)(url))
+    assert getattr(driver, "_guarded", False) is watched
+
+
+def test_a_driver_from_outside_gets_a_guardian_by_what_it_states() -> None:
+    class Outside:
+        def __init__(self, watchdog_s: float | None) -> None:
+            limits = Limits(1.0, 1.0, 1.0, 1.0)
+            self.description = Description("a", "b", 0.2, limits, watchdog_s=watchdog_s)
+            self.asked = 0
+
+        def guard(self) -> None:
+            self.asked += 1
+
+    assert [guarded(Outside(each)).asked for each in (None, 0.2, 0.5, 0.6)] == [1, 0, 0, 1]

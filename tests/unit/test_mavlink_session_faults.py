@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fullswarm.drivers.base import STAND, Lifecycle
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle
+from fullswarm.drivers.guardian_process import Frames
 from fullswarm.drivers.mavlink.codec import Encoder, StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.rover import parameters
@@ -154,3 +155,65 @@ def test_a_failsafe_s_action_that_is_changed_while_driving_stops_the_rover() -> 
     bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 0.2, bench.drive)
     assert "FS_ACTION 1 is RTL" in bench.session.fault
     bench.until(lambda: not bench.rover.armed and bench.rover.mode == Mode.HOLD, 3.0, bench.drive)
+
+
+def stopped_with(bench: ArduBench, frames: Frames) -> None:
+    """Let a guardian's frames arrive."""
+    parser = StreamParser()
+    for _, frame in frames:
+        for message in parser.feed(frame):
+            bench.rover.receive(message, bench.now_s)
+
+
+def test_what_a_guardian_is_left_with_holds_and_then_disarms_what_we_drive_and_nothing_else() -> None:
+    bench = ArduBench()
+
+    def watched() -> bool:
+        return bench.session.stop_kind is not None
+
+    bench.ready()
+    assert not watched()  # a pilot may drive it
+    bench.session.activate(bench.now_s)
+    bench.run(0.02)
+    arming = bench.session.stop_plan()  # before the arm command is on its way
+    assert watched()
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE)
+    plan = bench.session.stop_plan()
+    assert len(arming.stop) < len(plan.stop)  # a set-point would be stored, and driven when it arms
+    bench.run(1.0, bench.drive)
+    stopped_with(bench, plan.stop)
+    assert (bench.rover.mode, bench.rover.armed) == (Mode.HOLD, True)
+    stopped_with(bench, plan.leave)
+    assert not bench.rover.armed
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0)
+    assert not watched()  # it is somebody else's now
+
+
+def test_our_own_guardian_s_stop_is_a_fault_that_says_so_and_no_pilot_s() -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    stopped_with(bench, bench.session.stop_plan().stop)
+    bench.session.stopped_by_guardian(bench.now_s)  # its word comes before the vehicle's
+    assert "its guardian stopped it" in bench.session.fault
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0, bench.drive)
+    assert not bench.rover.armed
+    reading = bench.session.reading()
+    assert reading is not None
+    assert not reading.hazards & Hazard.ESTOP_BUTTON
+    bench.session.stopped_by_guardian(bench.now_s)  # a late word of a guardian changes nothing for one that stands
+    assert bench.session.lifecycle is Lifecycle.READY
+
+
+def test_a_rover_that_nothing_watches_over_is_not_driven() -> None:
+    bench = ArduBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    bench.session.unguarded = "its guardian has ended"
+    bench.run(0.02, bench.drive)
+    assert bench.session.lifecycle is Lifecycle.FAULT
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.OPEN, 5.0, bench.insist)
+    assert "its guardian has ended" in bench.session.unfit
+    assert not bench.rover.armed
+    bench.session.unguarded = ""
+    bench.ready()

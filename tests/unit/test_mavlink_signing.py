@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.base import Lifecycle, Limits
 from fullswarm.drivers.mavlink.autopilot import ArduPilot
-from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, StreamParser, decoded_ids, dialect
+from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, StationEncoder, StreamParser, decoded_ids, dialect
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options, read_settings
@@ -132,6 +132,17 @@ def test_finding_the_peer_does_not_use_up_its_timestamp() -> None:
 
 
 # ---------------------------------------------------------------- timestamps
+def test_a_guardian_signs_on_a_link_of_its_own_so_that_frames_made_before_are_no_replay() -> None:
+    ours, vehicle = signing(), signing()
+    station = StationEncoder(255, 190, 1, ours.signer())
+    guardian = StationEncoder(255, 190, 1, ours.signer(guardian=True))
+    beforehand = [guardian.arm(False), guardian.arm(False)]
+    assert vehicle.accept(station.heartbeat(), 255, 190)  # newer than what waits with the guardian
+    assert [vehicle.accept(each, 255, 190) for each in beforehand] == [True, True]
+    assert not vehicle.accept(beforehand[0], 255, 190)
+    assert beforehand[0][-13] == 128
+
+
 def test_timestamps_only_grow_over_restarts_crashes_and_a_clock_set_back(tmp_path: Path) -> None:
     wall, path, seen = Wall(), tmp_path / "deep" / "state", []
     for step_s, crash in ((0.0, False), (1.0, True), (-500.0, True), (0.0, False), (400.0, False), (200.0, True)):

@@ -13,6 +13,7 @@ from fullswarm.drivers.can.machine import BaseMachine
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
+from fullswarm.drivers.guardian import Guardian, StopPlan
 from fullswarm.errors import DriverError, FullswarmError, LinkLost, MissingExtra
 
 PERIOD_S = 0.02  # of the set-points
@@ -30,8 +31,9 @@ class CanBaseDriver:
 
     ``can+odrive://vcan0?left=1&right=2&wheel_radius=0.05&base=0.3`` or ``can+vesc://…&pole_pairs=7``; further
     options are in :mod:`fullswarm.drivers.can.settings`. Set-points go out at 50 Hz while they are fresh; without
-    `command` for 0.3 s they are zero. Should this process die, only the controllers' own watchdogs stop the
-    robot: a VESC's is on (1 s, it then coasts), an ODrive's must be switched on once over USB (see
+    `command` for 0.3 s they are zero. Should this process die, its guardian brakes (see :meth:`guard`). Should the
+    computer die or the cable come off, only the controllers' own watchdogs stop the robot: a VESC's is on (1 s, it then
+    coasts), an ODrive's must be switched on once over USB (see
     :class:`~fullswarm.drivers.can.odrive_axis.OdriveCodec`) and declared with ``watchdog=0.5``. Neither protocol can
     do that over CAN.
 
@@ -56,6 +58,9 @@ class CanBaseDriver:
         self._thread: threading.Thread | None = None
         self._port: CanPort | None = None  # used by the link thread only once that runs
         self._dropped = 0
+        self._guarded = self._settings.bus.guardian == "1"
+        self._guardian: Guardian | None = None  # used by the link thread only, once that runs
+        self._stop_plan: StopPlan | None = None  # for the port that is open
 
     @property
     def state(self) -> Lifecycle:
@@ -82,11 +87,16 @@ class CanBaseDriver:
         """How many frames could not be understood or sent since construction."""
         return self._dropped + sum(codec.malformed for codec in self._codecs)
 
+    def guard(self) -> None:
+        """Have a guardian from the next `open` on, unless the URL says ``guardian=0``."""
+        self._guarded = self._settings.bus.guardian != "0"
+
     def open(self) -> None:
         """Open the bus and start to listen; ``DriverError`` or ``MissingExtra`` say why not."""
         if self._thread is not None:
             return
         self._port = CanPort(self._settings)
+        self._guardian = Guardian(self._clock) if self._guarded and self._port.descriptor is not None else None
         if self.warning:
             _log.warning("no device watchdog", url=self.url, why=self.warning)
         self._closing.clear()
@@ -147,9 +157,33 @@ class CanBaseDriver:
 
     def _serve(self) -> None:
         """Listen and speak until closing."""
+        self._watch()
         next_s = self._clock.now_s()
         while not self._closing.is_set():
             next_s = self._step(next_s)
+
+    def _watch(self) -> None:
+        """Have the guardian watch over the port that has been opened."""
+        port, guardian = self._port, self._guardian
+        if guardian is None or port is None or port.descriptor is None:
+            return
+        guardian.watch(port.descriptor)
+        brakes, lets_go = self._machine.stop_frames()
+        self._stop_plan = StopPlan(
+            tuple((after_s, port.packed(frame)) for after_s, frame in brakes),
+            tuple((after_s, port.packed(frame)) for after_s, frame in lets_go),
+            port.destination,
+        )
+
+    def _beat(self) -> None:
+        """Tell the guardian that this thread lives, and whether there is something to stop."""
+        guardian = self._guardian
+        if guardian is None:
+            return
+        guardian.beat()
+        with self._lock:
+            self._machine.unguarded, drives = guardian.trouble, self._machine.drives
+        guardian.stop_with(self._stop_plan if drives else None)
 
     def _step(self, next_s: float) -> float:
         """Take in what is there or a moment's silence, then speak if it is time; return when it is time next."""
@@ -169,6 +203,7 @@ class CanBaseDriver:
                 self._machine.receive(each, now_s)
             if now_s >= next_s or self._machine.urgent:
                 frames = self._machine.tick(now_s)
+        self._beat()  # before the first set-point leaves
         for each in frames:
             port.send(each)
         if now_s < next_s:
@@ -209,6 +244,8 @@ class CanBaseDriver:
 
     def _close_port(self) -> None:
         port, self._port = self._port, None
+        if self._guardian is not None:
+            self._guardian.release()
         if port is not None:
             port.close()
             self._dropped += port.dropped

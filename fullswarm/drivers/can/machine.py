@@ -26,6 +26,7 @@ STANDING_M_S = 0.01
 PUSHED_M_S = 2.0  # a wheel pushed by hand may turn that fast
 TRIPS, TRIPS_WITHIN_S = 3, 30.0  # so many faults of the robot while driving latch the fault
 BATTERY_LOW = 0.15
+ROLLED_OUT_S, REPEAT_S = 1.0, 0.05  # for so long, and so often, a guardian brakes
 
 
 class BaseMachine:
@@ -49,6 +50,7 @@ class BaseMachine:
         self.fault = ""
         self.reading: Reading | None = None
         self.urgent = False  # something waits to be sent: tick now
+        self.unguarded = ""  # why nothing would stop the wheels if this process died: bars motion
         self._reset(-math.inf)
 
     def _reset(self, now_s: float) -> None:
@@ -109,6 +111,18 @@ class BaseMachine:
         self.deactivate(now_s)
         self._next_beat_s = -math.inf
         self.urgent = True
+
+    @property
+    def drives(self) -> bool:
+        """Tell whether the wheels may be turning because of us."""
+        return self.state is Lifecycle.ACTIVE or self._engaging_s is not None or self._stopping_s is not None
+
+    def stop_frames(self) -> tuple[list[tuple[float, Frame]], list[tuple[float, Frame]]]:
+        """Return what a guardian sends, and when: brakes while this process is silent, and lets go once it is gone."""
+        rounds = range(round(ROLLED_OUT_S / REPEAT_S))
+        brakes = [(number * REPEAT_S, frame) for number in rounds for frame in self._driven(0.0, 0.0)]
+        lets_go = [(ROLLED_OUT_S + after_s, frame) for after_s in (0.0, REPEAT_S) for frame in self._released()]
+        return brakes, lets_go
 
     @property
     def at_rest(self) -> bool:
@@ -239,13 +253,13 @@ class BaseMachine:
             self._start_s = now_s
             for axis in self.axes:
                 frames += axis.codec.release() + axis.codec.start()
-        elif all(axis.well(started_s, now_s) for axis in self.axes):
+        elif not self.unguarded and all(axis.well(started_s, now_s) for axis in self.axes):
             self._met = True
             self._enter(Lifecycle.READY, now_s)
             return
         if now_s - self._since_s > PATIENCE_S:
             complaints = [axis.complaint(now_s) or axis.unwell() for axis in self.axes]
-            self._trip("; ".join(filter(None, complaints)), now_s)
+            self._trip("; ".join(filter(None, [*complaints, self.unguarded])), now_s)
 
     def _tick_ready(self, now_s: float, due: bool, frames: list[Frame]) -> None:
         if self._lost(now_s):
@@ -299,7 +313,10 @@ class BaseMachine:
             frames += self._released()
         if self._latched or self._leaving or now_s - self._since_s < HOLD_S:
             return
-        if complaints := [text for axis in self.axes if (text := axis.complaint(now_s))]:
+        complaints = [text for axis in self.axes if (text := axis.complaint(now_s))]
+        if self.unguarded:
+            complaints.append(self.unguarded)
+        if complaints:
             if now_s - max(self._since_s, self._back_s) > PATIENCE_S:  # by now this is what keeps it in FAULT
                 self.fault = "; ".join(complaints)
             return
@@ -313,8 +330,9 @@ class BaseMachine:
                 frames += axis.codec.start()
 
     def _lost(self, now_s: float) -> bool:
-        """Go to FAULT and return True when a wheel has gone silent."""
+        """Go to FAULT and return True when a wheel has gone silent, or nothing watches over us any more."""
         complaints = [text for axis in self.axes if (text := axis.complaint(now_s))]
+        complaints += [self.unguarded] if self.unguarded else []
         if complaints:
             self._trip("; ".join(complaints), now_s)
         return bool(complaints)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 from typing import TYPE_CHECKING, Any
 
+from fullswarm.drivers.can import slcan
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame
 from fullswarm.drivers.can.settings import Settings
 from fullswarm.drivers.link import claim
@@ -94,6 +95,31 @@ class CanPort:
         if port is not None:
             port.close()
 
+    @property
+    def descriptor(self) -> int | None:
+        """What another process on this machine can send on; None: there is no such thing (``virtual``)."""
+        # Of an adapter the claim, because it is what keeps others from the port.
+        return self._descriptor if self._claim is None else int(self._claim.fileno())
+
+    @property
+    def destination(self) -> tuple[str, int] | None:
+        """Where frames must be sent to on :attr:`descriptor`; None: it is connected."""
+        multicast = getattr(self._bus, "_multicast", None)
+        return None if multicast is None else (str(multicast.group), int(multicast.port))
+
+    def packed(self, frame: Frame) -> bytes:
+        """Return `frame` as it has to be written to :attr:`descriptor`."""
+        if self._claim is not None:
+            return slcan.END + slcan.encode(frame)  # ends a line that was cut in two
+        message = self._packable(frame)
+        if self.destination is not None:
+            from can.interfaces.udp_multicast.utils import pack_message
+
+            return bytes(pack_message(message))
+        from can.interfaces.socketcan.socketcan import build_can_frame
+
+        return bytes(build_can_frame(message))
+
     def send(self, frame: Frame) -> None:
         """Send `frame`, waiting at most 10 ms.
 
@@ -102,20 +128,23 @@ class CanPort:
         LinkLost
             The tenth error in a row.
         """
-        message = self._message(
+        try:
+            self._bus.send(self._packable(frame), timeout=SEND_TIMEOUT_S)
+        except self._errors as error:
+            self._unsent += 1
+            self._failed(f"cannot send: {error}", error, over=self._unsent >= UNSENT)
+        else:
+            self._unsent = 0
+
+    def _packable(self, frame: Frame) -> can.Message:
+        message: can.Message = self._message(
             arbitration_id=frame.id,
             is_extended_id=frame.extended,
             is_remote_frame=frame.remote,
             data=None if frame.remote else frame.data,
             dlc=MAX_DATA if frame.remote else len(frame.data),
         )
-        try:
-            self._bus.send(message, timeout=SEND_TIMEOUT_S)
-        except self._errors as error:
-            self._unsent += 1
-            self._failed(f"cannot send: {error}", error, over=self._unsent >= UNSENT)
-        else:
-            self._unsent = 0
+        return message
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next frame, None when none came in time.

@@ -9,6 +9,10 @@ The part after ``://`` is python-can's channel:
 ``can+odrive://word?…``                 with ``interface=virtual``: emulators in this process
 ======================================  ==============================================================
 
+``guardian=0`` and ``guardian=1`` say whether a process of its own stops the wheels when this one is paused or killed;
+agents and `robots test` have one for controllers without a watchdog of 0.5 s or less. Not with ``virtual``, which no
+other process can reach.
+
 Multicast stays on this machine (hop limit 0) but needs a route: a machine without any network has none until
 ``ip route add 239.0.0.0/8 dev lo``. Anybody on the machine may talk on it; a pty has one owner.
 """
@@ -45,6 +49,7 @@ class BusOptions(Section):
     tty_baud: int = Field(115_200, gt=0)  # slcan only, and of no meaning to a USB adapter
     port: int = Field(43113, gt=0, le=65535)  # udp_multicast only
     hop_limit: int = Field(0, ge=0, le=255)  # udp_multicast only; 0: frames do not leave this machine
+    guardian: Literal["0", "1"] | None = None  # None: whoever opens the driver decides
 
 
 class BaseOptions(Section):

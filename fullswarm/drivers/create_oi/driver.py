@@ -17,7 +17,7 @@ from fullswarm.drivers.create_oi.senses import Power
 from fullswarm.drivers.create_oi.session import PARK, Session
 from fullswarm.drivers.create_oi.settings import describe, parse_url
 from fullswarm.drivers.create_oi.waking import Brc
-from fullswarm.drivers.guardian import GuardedPort
+from fullswarm.drivers.guardian import Attempts, GuardedPort
 from fullswarm.drivers.link import ByteLog, PlainPort, Port, SerialLink
 from fullswarm.errors import DriverError
 
@@ -50,6 +50,8 @@ class CreateDriver:
         self._lock = threading.Lock()
         self._link: SerialLink | None = None
         self._session = Session(self._settings, brc=brc)
+        self._guarded = bool(self._settings.guardian)
+        self._attempts = Attempts(self._clock)
 
     @property
     def state(self) -> Lifecycle:
@@ -85,6 +87,10 @@ class CreateDriver:
         """The robot looks for its dock by itself."""
         return self._session.docking
 
+    def guard(self) -> None:
+        """Have the port held by a guardian from the next `open` on, unless the URL says ``guardian=0``."""
+        self._guarded = self._settings.guardian is not False
+
     def open(self) -> None:
         """Claim the port and call the robot. Raises ``DriverError`` with what to do; opening twice is fine."""
         if self._link is not None:
@@ -101,7 +107,9 @@ class CreateDriver:
 
     def _open_port(self, path: str, baud: int) -> Port:
         # The Open Interface has no watchdog: see decision 14.
-        return GuardedPort(path, baud, PARK) if self._settings.guardian else PlainPort(path, baud)
+        if self._guarded:
+            return GuardedPort(path, baud, PARK, self._clock, self._attempts)
+        return PlainPort(path, baud)
 
     def activate(self) -> None:
         """Ask for Safe mode; ACTIVE when the robot confirms it, some 30 ms later. See `blocked` if it does not."""

@@ -15,12 +15,22 @@ WINDOW_S = 0.1
 TOP_M_S = 1.25 * TOP_MM_S / 1000.0
 """Faster than this no wheel turns, not even downhill."""
 
+RESTART_COUNTS = 4
+"""So few counts on both wheels are those of a robot that has just been switched on."""
+
+WRAP = 1 << 16
+"""Counts until an encoder begins anew."""
+
 FIRST_M, SAVED_M = 0.03, 0.1
 """Travel granted beyond `TOP_M_S` times the time between two frames: frames may arrive in bursts."""
 
 
 class Odometry:
-    """Sums up the wheels' travel since open(); starts at (0, 0, 0)."""
+    """Sums up the wheels' travel since open(); starts at (0, 0, 0).
+
+    A robot goes on counting while it is not heard: after a gap in the line its counters still hold the motion, which
+    is then taken for one even arc. `breaks` counts the gaps that lost it.
+    """
 
     def __init__(self, generation: Generation) -> None:
         self._base_m = generation.wheel_base_m
@@ -31,7 +41,9 @@ class Odometry:
         self._counts: tuple[int, int] | None = None
         self._stamp_s: float | None = None
         self._granted_m = FIRST_M
+        self._gap = False
         self.jumps = 0  # impossible ones, left out
+        self.breaks = 0  # how often motion may be missing from the pose
 
     @property
     def pose(self) -> Pose:
@@ -54,8 +66,20 @@ class Odometry:
         self._granted_m = FIRST_M
         self._track.clear()
 
+    def gap(self) -> None:
+        """Take note that the robot is not heard for a while."""
+        self._gap = True
+        self._track.clear()
+
+    def restarted(self) -> None:
+        """Take note that the robot has been switched off and on: its counts began anew."""
+        if self._stamp_s is not None:
+            self.breaks += 1
+        self.rebase()
+
     def update(self, sensors: Sensors, now_s: float) -> bool:
         """Take one frame in; tell whether a wheel moved. An impossible jump re-bases instead of moving the pose."""
+        gap, self._gap, before = self._gap, False, self._counts
         first = self._stamp_s is None
         elapsed_s = 0.0 if self._stamp_s is None else now_s - self._stamp_s
         self._stamp_s = now_s
@@ -64,8 +88,9 @@ class Odometry:
             return False
         self._granted_m = min(self._granted_m, SAVED_M) + TOP_M_S * elapsed_s
         farthest = max(abs(wheels[0]), abs(wheels[1]))
-        if farthest > self._granted_m:
+        if farthest > self._granted_m or (gap and self._lost(before, sensors, farthest)):
             self.jumps += 1
+            self.breaks += 1
             self.rebase()
             self._stamp_s = now_s
             self._counts = _counts(sensors)
@@ -73,6 +98,15 @@ class Odometry:
         self._granted_m -= farthest
         self._move(*wheels, now_s)
         return farthest > 0.0
+
+    def _lost(self, before: tuple[int, int] | None, sensors: Sensors, farthest_m: float) -> bool:
+        """Tell whether the counts after a gap say nothing about it: begun anew, cleared by each frame, or wrapped."""
+        after = _counts(sensors)
+        if self._m_per_count is None or before is None or after is None:
+            return True
+        moved = farthest_m > FIRST_M
+        anew = moved and max(abs(encoder_delta(each, 0)) for each in after) <= RESTART_COUNTS
+        return anew or (moved and self._granted_m >= self._m_per_count * WRAP / 2.0)
 
     def _wheels(self, sensors: Sensors) -> tuple[float, float] | None:
         """Return the travel of both wheels since the last frame in metres; None when unknown."""
@@ -91,9 +125,11 @@ class Odometry:
     def _move(self, left_m: float, right_m: float, now_s: float) -> None:
         forward = (left_m + right_m) / 2.0
         turn = (right_m - left_m) / self._base_m
-        middle = self._turned_rad + turn / 2.0
-        self._x_m += forward * math.cos(middle)
-        self._y_m += forward * math.sin(middle)
+        half = turn / 2.0
+        chord = forward * (math.sin(half) / half if half else 1.0)  # after a gap it may be a long arc
+        middle = self._turned_rad + half
+        self._x_m += chord * math.cos(middle)
+        self._y_m += chord * math.sin(middle)
         self._way_m += forward
         self._turned_rad += turn
         self._track.append((now_s, self._way_m, self._turned_rad))

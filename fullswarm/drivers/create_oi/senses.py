@@ -16,6 +16,7 @@ LOW_BATTERY = 0.1
 
 _WANTED_IDS = (35, 7, 9, 10, 11, 12, 14, 34, 41, 42, 25, 26, 21, 22, 23, 24)
 _VERSION = re.compile(rb"release-(?:stm32-)?(\d+\.\d+\.\d+)")
+_STARTED = b"flash version"  # the last line of what a robot prints when it has started
 _TEXT_BYTES = 1024
 
 
@@ -145,8 +146,12 @@ class Banner:
         self.version = ""
         self._text = b""
 
-    def hear(self, data: bytes) -> None:
-        """Take bytes that are in no frame."""
+    def hear(self, data: bytes) -> bool:
+        """Take bytes that are in no frame; tell whether they end the text of a robot that has just started."""
         self._text = (self._text + data)[-_TEXT_BYTES:]
         if found := _VERSION.findall(self._text):
             self.version = found[-1].decode()
+        if _STARTED not in self._text:
+            return False
+        self._text = b""
+        return True

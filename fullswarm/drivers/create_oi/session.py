@@ -76,6 +76,7 @@ class Session:
         self._odometry, self._senses = Odometry(generation), Senses()
         self._waking, self._banner = Waking(brc), Banner()
         self._newest: Sensors | None = None
+        self._met = False  # has been READY
         self._latched = ""  # the fault of too many falls
         self._calm_s = -math.inf  # since when nothing would make the robot fall again
         self._hello_s: float | None = None  # when to say hello next; None: connected
@@ -132,8 +133,8 @@ class Session:
     def received(self, data: bytes, now_s: float) -> None:
         """Take bytes from the robot."""
         self._heard += len(data)
-        if self._hello_s is not None:
-            self._banner.hear(data)
+        if self._hello_s is not None and self._banner.hear(data):
+            self._odometry.restarted()
         for frame in self._parser.feed(data):
             self._take(frame.sensors, now_s)
 
@@ -213,7 +214,7 @@ class Session:
     # ------------------------------------------------------------ within
     def _greet(self, now_s: float) -> None:
         self._parser.reset()
-        self._odometry.rebase()
+        self._odometry.gap()
         self._waking.active(now_s)
         self._hello_s, self._hellos, self._list_s, self._heard, self._mode = now_s, 0, None, 0, -1
         self.blocked = ""
@@ -242,7 +243,7 @@ class Session:
 
     def _take(self, sensors: Sensors, now_s: float) -> None:
         self._frame_s, self._newest = now_s, sensors
-        if self._hello_s is not None:
+        if not self._met:
             self._odometry.rebase()  # frames of an earlier drive may still be on the way
         moved = self._odometry.update(sensors, now_s)
         self._senses.note(sensors, now_s)
@@ -265,6 +266,7 @@ class Session:
     def _settle(self, now_s: float) -> None:
         """End the greeting: the robot is there and its wheels cannot move."""
         self._hello_s = self._list_s = None
+        self._met = True
         self.state, self.fault = Lifecycle.READY, ""
         self._waking.active(now_s)
         if self._latched:
@@ -359,6 +361,7 @@ class Session:
         self.reading = Reading(
             stamp_s=now_s,
             odometry=self._odometry.pose,
+            odometry_breaks=self._odometry.breaks,
             twist=self._odometry.twist,
             hazards=self._senses.hazards,
             contacts=int(sensors.bump_left or sensors.bump_right),

@@ -4,7 +4,7 @@
 overrides the model's rate, ``mode_offset=1`` is for firmware that reports its mode one too high, ``speed_step=28.5``
 for wheels that only know multiples of so many mm/s: `command()` then rounds to them and tells so, ``guardian=1`` has
 the port held by a process that stops the robot when this one is paused or killed (agents and `robots test` do so
-unless told 0).
+unless the URL says 0).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Settings:
     baud: int = CREATE2.baud
     mode_offset: int = 0
     speed_step_mm_s: float = 0.0
-    guardian: bool = False
+    guardian: bool | None = None  # None: whoever opens the driver decides
 
 
 def parse_url(url: str) -> Settings:
@@ -63,7 +63,7 @@ def parse_url(url: str) -> Settings:
         _choice(url, "baud", options.get("baud", str(generation.baud)), rates),
         _choice(url, "mode_offset", options.get("mode_offset", "0"), (0, 1)),
         _step(url, options.get("speed_step", "0")),
-        bool(_choice(url, "guardian", options.get("guardian", "0"), (0, 1))),
+        bool(_choice(url, "guardian", options["guardian"], (0, 1))) if "guardian" in options else None,
     )
 
 

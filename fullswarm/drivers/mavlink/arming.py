@@ -6,6 +6,7 @@ import math
 from functools import partial
 
 from fullswarm.drivers.base import STAND
+from fullswarm.drivers.guardian import StopPlan
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.autopilot import Autopilot, Known
 from fullswarm.drivers.mavlink.codec import StationEncoder
@@ -17,6 +18,10 @@ TEXT_WAIT_S = 0.5
 BRAKE_S = 1.5
 STANDING_M_S = 0.06  # a rover told zero creeps at up to 0.036 m/s
 SETPOINT_S = 0.05
+HOLD_AT_S = (0.0, 0.05, 0.1, 0.2, 0.4)
+"""When a guardian asks for the holding mode: often enough for a bad link, not so long that it fights a pilot."""
+DISARM_AT_S = (1.4, 1.5, 1.6)
+"""When it disarms, if the driver is gone: a rover at 1 m/s stands by then."""
 
 
 def left_armed(vehicle: Vehicle, autopilot: Autopilot, *, by_us: bool) -> bool:
@@ -54,6 +59,17 @@ class Controls:
             self.autopilot.set_mode(self.encoder, self.autopilot.hold_mode, 0),
             self.encoder.arm(False),
         ]
+
+
+def stop_plan(controls: Controls, *, drives: bool) -> StopPlan:
+    """Return what a guardian sends in our place; `drives`: the vehicle takes set-points now."""
+    autopilot = controls.autopilot
+    stop: list[tuple[float, bytes]] = []
+    for number, after_s in enumerate(HOLD_AT_S):
+        stop += [(after_s, controls.stand())] if drives else []
+        stop.append((after_s, autopilot.set_mode(controls.encoder, autopilot.hold_mode, number)))
+    leave = [(after_s, controls.encoder.arm(False, number)) for number, after_s in enumerate(DISARM_AT_S)]
+    return StopPlan(tuple(stop), tuple(leave))
 
 
 class Activation:

@@ -12,7 +12,9 @@ heartbeat says; name it, for `description` is read before there is one); ``ekf=i
 filter's own approval; ``speed=``, ``turn=`` (m/s, rad/s) limits below the vehicle's own; ``radius=`` of the footprint
 in metres; ``sign_key=`` the file with the key of MAVLink 2 signing, ``sign_state=`` the file with its timestamps,
 ``sign_link=0`` the link id; ``pose=external`` hand the fixes that :meth:`MavlinkDriver.locate` gets to the vehicle,
-``origin=lat,lon,alt`` where its local frame begins then (see ``external.py`` for the parameters it needs).
+``origin=lat,lon,alt`` where its local frame begins then (see ``external.py`` for the parameters it needs);
+``guardian=0`` or ``1`` whether a process of its own holds and disarms the rover when this one is paused or killed
+(agents and `robots test` have one unless told 0); signed, its frames bear the link id ``sign_link`` + 128.
 
 Opening writes one parameter, for good, so that a rover that loses us stops by itself: ``FS_GCS_ENABLE=1`` on
 ArduPilot, once ``FS_ACTION`` is seen to be HOLD (2) or Terminate (5); ``COM_OBL_RC_ACT=5`` on PX4 (Hold).
@@ -25,9 +27,11 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.guardian import Guardian
 from fullswarm.drivers.mavlink.codec import StreamParser, decoded_ids, dialect
 from fullswarm.drivers.mavlink.link import Address, Transport, Waker, open_transport, parse_url
 from fullswarm.drivers.mavlink.session import Session
@@ -35,6 +39,8 @@ from fullswarm.drivers.mavlink.settings import describe, read_settings
 from fullswarm.errors import DriverError, LinkLost
 
 REOPEN_S = 0.5
+RESIGN_S = 5.0
+"""A vehicle believes a link that it has not heard before for a minute after the signature."""
 LONGEST_WAIT_S = 0.05
 CLOSE_S = 4.0
 
@@ -71,6 +77,11 @@ class MavlinkDriver:
         self._thread: threading.Thread | None = None
         self._waker: Waker | None = None
         self._closing = threading.Event()
+        self._guarded = bool(self._settings.guardian)
+        # These are used by the link thread only.
+        self._guardian: Guardian | None = None
+        self._stop_kind: tuple[tuple[str, bool], tuple[str, int] | None] | None = None
+        self._resign_s = 0.0
 
     @property
     def state(self) -> Lifecycle:
@@ -101,6 +112,10 @@ class MavlinkDriver:
         """The vehicle's warnings of the last half minute, and what is odd about its settings."""
         with self._lock:
             return [] if self._session is None else self._session.texts(self._clock.now_s())
+
+    def guard(self) -> None:
+        """Have a guardian from the next `open` on, unless the URL says ``guardian=0``."""
+        self._guarded = self._settings.guardian is not False
 
     def open(self) -> None:
         """Claim the port and start the link thread.
@@ -206,6 +221,7 @@ class MavlinkDriver:
 
     # ------------------------------------------------------------ link thread
     def _run(self, session: Session, waker: Waker, transport: Transport | None) -> None:
+        self._guardian = Guardian(self._clock) if self._guarded else None
         try:
             while not self._closing.is_set():
                 transport = self._serve(session, waker, transport, self._closing.is_set)
@@ -226,7 +242,7 @@ class MavlinkDriver:
                 with contextlib.suppress(DriverError):
                     session.signing.close()
             if transport is not None:
-                transport.close()
+                self._let_go(transport)
 
     def _now(self) -> float:
         return self._clock.now_s()
@@ -238,10 +254,14 @@ class MavlinkDriver:
         if transport is None:
             return None
         parser = StreamParser(decoded_ids(), None if session.signing is None else session.signing.accept)
+        if self._guardian is not None and not self._guardian.watching:
+            self._guardian.watch(transport.fileno())
+            self._stop_kind = None
         try:
             while not finished():
                 now_s = self._now()
                 waker.wait(transport, min(session.next_due_s(now_s) - now_s, LONGEST_WAIT_S))
+                self._beat(session)  # before its heartbeats: a pilot did not do what the guardian did
                 messages = parser.feed(transport.receive())
                 for message in messages:
                     with self._lock:  # one at a time: the agent's calls must not wait for a whole backlog
@@ -253,14 +273,46 @@ class MavlinkDriver:
                     transport.forget_peer()
                 elif self.description.make != session.autopilot.make:
                     self.description = describe(self._settings, session.autopilot)
+                self._leave_word(session, transport)  # before the first set-point leaves
                 for frame in frames:
                     transport.send(frame)
         except LinkLost as error:
-            transport.close()
+            self._let_go(transport)
             with self._lock:
                 session.link_lost(error.what, self._now())
             return None
         return transport
+
+    def _beat(self, session: Session) -> None:
+        """Tell the guardian that this thread lives, and the session what the guardian has done."""
+        guardian = self._guardian
+        if guardian is None:
+            return
+        stopped = guardian.beat()
+        with self._lock:
+            session.unguarded = guardian.trouble
+            if stopped:
+                session.stopped_by_guardian(self._now())
+
+    def _leave_word(self, session: Session, transport: Transport) -> None:
+        """Leave with the guardian what stops the vehicle as it is driven now."""
+        guardian, now_s = self._guardian, self._now()
+        if guardian is None:
+            return
+        with self._lock:
+            kind = session.stop_kind
+            word = None if kind is None else (kind, transport.peer)
+            stale = kind is not None and session.signing is not None and now_s >= self._resign_s
+            if word == self._stop_kind and not stale:
+                return
+            plan = None if kind is None else replace(session.stop_plan(), to=transport.peer)
+        self._stop_kind, self._resign_s = word, now_s + RESIGN_S
+        guardian.stop_with(plan)
+
+    def _let_go(self, transport: Transport) -> None:
+        if self._guardian is not None:
+            self._guardian.release()
+        transport.close()
 
     def _reopen(self, session: Session, waker: Waker) -> Transport | None:
         while not self._closing.is_set():

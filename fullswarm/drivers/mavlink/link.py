@@ -88,6 +88,11 @@ class Transport(Protocol):
         """Send one frame; dropped when nobody can take it."""
         ...
 
+    @property
+    def peer(self) -> tuple[str, int] | None:
+        """Host and port to send to; None where the port is connected, or nobody was heard."""
+        ...
+
     def forget_peer(self) -> None:
         """Let another sender take the place of one that went silent."""
         ...
@@ -141,6 +146,11 @@ class UdpPort:
                 self._socket.sendto(data, self._peer)
         except OSError:
             return  # as lossy as UDP itself; the vehicle's silence is what counts
+
+    @property
+    def peer(self) -> tuple[str, int] | None:
+        """The vehicle, once a listening port has heard it."""
+        return None if self._peer is None else (self._peer[0], self._peer[1])
 
     def forget_peer(self) -> None:
         """Listen for a new peer."""
@@ -196,6 +206,11 @@ class TcpPort:
         if not poll.poll(WRITE_S * 1000):
             raise LinkLost(f"the vehicle has taken nothing for {WRITE_S:g} s")
 
+    @property
+    def peer(self) -> tuple[str, int] | None:
+        """None: it is connected."""
+        return None
+
     def forget_peer(self) -> None:
         """A TCP connection has one peer."""
 
@@ -233,6 +248,11 @@ class SerialPort:
             self._port.write(data)
         except self._lost as error:
             raise LinkLost("the serial port takes no bytes: unplugged?") from error
+
+    @property
+    def peer(self) -> tuple[str, int] | None:
+        """None: it is connected."""
+        return None
 
     def forget_peer(self) -> None:
         """A serial line has one peer."""

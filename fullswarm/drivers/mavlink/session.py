@@ -11,8 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.guardian import SILENCE_S, StopPlan
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown, left_armed
+from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown, left_armed, stop_plan
 from fullswarm.drivers.mavlink.autopilot import STATION, ArduPilot, Autopilot, unsupported
 from fullswarm.drivers.mavlink.codec import StationEncoder, decode
 from fullswarm.drivers.mavlink.external import ExternalPose
@@ -45,6 +46,9 @@ class Session:
         self._options, self.signing = options, signing
         signer = None if signing is None else signing.signer()
         self._encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, signer)
+        guardian = None if signing is None else signing.signer(guardian=True)
+        self._guardian_encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, guardian)
+        self.unguarded = ""  # why nothing would stop the vehicle if this process died: bars motion
         self._vehicle = Vehicle()
         self._fly_by(options.autopilot or ArduPilot())
         self._activation: Activation | None = None
@@ -79,8 +83,8 @@ class Session:
 
     @property
     def unfit(self) -> str:
-        """What a person must set before an OPEN vehicle can be READY; empty if nothing."""
-        unfit = self._startup.unfit if self.lifecycle is Lifecycle.OPEN else ""
+        """What keeps an OPEN vehicle from READY and does not pass by itself, or not soon; empty if nothing."""
+        unfit = (self._startup.unfit or self.unguarded) if self.lifecycle is Lifecycle.OPEN else ""
         return f"{self._options.where}: {unfit}" if unfit else ""
 
     def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
@@ -217,6 +221,23 @@ class Session:
         self._fail(reason, now_s)
         self._forget()
 
+    @property
+    def stop_kind(self) -> tuple[str, bool] | None:
+        """What :meth:`stop_plan` depends on; None while the vehicle is not driven by us."""
+        return (self.autopilot.key, self.lifecycle is Lifecycle.ACTIVE) if self.standing_down else None
+
+    def stop_plan(self) -> StopPlan:
+        """Return what stops a vehicle that we drive, for a guardian to send in our place."""
+        controls = Controls(self.autopilot, self._guardian_encoder, self._startup.known)
+        return stop_plan(controls, drives=self.lifecycle is Lifecycle.ACTIVE)
+
+    def stopped_by_guardian(self, now_s: float) -> None:
+        """Take note that our own guardian has stopped the vehicle: not a pilot."""
+        if self.standing_down:
+            self._fail(f"its guardian stopped it: this process stood still for more than {SILENCE_S:g} s", now_s)
+            if self._stand_down is None:
+                self._begin_stand_down(now_s)
+
     def emergency(self) -> list[bytes]:
         """Return what stops a vehicle that we drive, for the moment when nothing else works any more."""
         if not self.standing_down:
@@ -320,7 +341,7 @@ class Session:
                 self.lifecycle = Lifecycle.READY
 
     def _problem(self, now_s: float) -> str:
-        why = self._startup.problem(now_s, self._vehicle)
+        why = self._startup.problem(now_s, self._vehicle) or self.unguarded
         lost = "" if self._external is None else self._external.problem(now_s)
         if why and lost and "know its position" in why:
             why = f"{why}: {lost}"

@@ -19,7 +19,8 @@ from fullswarm.errors import ConfigError, did_you_mean
 LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=0.7, turn_accel_rad_s2=2.0)
 RADIUS_M = 0.35
 KNOWN = {
-    "autopilot", "ekf", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid", "turn",
+    "autopilot", "ekf", "guardian", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid",
+    "turn",
 }  # fmt: skip
 
 
@@ -45,6 +46,7 @@ class Settings:
     key_file: Path | None = None
     state_file: Path | None = None
     link_id: int = 0
+    guardian: bool | None = None  # None: whoever opens the driver decides
 
     def signing(self) -> Signing | None:
         """Return what signs, or None; reads the files.
@@ -112,6 +114,7 @@ def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
         ),
         _path(options.get("sign_key")), _path(options.get("sign_state")),
         _whole(url, "sign_link", options, 0, range(256)),
+        None if "guardian" not in options else _choice(url, "guardian", options, "0", "1") == "1",
     )  # fmt: skip
 
 

@@ -27,6 +27,8 @@ RESERVE_S, SAVE_S = 10, 5
 
 UNSIGNED = "its messages are not signed, and we were told to trust signed ones only"
 OTHER_KEY = "it signs with another key than ours"
+GUARDIAN_LINK = 128
+"""Added to the link id: each link has timestamps of its own, and a guardian's frames are signed long before."""
 STALE = "its signatures are older than what we have seen: its clock was set back, or somebody replays its messages"
 
 
@@ -148,9 +150,10 @@ class Signing:
         self._streams: dict[tuple[int, int, int], int] = {}
         self._doubts: dict[int, str] = {}
 
-    def signer(self) -> FrameSigner:
+    def signer(self, *, guardian: bool = False) -> FrameSigner:
         """Return what an encoder needs: key, link id and a fresh timestamp for each frame."""
-        return FrameSigner(self._key, self._link_id, self._stamps.next)
+        link_id = (self._link_id + GUARDIAN_LINK) % 256 if guardian else self._link_id
+        return FrameSigner(self._key, link_id, self._stamps.next)
 
     def doubt(self, system: int) -> str:
         """Return why the newest frame of a system was not believed; empty if it was, or if none came."""

@@ -21,7 +21,10 @@ _STOPS = (
     ("no pose", "Let its cameras or motion capture see it; check that pose fixes arrive for this robot."),
     ("leave the arena", "Drive it back by hand, or give it a goal inside the arena."),
 )
+_GUARDIAN = "Its computer is slow, overloaded or out of memory: close other work there; its link is not the cause."
 _FAULTS = (
+    ("guards this port", _GUARDIAN),
+    ("guardian", _GUARDIAN),
     ("is the world running", "Start the simulated world again: `fullswarm sim`."),
     ("permission", "Give this user access to the device: `fullswarm doctor` says how."),
     ("no such", "Plug the robot's adapter in; `fullswarm robots find` shows what is there."),
@@ -47,9 +50,9 @@ def advise(row: RobotRow) -> str:
 
 def _of(health: RobotHealth) -> str:
     if health.lifecycle == "FAULT":
-        return _first(_FAULTS, health.fault) or "Check power and cable; it connects again by itself. Its log has more."
+        return of_fault(health.fault) or "Check power and cable; it connects again by itself. Its log has more."
     if health.fault:
-        return _first(_FAULTS, health.fault) or "It is connected, but bars motion: mend what it says, then ask again."
+        return of_fault(health.fault) or "It is connected, but bars motion: mend what it says, then ask again."
     if health.estop:
         return "Look whether the way is free, then clear the e-stop."
     if health.stop_reason and (known := _first(_STOPS, health.stop_reason)):
@@ -63,6 +66,11 @@ def _of(health: RobotHealth) -> str:
     if health.filter_note:
         return "The safety filter holds it back: give it more room, or another goal."
     return ""
+
+
+def of_fault(fault: str) -> str:
+    """Return what to do about a driver's fault; empty when its text says nothing that is known here."""
+    return _first(_FAULTS, fault)
 
 
 def _first(table: tuple[tuple[str, str], ...], text: str) -> str:
