@@ -12,7 +12,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 from fullswarm import registry
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.guardian import guarded_url
+from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
 from fullswarm.launch.bench import Bench
 from fullswarm.launch.typed import Typed
@@ -75,11 +75,11 @@ def _rig(url: str | None, rig: str | None, wire_baud: int | None) -> Iterator[Ri
         kind = registry.driver_class(url)
         kind(url)  # a wrong URL is refused before anything is opened
         if wire_baud is None:
-            yield Rig(make=lambda: kind(guarded_url(url)))
+            yield Rig(make=lambda: guarded(kind(url)))
             return
         with _wire(url, wire_baud) as (wire, wired):
             yield Rig(
-                make=lambda: kind(guarded_url(wired)), unplug=wire.unplug, replug=wire.replug, mute=wire.mute,
+                make=lambda: guarded(kind(wired)), unplug=wire.unplug, replug=wire.replug, mute=wire.mute,
                 garbage=wire.garbage, cut=wire.cut,
             )  # fmt: skip
         return

@@ -21,6 +21,7 @@ ACCEL_PER_AMPERE = 0.6
 POSITION_GAIN_PER_S = 10.0
 POSITION_SPEED_M_S = 0.5
 _SLOW = (2, 3, 4, 6)
+_BRAKES = (vesc.SetBrake, vesc.SetRelativeBrake, vesc.SetHandbrake, vesc.SetRelativeHandbrake)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,11 @@ class VescEmulator:
         self._zero_m = 0.0
         self._told: tuple[int, int] = (0, 0)  # ERPM and tachometer
         self._set_s = self._status_s = self._slow_s = -math.inf
+
+    @property
+    def driving(self) -> bool:
+        """Whether an order turns the motor now, and nothing lets it go."""
+        return self.energised and not isinstance(self._order.message, _BRAKES) and not self.mishaps.estop
 
     @property
     def energised(self) -> bool:
