@@ -67,6 +67,7 @@ def states(
                 speed_m_s=tuple(speed),
                 turn_rad_s=tuple(turn),
                 radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
+                teams=tuple((agent.tasks.team if everyone else agent.tasks.team[rows]).tolist()),
             ),
         )
 
@@ -111,6 +112,7 @@ def _state_of_one(
             speed_m_s=(speed_m_s,),
             turn_rad_s=(turn_rad_s,),
             radius_m=(float(agent.radius[0]),),
+            teams=(int(agent.tasks.team[0]),),
         ),
     )
 
