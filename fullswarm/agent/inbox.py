@@ -19,7 +19,7 @@ from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
 from fullswarm.runtime import Scheduler
-from fullswarm.words import ESTOP_WAS, STOPPED_BY
+from fullswarm.words import ESTOP_LATCHED, ESTOP_WAS, STOPPED_BY
 
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
@@ -124,7 +124,7 @@ class Inbox:
             return True, ""
         fence.see(request.request_id)
         if agent.controller.estop[row]:
-            return False, "its e-stop is latched; clear it with `fullswarm estop --clear`"
+            return False, f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`"
         if request.request_id in fence.spent:
             return False, f"{fence.spent[request.request_id]}; ask for it again"
         if agent.reading is not None and int(agent.reading.hazards[row]) & UNSAFE:
