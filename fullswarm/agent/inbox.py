@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fullswarm.agent.estops import EStops
 from fullswarm.agent.fence import Cores, Fence
 from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, explain_hazards
 from fullswarm.agent.tasks import Task
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
@@ -127,9 +127,11 @@ class Inbox:
             return False, f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`"
         if request.request_id in fence.spent:
             return False, f"{fence.spent[request.request_id]}; ask for it again"
-        if agent.reading is not None and int(agent.reading.hazards[row]) & UNSAFE:
+        hazards = 0 if agent.reading is None else int(agent.reading.hazards[row])
+        if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
-            return False, f"{EXPLAIN[Reason.HAZARD]}; put it on safe ground, then ask for it again"
+            words, remedy = explain_hazards(hazards, agent.fleet.fault(row))
+            return False, f"{words}; {remedy}, then ask for it again"
         if agent.reflexes.flat[row] and request.expires_s <= 0.0:
             return False, EXPLAIN[Reason.BATTERY]
         try:
