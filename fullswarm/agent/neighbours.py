@@ -167,12 +167,17 @@ class Neighbours:
         if self._stale:
             self._predict()
         start, other = self._search(position, self.predicted, reach_m)
-        if team is not None and team.any():
-            if self._alone is None:  # what the own robots run is known at once, without their messages
-                known = self.own_row >= 0
-                self.teams[self.own_row[known]] = team[known]
+        if team is not None and self._mixed(team):
             pairs.keep_team.run(start, other, team, self.teams)
         return start, other
+
+    def _mixed(self, team: Index) -> bool:
+        """Tell whether an own robot, of `team` (n,), may have heard one that is not of its team."""
+        if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
+            return bool(team[0])
+        known = self.own_row >= 0  # what the own robots run is known at once, without their messages
+        self.teams[self.own_row[known]] = team[known]
+        return bool((self.teams[: self.count] != team[0]).any() or (team != team[0]).any())
 
     def _search(self, position: Array, places: Array, reach_m: float) -> tuple[Index, Index]:
         count, key = self.count, (reach_m, places is self.places)
