@@ -6,12 +6,15 @@ or field instead of guessing. Stamps order the messages of one sender; the recei
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 Value = bool | int | float | str | list[float | list[float]]
 """A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points."""
+
+Team = Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)]
+"""Number of a team: robots whose laws count each other as neighbours, those of one request; 0: of no team."""
 
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
 
@@ -114,7 +117,7 @@ class Ping(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -124,6 +127,7 @@ class ControlRequest(Message, frozen=True, kw_only=True):
     parameters: dict[str, Value] = {}
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
+    team: Team = 0  # whose robots the law counts as neighbours; 0: all that are sensed
     centralised: bool = False  # no law on board: obey Command messages of `request_id`
     survives_core: bool = False  # go on when the core's heartbeat is silent
     expires_s: float = 0.0  # > 0: the request is an intent that lapses this long after its arrival
@@ -211,7 +215,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- agents -> everybody
-class RobotStates(Message, frozen=True, kw_only=True):
+class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
 
     Columns of equal length. World frame; `speed_m_s` along the heading, negative when reversing.
@@ -227,6 +231,7 @@ class RobotStates(Message, frozen=True, kw_only=True):
     speed_m_s: tuple[float, ...]
     turn_rad_s: tuple[float, ...]
     radius_m: tuple[float, ...]
+    teams: tuple[Team, ...] = ()  # of which each is; 0: of none, and empty: none is of any
 
 
 class Interventions(Message, frozen=True, kw_only=True):

@@ -16,5 +16,8 @@ STOPPED_BY = "it was stopped by"
 ESTOP_WAS = "its e-stop was"
 """The same for an e-stop, engaged or released: that it is latched stands elsewhere."""
 
+ESTOP_LATCHED = "its e-stop is latched"
+"""How a robot's refusal begins that only the release of its e-stop ends."""
+
 LAPSED = "the operator's intent has run out"
 """Why a robot stands whose stick was let go."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fullswarm.agent.inbox import Inbox
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
 from fullswarm.drivers.base import Fleet, Lifecycle
 
 
@@ -45,13 +46,15 @@ class DriverWatch:
         self._engaged = wished and state is Lifecycle.ACTIVE and fresh
         self._state = state
 
-    def end_unsafe_tasks(self) -> None:
-        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
+    def end_unsafe_tasks(self, hazards: NDArray[np.uint8]) -> None:
+        """End the tasks of robots with a fault, a hazard (n,) or an empty battery: going on takes a new request."""
         reasons = self._controller.reason
         ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
         for row in np.flatnonzero(ending).tolist():
-            if reasons[row] != Reason.DRIVER:
-                self._inbox.spend(row, EXPLAIN[reasons[row]])
+            if reasons[row] == Reason.HAZARD:
+                self._inbox.spend(row, explain_hazards(int(hazards[row]), self._fleet.fault(row))[0])
+            elif reasons[row] == Reason.BATTERY:
+                self._inbox.spend(row, EXPLAIN[Reason.BATTERY])
             elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
                 # Before it was ever ready it has not stopped from anything: a base may be switched on late.
                 self._inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")

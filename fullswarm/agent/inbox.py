@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fullswarm.agent.estops import EStops
 from fullswarm.agent.fence import Cores, Fence
 from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, explain_hazards
 from fullswarm.agent.tasks import Task
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
@@ -19,7 +19,7 @@ from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
 from fullswarm.runtime import Scheduler
-from fullswarm.words import ESTOP_WAS, STOPPED_BY
+from fullswarm.words import ESTOP_LATCHED, ESTOP_WAS, STOPPED_BY
 
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
@@ -124,12 +124,14 @@ class Inbox:
             return True, ""
         fence.see(request.request_id)
         if agent.controller.estop[row]:
-            return False, "its e-stop is latched; clear it with `fullswarm estop --clear`"
+            return False, f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`"
         if request.request_id in fence.spent:
             return False, f"{fence.spent[request.request_id]}; ask for it again"
-        if agent.reading is not None and int(agent.reading.hazards[row]) & UNSAFE:
+        hazards = 0 if agent.reading is None else int(agent.reading.hazards[row])
+        if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
-            return False, f"{EXPLAIN[Reason.HAZARD]}; put it on safe ground, then ask for it again"
+            words, remedy = explain_hazards(hazards, agent.fleet.fault(row))
+            return False, f"{words}; {remedy}, then ask for it again"
         if agent.reflexes.flat[row] and request.expires_s <= 0.0:
             return False, EXPLAIN[Reason.BATTERY]
         try:

@@ -32,6 +32,7 @@ class Neighbours:
     Attributes
     ----------
     heard : (m, 6) x, y, heading, speed, turn rate, radius as told
+    teams : (m,) of which team each is as told; 0: none
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see `pairs.predict`. A robot that
@@ -55,6 +56,7 @@ class Neighbours:
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.heard = np.zeros((0, 6))
+        self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
@@ -87,10 +89,12 @@ class Neighbours:
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
         table = np.array(columns)
+        teams = np.array(states.teams or (0,) * len(rows), np.int64)
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
-            rows, table = rows[finite], table[:, finite]
+            rows, table, teams = rows[finite], table[:, finite], teams[finite]
         self.heard[rows] = table.T
+        self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
     def _hear_one(self, states: RobotStates, now_s: float) -> None:
@@ -109,6 +113,7 @@ class Neighbours:
         heard[row, 3] = speed_m_s
         heard[row, 4] = turn_rad_s
         heard[row, 5] = radius_m
+        self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
     def look(self, now_s: float) -> None:
@@ -147,8 +152,12 @@ class Neighbours:
             if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self.speed_m_s)):
                 self.arrival_s[row] = -math.inf
 
-    def within(self, position: Array, reach_m: float) -> tuple[Index, Index]:
-        """Find who is within `reach_m` of each own robot at the time of the last `look`.
+    def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+        """Find who is within `reach_m` of each own robot at the time of the last `look`, and of its team.
+
+        Parameters
+        ----------
+        team : (n,) of the own robots; 0, or None for all of them: everybody counts
 
         Returns
         -------
@@ -157,7 +166,18 @@ class Neighbours:
         """
         if self._stale:
             self._predict()
-        return self._search(position, self.predicted, reach_m)
+        start, other = self._search(position, self.predicted, reach_m)
+        if team is not None and self._mixed(team):
+            pairs.keep_team.run(start, other, team, self.teams)
+        return start, other
+
+    def _mixed(self, team: Index) -> bool:
+        """Tell whether an own robot, of `team` (n,), may have heard one that is not of its team."""
+        if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
+            return bool(team[0])
+        known = self.own_row >= 0  # what the own robots run is known at once, without their messages
+        self.teams[self.own_row[known]] = team[known]
+        return bool((self.teams[: self.count] != team[0]).any() or (team != team[0]).any())
 
     def _search(self, position: Array, places: Array, reach_m: float) -> tuple[Index, Index]:
         count, key = self.count, (reach_m, places is self.places)
@@ -196,6 +216,7 @@ class Neighbours:
         if count > len(self.heard):
             more = max(count, 2 * len(self.heard)) - len(self.heard)
             self.heard = np.vstack([self.heard, np.zeros((more, 6))])
+            self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
@@ -208,6 +229,8 @@ def _fits(states: RobotStates) -> bool:
     x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
+    if states.teams and len(states.teams) != count:
+        return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
 

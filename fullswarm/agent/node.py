@@ -198,7 +198,7 @@ class AgentNode:
         self._applied = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._drivers.ready[0]:
             self._dirty |= self.controller.changed
-            self._drivers.end_unsafe_tasks()
+            self._drivers.end_unsafe_tasks(reading.hazards)
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:

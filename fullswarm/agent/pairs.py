@@ -182,6 +182,29 @@ def cell_pairs(
 
 
 @kernel
+def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None:
+    """Drop from the edge list who is not of a robot's own team.
+
+    Parameters
+    ----------
+    start, other : as `all_pairs` fills them; both are rewritten in place
+    own_team : (n,) team of each own robot; 0: it keeps all its neighbours
+    teams : (m,) team of each robot heard
+    """
+    kept = 0
+    for i in range(own_team.shape[0]):
+        first = start[i]
+        start[i] = kept
+        mine = own_team[i]
+        for edge in range(first, start[i + 1]):
+            row = other[edge]
+            if mine == 0 or teams[row] == mine:
+                other[kept] = row
+                kept += 1
+    start[own_team.shape[0]] = kept
+
+
+@kernel
 def describe(
     position: Array, start: Index, other: Index, predicted: Array, heard: Array, of: Index, offset: Array,
     distance: Array, heading: Array,

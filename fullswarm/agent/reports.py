@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, explain_hazards
 from fullswarm.agent.view import Array
 from fullswarm.kernels import kernel
 from fullswarm.keys import Keys, cell_of
@@ -67,6 +67,7 @@ def states(
                 speed_m_s=tuple(speed),
                 turn_rad_s=tuple(turn),
                 radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
+                teams=tuple((agent.tasks.team if everyone else agent.tasks.team[rows]).tolist()),
             ),
         )
 
@@ -111,6 +112,7 @@ def _state_of_one(
             speed_m_s=(speed_m_s,),
             turn_rad_s=(turn_rad_s,),
             radius_m=(float(agent.radius[0]),),
+            teams=(int(agent.tasks.team[0]),),
         ),
     )
 
@@ -133,7 +135,9 @@ def health(agent: AgentNode, loop: LoopStats, version: str, now_s: float) -> Hea
 def _why(agent: AgentNode, row: int, reason: int) -> str:
     if reason == Reason.LAW:
         return agent.wishes.law_error[row]
-    return agent.ended[row] if reason == Reason.IDLE else EXPLAIN[reason]
+    if reason == Reason.HAZARD and agent.reading is not None:
+        return explain_hazards(int(agent.reading.hazards[row]), agent.fleet.fault(row))[0]
+    return agent.ended[row] if reason == Reason.IDLE else EXPLAIN.get(reason, "")
 
 
 def _robots(agent: AgentNode) -> Iterator[RobotHealth]:

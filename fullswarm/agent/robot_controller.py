@@ -48,7 +48,6 @@ EXPLAIN: dict[int, str] = {
     Reason.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
     Reason.DRIVER: "the driver is not ready",
     Reason.READING: "the robot has told nothing new for too long",
-    Reason.HAZARD: "cliff, wheel drop, overcurrent, stop button or safety switch",
     Reason.IDLE: "",
     Reason.LAW: "the law failed",
     Reason.HUB: "the hub is lost",
@@ -61,10 +60,36 @@ EXPLAIN: dict[int, str] = {
     Reason.FENCE: "it would leave the arena",
 }
 
+HAZARDS: dict[Hazard, tuple[str, str]] = {
+    Hazard.CLIFF: ("a cliff sensor sees no floor", "put it on safe ground"),
+    Hazard.WHEEL_DROP: ("a wheel hangs", "put it on safe ground"),
+    Hazard.OVERCURRENT: ("a wheel motor draws too much current (overcurrent)", "free its wheels"),
+    Hazard.ESTOP_BUTTON: ("a person pressed its stop button or took it over", "have the button released"),
+    Hazard.MOTORS_OFF: ("its safety switch keeps the motors off", "release the switch"),
+}
+"""What a hazard that stops a robot is called, and what to do about it."""
+
 STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON | Hazard.MOTORS_OFF)
 BUMP = int(Hazard.BUMP)
 STILL = 1e-3
 """m/s and rad/s: less is no motion."""
+
+
+def explain_hazards(hazards: int, fault: str) -> tuple[str, str]:
+    """Return which hazards stop a robot, by name, and what to do about them.
+
+    Parameters
+    ----------
+    fault
+        The driver's. Where a person may have taken over it says what happened, which the hazard does not.
+    """
+    seen = {each: HAZARDS[each] for each in HAZARDS if hazards & each}
+    if Hazard.MOTORS_OFF in seen:
+        seen.pop(Hazard.ESTOP_BUTTON, None)  # the switch is the button
+    elif fault and Hazard.ESTOP_BUTTON in seen:
+        seen[Hazard.ESTOP_BUTTON] = fault, HAZARDS[Hazard.ESTOP_BUTTON][1]
+    words, remedies = zip(*seen.values(), strict=True) if seen else ((), ())
+    return " and ".join(words), " and ".join(dict.fromkeys(remedies))
 
 
 class RobotController:

@@ -129,6 +129,7 @@ class Tasks:
     lasting : (n,) it is filtered and no intent of a stick
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
+    team : (n,) whom its law counts as neighbours; 0: all that are sensed
     lapses_s : (n,) when it ends by itself; inf
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """
@@ -142,6 +143,7 @@ class Tasks:
     filtered: NDArray[np.bool_] = field(init=False)
     lasting: NDArray[np.bool_] = field(init=False)
     survives_core: NDArray[np.bool_] = field(init=False)
+    team: Index = field(init=False)
     margin_m: Array = field(init=False)
     gain_per_s: Array = field(init=False)
     lapses_s: Array = field(init=False)
@@ -154,6 +156,7 @@ class Tasks:
         self.filtered = np.zeros(self.count, bool)
         self.lasting = np.zeros(self.count, bool)
         self.survives_core = np.zeros(self.count, bool)
+        self.team = np.zeros(self.count, np.int64)
         self.margin_m = np.full(self.count, self.usual_margin_m)
         self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
         self.lapses_s = np.full(self.count, math.inf)
@@ -172,6 +175,7 @@ class Tasks:
             registry.law_module(task.law)
         self.of[row] = task
         self.lapses_s[row] = task.lapses_s
+        self.team[row] = request.team
         if request.filtered:
             self.lasting[row] = request.expires_s <= 0.0
             self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
@@ -200,6 +204,7 @@ class Tasks:
         self.of[row] = None
         self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
         self.lapses_s[row] = math.inf
+        self.team[row] = 0
         self._groups = None
 
     def groups(self) -> list[Group]:

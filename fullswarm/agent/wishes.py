@@ -63,7 +63,7 @@ class Wishes:
         for group in groups:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
-                position, pose[:, 2], agent.radius, partial(neighbours.within, position, reach_m),
+                position, pose[:, 2], agent.radius, partial(neighbours.within, position, reach_m, tasks.team),
                 neighbours.predicted, neighbours.heard, self._bounds, agent.atlas.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)

@@ -35,6 +35,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     behaviour: str
     parameters: dict[str, Value] = {}
     law: str = ""
+    team: int = 0
     filtered: bool = False
     centralised: bool = False
     survives_core: bool = False
@@ -110,6 +111,7 @@ class Desired:
             parameters=filled.parameters,
             filtered=filled.filtered,
             law=filled.law,
+            team=filled.team,
             centralised=filled.centralised,
             survives_core=filled.survives_core,
             expires_s=filled.expires_s,

@@ -6,6 +6,7 @@ Refusing is an answer too: every request gets a status, a repeated one gets its 
 from __future__ import annotations
 
 import itertools
+import zlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -109,7 +110,8 @@ class MainController:
             )
             self._board.publish(status)
             return
-        orders = {robot: _order(request.id, record, parameters[robot]) for robot in robots}
+        team = _team(request, record)
+        orders = {robot: _order(request.id, record, parameters[robot], team) for robot in robots}
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -210,7 +212,18 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
 
 
-def _order(request_id: str, record: Record, parameters: dict[str, Value]) -> Order:
+def _team(request: BehaviourRequest, record: Record) -> int:
+    """Return the number of the team that the request's robots are; 0: their law's neighbours are the whole swarm.
+
+    Each frame of a stick is a request of its own: there the team is whom one operator steers with one behaviour.
+    """
+    if record.team == "swarm":
+        return 0
+    whose = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
+    return zlib.crc32(" ".join(whose).encode()) or 1
+
+
+def _order(request_id: str, record: Record, parameters: dict[str, Value], team: int = 0) -> Order:
     # The robots need no parameters of a law that is computed elsewhere.
     given = {} if record.centralised else parameters
     return Order(
@@ -218,6 +231,7 @@ def _order(request_id: str, record: Record, parameters: dict[str, Value]) -> Ord
         behaviour=record.name,
         parameters=given,
         law=record.law,
+        team=team,
         filtered=record.filtered,
         centralised=record.centralised,
         survives_core=record.survives_core,

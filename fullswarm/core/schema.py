@@ -118,6 +118,7 @@ class Record(Section):
     centralised: bool = False
     filtered: bool = False  # behind the safety filter (`_bc`)
     survives_core: bool = False
+    team: Literal["request", "swarm"] = "request"  # whom the law counts as neighbours
     expires_s: float = Field(0.0, ge=0.0, le=60.0)  # > 0: an intent, to be repeated by who holds the stick
     formation: Literal["", "each", "assigned"] = ""  # a target per robot, or all targets to the centralised node
     parameters: dict[str, Parameter] = Field(default_factory=dict)

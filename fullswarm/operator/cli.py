@@ -58,7 +58,14 @@ def request(
     behaviour: Behaviour,
     robots: Robots = None,
     settings: Settings = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Until all robots present have confirmed.")] = False,
+    wait: Annotated[
+        bool | None,
+        typer.Option(
+            "--wait/--no-wait",
+            show_default=False,
+            help="Wait for the robots' answers until --timeout, or not at all; default: for 2 s at most.",
+        ),
+    ] = None,
     take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
@@ -67,7 +74,11 @@ def request(
     swarm: Swarm = "swarm",
     debug: Debug = False,
 ) -> None:
-    """Ask for a behaviour. Exit code 0: accepted; 2: refused; 3: no hub or no core; 1: not all confirmed."""
+    """Ask for a behaviour and print what the robots answer.
+
+    Exit code 0: all robots present run it; 1: one refused or did not answer; 2: the core refused; 3: no hub or no
+    core; 4: a latched e-stop is in the way. With --no-wait 0: the core accepted.
+    """
 
     def command() -> int:
         from fullswarm.operator import orders

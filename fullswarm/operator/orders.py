@@ -6,14 +6,17 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
-from fullswarm.errors import ConfigError, RequestRefused, Unreachable
+from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, SafetyStop, Unreachable
 from fullswarm.messages import EStop, RequestStatus, StopRequest, Value
 from fullswarm.operator import output, session
 from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target
 from fullswarm.operator.teleop import BEHAVIOUR, Teleop
-from fullswarm.words import ROBOT_ID
+from fullswarm.words import ESTOP_LATCHED, ROBOT_ID
+
+ANSWER_S = 2.0
+"""For the robots to answer a request that the core accepted; they do within 0.1 s unless messages are lost."""
 
 
 def robot_ids(names: Iterable[str], *, groups: bool = False) -> tuple[str, ...]:
@@ -47,12 +50,19 @@ def request(
     robots: Iterable[str],
     parameters: Mapping[str, Value],
     *,
-    wait: bool,
+    wait: bool | None,
     timeout_s: float,
     as_json: bool,
     take: bool = False,
 ) -> int:
-    """Ask for a behaviour and print who accepted it; with `wait` until all present robots have confirmed."""
+    """Ask for a behaviour and print which robots run it and which refused, and why.
+
+    Parameters
+    ----------
+    wait
+        For the answers of all present robots: True until `timeout_s`, None for `ANSWER_S` after the core's answer,
+        False not at all.
+    """
     ids = robot_ids(robots, groups=True)
     newest: RequestStatus | None = None
     told = ""
@@ -60,12 +70,14 @@ def request(
 
         def receive(status: RequestStatus) -> None:
             nonlocal newest, told
+            if newest is None and wait is None:
+                line.runtime.after(ANSWER_S, line.finish)
             newest = status
             text = f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed"
             if wait and status.phase != "refused" and text != told:  # the core says it again now and then
                 output.progress(text)
                 told = text
-            if not wait or settled(status):
+            if wait is False or settled(status):
                 line.finish()
 
         line.operator.request(behaviour, ids, parameters, receive, take=take)
@@ -78,16 +90,20 @@ def request(
         output.data("\n".join(status_lines(newest)))
     if newest.phase == "refused":
         raise refusal(newest)
-    if not wait or (newest.phase == "running" and settled(newest) and not newest.refused_by):
+    if wait is False or (newest.phase == "running" and settled(newest) and not newest.refused_by):
         return 0
     late = unconfirmed(newest)
     if late and not settled(newest):
-        output.progress(f"not confirmed within {timeout_s:g} s: {', '.join(late)}")
-    return 1
+        within_s = timeout_s if wait else min(ANSWER_S, timeout_s)
+        output.progress(f"not confirmed within {within_s:g} s: {', '.join(late)}")
+    return refusal(newest).exit_code if newest.refused_by else 1
 
 
-def refusal(status: RequestStatus) -> RequestRefused:
-    """Return the error for a request that the core refused."""
+def refusal(status: RequestStatus) -> FullswarmError:
+    """Return the error for a request that the core refused, or robots."""
+    if status.refused_by:
+        kind = SafetyStop if ESTOP_LATCHED in status.reason else FullswarmError
+        return kind(status.reason, where=status.behaviour)
     # The core's reason mostly ends with what to do; two hints would be one too many.
     hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` shows what can be asked for"
     return RequestRefused(status.reason or "refused without a reason", where=status.behaviour, hint=hint)

@@ -145,7 +145,7 @@ def test_core_and_agents_that_start_anew_at_once(swarm: LiveSwarm) -> None:
     swarm.until(swarm.ready, 30.0, "the core is back")
     swarm.rest(2.0)  # by then the core, too, has heard them all
     refused = swarm.cli("request", "move_to_goal", "--set", "goal=190,26", "--wait", "--timeout", "15")
-    assert refused.returncode == 2, refused.stderr
+    assert refused.returncode == 4, refused.stderr
     assert swarm.stands()
     clear(swarm)
 

@@ -101,7 +101,7 @@ def test_stop_and_estop_from_a_shell(swarm: LiveSwarm) -> None:
     assert stopped.returncode == 0, stopped.stderr
     assert all(row.health and row.health.estop for row in swarm.view.snapshot().robots)
     refused = swarm.cli("request", "flocking_bc", "--wait", "--timeout", "3")
-    assert refused.returncode == 2
+    assert refused.returncode == 4
     assert "e-stop is latched" in refused.stderr
     assert swarm.cli("estop", "--clear").returncode == 0
     swarm.rest(1.0)

@@ -27,6 +27,7 @@ from fullswarm.operator import session
 from fullswarm.operator.cli import operator_app
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
+from fullswarm.words import ESTOP_LATCHED
 
 RECORD: dict[str, object] = {
     "summary": "Keep together",
@@ -50,6 +51,7 @@ class FakeSwarm:
         self.targets: list[Target] = []
         self.core_alive, self.standing, self.deaf = True, True, "r2"
         self.robots: tuple[str, ...] = ("r1", "r2")
+        self.refusing: dict[str, str] = {}
         self.interrupt_after_s: float | None = None
 
     @contextmanager
@@ -80,6 +82,9 @@ class FakeSwarm:
             self.status(request, phase="refused", reason=f"no behaviour '{request.behaviour}'")
             return
         self.status(request, robots=("r1", "r2", "r3"), missing=("r3",))
+        if self.refusing:
+            self.runtime.after(0.1, lambda: self._refuse(request))
+            return
         for delay_s, running in ((0.1, ("r1",)), (0.2, ("r1", "r2"))):
             self.runtime.after(
                 delay_s,
@@ -91,6 +96,17 @@ class FakeSwarm:
                     missing=("r3",),
                 ),
             )
+
+    def _refuse(self, request: BehaviourRequest) -> None:
+        asked = request.robots or self.robots
+        self.status(
+            request,
+            phase="refused" if set(asked) == set(self.refusing) else "running",
+            reason="; ".join(f"{robot}: {why}" for robot, why in self.refusing.items()),
+            robots=asked,
+            running=tuple(robot for robot in asked if robot not in self.refusing),
+            refused_by=tuple(self.refusing),
+        )
 
     def _on_estop(self, order: EStop) -> None:
         for robot in order.robots or self.robots:
@@ -145,16 +161,65 @@ def run(*args: str) -> Result:
     return result
 
 
-def test_a_request_names_who_shall_run_it_and_who_is_missing(swarm: FakeSwarm) -> None:
+def test_a_request_names_who_runs_it_and_who_is_missing(swarm: FakeSwarm) -> None:
+    swarm.deaf = ""
     result = run("request", "flocking", "--robots", "r1,r2", "--robots", "r3", "--set", "goal=5,5", "--set", "a=x")
     assert result.exit_code == 0
     request = swarm.requests[0]
     assert request.robots == ("r1", "r2", "r3")
     assert request.parameters == {"goal": [5, 5], "a": "x"}
     assert result.stdout.splitlines() == [
-        f"accepted {request.id}: flocking for r1, r2, r3",
+        f"running {request.id}: flocking for r1, r2, r3",
+        "confirmed by: r1, r2",
         "missing, will get it when they join: r3",
     ]
+    assert result.stderr == ""
+    assert swarm.runtime.now_s() < 0.3
+
+
+def test_without_waiting_the_core_s_word_is_enough(swarm: FakeSwarm) -> None:
+    swarm.refusing = {"r1": f"{ESTOP_LATCHED}; clear it", "r2": f"{ESTOP_LATCHED}; clear it"}
+    result = run("request", "flocking", "--no-wait")
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [
+        f"accepted {swarm.requests[0].id}: flocking for r1, r2, r3",
+        "missing, will get it when they join: r3",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("why", "code"), [(f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`", 4), ("the battery is low", 1)]
+)
+def test_a_request_that_the_only_robot_refuses_fails(swarm: FakeSwarm, why: str, code: int) -> None:
+    swarm.refusing = {"r1": why}
+    for more in ((), ("--wait",)):
+        result = run("request", "flocking", "--robots", "r1", *more)
+        assert result.exit_code == code
+        assert result.stdout == ""
+        assert result.stderr.endswith(f"error: flocking: r1: {why}\n")
+    told = run("request", "flocking", "--robots", "r1", "--json")
+    assert told.exit_code == code
+    assert json.loads(told.stdout)["refused_by"] == ["r1"]
+
+
+@pytest.mark.parametrize(("why", "code"), [(ESTOP_LATCHED, 4), ("cliff; put it on safe ground", 1)])
+def test_a_request_that_some_robot_refuses_names_it(swarm: FakeSwarm, why: str, code: int) -> None:
+    swarm.refusing = {"r2": why}
+    result = run("request", "flocking", "--robots", "r1,r2")
+    assert result.exit_code == code
+    assert result.stdout.splitlines() == [
+        f"running {swarm.requests[0].id}: flocking for r1, r2",
+        f"reason: r2: {why}",
+        "confirmed by: r1",
+        "refused by: r2",
+    ]
+
+
+def test_a_request_that_a_robot_does_not_answer_says_so_after_a_moment(swarm: FakeSwarm) -> None:
+    result = run("request", "flocking", "--set", "a=1")
+    assert result.exit_code == 1
+    assert result.stderr == "not confirmed within 2 s: r2\n"
+    assert 1.9 < swarm.runtime.now_s() < 2.2
 
 
 def test_waiting_ends_when_all_present_robots_confirmed(swarm: FakeSwarm) -> None:

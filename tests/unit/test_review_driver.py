@@ -12,7 +12,7 @@ from fullswarm.agent.node import AgentNode, Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat
@@ -29,6 +29,7 @@ class Base:
     url, firmware, fault = "test://r1", "", ""
     description = Description("test", "test", 0.17, Limits(0.5, 2.0, 2.0, 20.0), senses_pose=True)
     state = Lifecycle.READY
+    hazards = Hazard.NONE
     leaving_s = -math.inf
 
     def __init__(self, runtime: Runtime) -> None:
@@ -53,7 +54,7 @@ class Base:
             self.leaving_s = -math.inf
             if self.state is Lifecycle.ACTIVE:
                 self.state = Lifecycle.READY
-        return Reading(self.runtime.now_s(), Pose(0.0, 0.0, 0.0), STAND, pose=Pose(0.0, 0.0, 0.0))
+        return Reading(self.runtime.now_s(), Pose(0.0, 0.0, 0.0), STAND, pose=Pose(0.0, 0.0, 0.0), hazards=self.hazards)
 
     def command(self, twist: Twist) -> Twist:
         self.applied = twist if self.state is Lifecycle.ACTIVE and self.leaving_s == -math.inf else STAND
@@ -151,3 +152,50 @@ def test_a_robot_that_falls_ends_its_task_with_its_own_words(lone: Lone) -> None
     lone.base.fault = ""
     assert not lone.drives("a")
     assert "a wheel hangs" in lone.acks[-1].reason
+
+
+def test_a_rover_that_another_station_disarmed_says_just_that(lone: Lone) -> None:
+    reports: list[HealthReport] = []
+    lone.bus.subscribe(KEYS.health("r1"), HealthReport, reports.append)
+    assert lone.drives("a")
+    taken = "udp://r1: it was disarmed by the pilot, another station or the autopilot: ask for a behaviour again"
+    lone.base.state, lone.base.fault, lone.base.hazards = Lifecycle.READY, taken, Hazard.ESTOP_BUTTON
+    lone.runtime.run(0.6)
+    assert reports[-1].robots[0].stop_reason == taken
+    lone.base.hazards = Hazard.NONE
+    lone.runtime.run(0.6)
+    assert reports[-1].robots[0].stop_reason == taken  # why its behaviour ended
+
+
+@pytest.mark.parametrize(
+    ("hazards", "words", "remedy"),
+    [
+        (Hazard.CLIFF, "a cliff sensor sees no floor", "put it on safe ground"),
+        (Hazard.WHEEL_DROP | Hazard.BUMP, "a wheel hangs", "put it on safe ground"),
+        (Hazard.OVERCURRENT, "a wheel motor draws too much current (overcurrent)", "free its wheels"),
+        (Hazard.MOTORS_OFF | Hazard.ESTOP_BUTTON, "its safety switch keeps the motors off", "release the switch"),
+        (Hazard.CLIFF | Hazard.WHEEL_DROP, "a cliff sensor sees no floor and a wheel hangs", "put it on safe ground"),
+    ],
+)
+def test_a_hazard_is_called_by_its_name(lone: Lone, hazards: Hazard, words: str, remedy: str) -> None:
+    reports: list[HealthReport] = []
+    lone.bus.subscribe(KEYS.health("r1"), HealthReport, reports.append)
+    assert lone.drives("a")
+    lone.base.hazards = hazards
+    lone.runtime.run(0.6)
+    health = reports[-1].robots[0]
+    assert health.stop_reason == words
+    assert advise(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, health))
+    assert not lone.drives("b")
+    assert lone.acks[-1].reason == f"{words}; {remedy}, then ask for it again"
+    lone.base.hazards = Hazard.NONE
+    assert not lone.drives("a")
+    assert lone.acks[-1].reason == f"{words}; ask for it again"
+
+
+def test_a_stop_button_without_words_of_its_driver_is_told_too(lone: Lone) -> None:
+    reports: list[HealthReport] = []
+    lone.bus.subscribe(KEYS.health("r1"), HealthReport, reports.append)
+    lone.base.hazards = Hazard.ESTOP_BUTTON
+    lone.runtime.run(0.6)
+    assert reports[-1].robots[0].stop_reason == "a person pressed its stop button or took it over"

@@ -25,7 +25,16 @@ from collections.abc import Callable
 
 from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.create_oi.odometry import Odometry
-from fullswarm.drivers.create_oi.protocol import Mode, Op, Sensors, StreamParser, drive_direct, simple, stream
+from fullswarm.drivers.create_oi.protocol import (
+    Mode,
+    Op,
+    Sensors,
+    StreamParser,
+    drive_direct,
+    frame_size,
+    simple,
+    stream,
+)
 from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, power, stream_ids, wheel_speeds
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.drivers.create_oi.waking import Brc, Waking
@@ -83,6 +92,7 @@ class Session:
         self._hellos = 0
         self._list_s: float | None = None
         self._heard = self._mode = -1  # bytes since the first hello; newest mode
+        self._heard_good = self._skipped = 0  # `_heard` at the newest frame; the parser's at the last activate()
         self._frame_s = self._command_s = self._sent_s = self._followed_s = -math.inf
         self._activate_by_s: float | None = None  # activation asked for, not confirmed
         self._safe_sent = False
@@ -143,7 +153,7 @@ class Session:
         if self._hello_s is not None:
             self._hello(now_s)
         elif now_s - self._frame_s > SILENT_S:
-            self._fail(f"silent for {SILENT_S} s: check its power and the cable; the driver keeps calling")
+            self._fail(self._silence())
             self._greet(now_s)
             self._hello(now_s)
         elif self.state is Lifecycle.ACTIVE:
@@ -151,7 +161,7 @@ class Session:
         elif self._activate_by_s is not None and now_s > self._activate_by_s:
             self._forget()
             self._park(now_s)
-            self._bar(f"the robot did not go into Safe mode within {CONFIRM_S} s; take it off its charger", now_s)
+            self._bar(f"the robot did not go into Safe mode within {CONFIRM_S} s: {self._deaf()}", now_s)
         asleep = self._hello_s is not None and self._hellos > 1 and self._heard == 0
         if self._waking.tick(now_s, asleep) and self.state is Lifecycle.READY and self._may_nudge():
             self._waking.active(now_s)
@@ -167,6 +177,7 @@ class Session:
             self._refuse(now_s)
         else:  # what barred it before stands until it is ACTIVE: an agent tries again at once, and nobody could read it
             self._activate_by_s, self._safe_sent = now_s + CONFIRM_S, False
+            self._skipped = self._parser.skipped
 
     def deactivate(self, now_s: float) -> None:
         """Stop the wheels and take the drive away."""
@@ -237,12 +248,30 @@ class Session:
         if self._mode >= 0:
             return f"it answers, but stays in mode {self._mode} instead of Passive; some need '?mode_offset=1'"
         if self._heard > 0:
-            return "it sends bytes, but none that make a frame: wrong model or baud rate in its URL?"
+            return "it sends bytes, but none that make a frame: wrong model or baud rate in its URL, or a bad cable?"
         asleep = "it does not wake up" if self._waking.can_wake else "it may be asleep: press its power button"
         return f"no answer: {asleep}, check the cable, and 'model' and 'baud' in its URL"
 
+    def _silence(self) -> str:
+        """Say what is known of a robot that has made no good frame for `SILENT_S`."""
+        bad = self._heard - self._heard_good
+        if bad > frame_size(self._ids):  # more than the rest of a frame that a pulled cable cut
+            return f"no good frame for {SILENT_S} s, only {bad} damaged bytes: check the cable and the baud rate"
+        return f"silent for {SILENT_S} s: check its power and the cable; the driver keeps calling"
+
+    def _deaf(self) -> str:
+        """Say what is known of why the robot does not take the mode that it was told."""
+        if self._newest is not None and self._newest.chargers:
+            return "it is on its charger; take it off"
+        lost = self._parser.skipped - self._skipped
+        if lost:
+            return f"the line is bad, {lost} bytes were damaged meanwhile; check the cable and its plugs"
+        return (
+            "the cause is unknown; check the cable, then restart the robot, which may need it after charging for days"
+        )
+
     def _take(self, sensors: Sensors, now_s: float) -> None:
-        self._frame_s, self._newest = now_s, sensors
+        self._frame_s, self._newest, self._heard_good = now_s, sensors, self._heard
         if not self._met:
             self._odometry.rebase()  # frames of an earlier drive may still be on the way
         moved = self._odometry.update(sensors, now_s)
@@ -324,18 +353,21 @@ class Session:
         elif self._wheels != (0, 0) and silent:
             self._turn_wheels((0, 0), now_s)
         elif now_s - self._followed_s > STUCK_S and not self.docking:
-            self._fail(f"what it tells has not changed for {STUCK_S} s of other set-points: restart the robot")
+            self._fail(
+                f"what it tells has not changed for {STUCK_S} s of other set-points: its sensors hang, or it does not "
+                "hear the driver; restart the robot, then check the cable"
+            )
             self._greet(now_s)
             self._hello(now_s)
 
     def _fall(self, now_s: float) -> None:
         """Follow a robot that left Safe mode by itself."""
-        cause = self._senses.cause or f"it is in mode {self._mode}"
+        cause = self._senses.cause or f"the cause is unknown, it is in mode {self._mode}"
         self._stand_down(now_s, f"the robot stopped itself: {cause}")
         self._falls = [each for each in self._falls if now_s - each < FALL_WINDOW_S] + [now_s]
         if len(self._falls) >= FALLS:
             self._latched = (
-                f"it stopped itself {FALLS} times within {FALL_WINDOW_S:.0f} s, last because {cause}; "
+                f"it stopped itself {FALLS} times within {FALL_WINDOW_S:.0f} s, the last time: {cause}; "
                 f"put it on safe ground, it is ready again after {CALM_S:.0f} s there"
             )
             self._calm_s = now_s

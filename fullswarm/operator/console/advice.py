@@ -10,7 +10,10 @@ LOW_BATTERY = 0.2
 _STOPS = (
     ("driver is not ready", "Wait a moment; if it stays so, look at its cable, power and `fullswarm doctor`."),
     ("told nothing new", "Its link is up but mute: look at the cable, then switch the robot off and on."),
-    ("cliff, wheel drop", "Put all its wheels on the floor, away from edges; free a stuck wheel."),
+    ("sees no floor", "Put all its wheels on the floor, away from edges."),
+    ("wheel hangs", "Put all its wheels on the floor, away from edges."),
+    ("overcurrent", "Free its wheels."),
+    ("safety switch", "Release its safety switch."),
     ("stop button", "Release the button on the robot."),
     ("law failed", "Ask for another behaviour; the robot's log has the error."),
     ("hub is lost", "Bring the hub or its network back; the robot goes on by itself then."),
