@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
 from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.bus.network import parse_network
+from fullswarm.config.limits import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M
 from fullswarm.errors import ConfigError
 from fullswarm.words import ROBOT_ID, TRUTH
 
@@ -97,8 +98,9 @@ class AgentConfig(Section):
     turn_limit_rad_s: PositiveFloat | None = None
     speed_gain: PositiveFloat = 1.0  # K_v of the paper
     turn_gain_per_s: PositiveFloat = 3.0  # K_w of the paper
-    safety_margin_m: float = Field(0.03, ge=0.0)
-    barrier_gain_per_s: PositiveFloat = 2.0  # γ: share of the gap that may be closed per second
+    safety_margin_m: float = Field(0.03, ge=SAFETY_MARGIN_M[0], le=SAFETY_MARGIN_M[1])
+    # γ: share of the gap that may be closed per second
+    barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
     bounds_m: tuple[float, float, float, float] | None = None  # arena for real robots; None: the world's, or none
     estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
     fix_timeout_s: PositiveFloat = 0.5  # no usable pose fix for so long: odometry alone, and another source may follow
