@@ -29,10 +29,10 @@ KEYS = Keys()
 ROBOTS = ("r1", "r2", "r3")
 WORDS = (
     *ROBOTS, "@team", "somebody", "core", "centralised", "move_to_goal", "move_to_goal_bc", "flocking_bc",
-    "navigate_bc", "formation", "formation_assigned_bc", "teleop_centroid", "drive", "drive_bc", "stop", "work", "collisions",
-    "coverage", "robots", "truth", "goal", "gain", "targets", "shape", "hearing_m", "safety_margin_m", "map", "x_m",
-    "y_m", "heading_rad", "deviation_m", "ticks", "arrived_s", "agent/safety_margin_m", "schedule_interval_s",
-    "performance/coverage_at_least", "group/team", "q1", "q2",
+    "navigate_bc", "formation", "formation_assigned_bc", "teleop_centroid", "drive", "drive_bc", "stop", "work",
+    "collisions", "coverage", "robots", "truth", "goal", "gain", "targets", "shape", "hearing_m", "safety_margin_m",
+    "map", "x_m", "y_m", "heading_rad", "deviation_m", "ticks", "arrived_s", "agent/safety_margin_m",
+    "schedule_interval_s", "performance/coverage_at_least", "group/team", "q1", "q2",
 )  # fmt: skip
 
 
