@@ -23,6 +23,8 @@ S = TypeVar("S", bound=BaseModel)
 _SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 _PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
 
+HOW_A_BOX = "write centre x, y, size x, y in m, yaw in rad"
+
 
 class FleetShorthand(Section):
     """``[fleet]``: robots by the number, ``<prefix>1`` to ``<prefix><count>``."""
@@ -149,7 +151,7 @@ class _Document:
         if config is not None and (fleet is not None or fleet_table is None):
             self._find_strangers(config, [each.id for each in (*shorthand, *config.robot)])
         if config is not None:
-            self._find_far_boxes(config)
+            self._find_odd_boxes(config)
         if config is not None and not self._problems:
             places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
             config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
@@ -160,16 +162,18 @@ class _Document:
             raise ConfigError("\n".join(lines))
         return config
 
-    def _find_far_boxes(self, config: SwarmConfig) -> None:
-        """Complain of boxes of which no part is in the arena: a slip of the unit, or of the order of the numbers."""
+    def _find_odd_boxes(self, config: SwarmConfig) -> None:
+        """Complain of boxes without a size, or without a part in the arena: a slip of the unit or of the order."""
         world = config.world_or_default
         x_min, y_min, x_max, y_max = world.bounds_m
         for index, (x, y, size_x, size_y, yaw) in enumerate(world.boxes):
+            if not (size_x > 0.0 and size_y > 0.0):
+                self._complain(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
             cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
             reach_x, reach_y = (cos * size_x + sin * size_y) / 2.0, (sin * size_x + cos * size_y) / 2.0
             if x + reach_x <= x_min or x - reach_x >= x_max or y + reach_y <= y_min or y - reach_y >= y_max:
                 arena = ", ".join(f"{each:g}" for each in world.bounds_m)
-                what = f"lies outside the arena, bounds_m = [{arena}]: write centre x, y, size x, y in m, yaw in rad"
+                what = f"lies outside the arena, bounds_m = [{arena}]: {HOW_A_BOX}"
                 self._complain(("world", "boxes", index), what)
 
     def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:

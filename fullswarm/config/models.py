@@ -49,12 +49,6 @@ def _bounds(bounds: tuple[float, float, float, float]) -> tuple[float, float, fl
     return bounds
 
 
-def _box(box: tuple[float, float, float, float, float]) -> tuple[float, float, float, float, float]:
-    if not (box[2] > 0.0 and box[3] > 0.0):
-        raise ValueError(f"has no size ({box[2]:g} by {box[3]:g} m): write centre x, y, size x, y in m, yaw in rad")
-    return box
-
-
 def _conditions(text: str) -> str:
     try:
         parse_network(text, where="")
@@ -69,7 +63,7 @@ SwarmName = Annotated[str, AfterValidator(_swarm_name)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # m
 Size = Annotated[float, Field(le=1e6)]
 Bounds = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], AfterValidator(_bounds)]
-Box = Annotated[tuple[Coordinate, Coordinate, Size, Size, float], AfterValidator(_box)]
+Box = tuple[Coordinate, Coordinate, Size, Size, float]
 Conditions = Annotated[str, AfterValidator(_conditions)]
 Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]

@@ -284,7 +284,8 @@ def _paths(value: object, path: KeyPath) -> list[KeyPath]:
     [
         ("[agent]\nsensing_radius_m = 300000\n",
          "fleet.toml:2: agent.sensing_radius_m: must be less than or equal to 1000 m, not 300000"),
-        ("[agent]\nspeed_limit_m_s = 500\n", "fleet.toml:2: agent.speed_limit_m_s: must be less than or equal to 10 m/s, not 500"),
+        ("[agent]\nspeed_limit_m_s = 500\n",
+         "fleet.toml:2: agent.speed_limit_m_s: must be less than or equal to 10 m/s, not 500"),
         ("[agent]\nsafety_margin_m = 30\n",
          "fleet.toml:2: agent.safety_margin_m: must be less than or equal to 1 m, not 30"),
         ("[agent]\ncontrol_rate_hz = 0.001\n", "fleet.toml:2: agent.control_rate_hz: must be greater than or equal"),
