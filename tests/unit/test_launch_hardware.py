@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -45,3 +47,15 @@ def test_the_verbs_hang_on_the_operators_robots() -> None:
     done = CliRunner().invoke(app, ["robots", "--help"], env={"COLUMNS": "120"})
     assert done.exit_code == 0
     assert all(word in done.stdout for word in ("find", "test", "--json", "--hub", "--swarm"))
+
+
+def test_a_mistyped_url_is_told_before_anything_heavy_is_imported() -> None:
+    code = """
+import sys
+from typer.testing import CliRunner
+from fullswarm.launch.main import app
+done = CliRunner().invoke(app, ["robots", "test", "crate:///dev/ttyUSB0"])
+print(done.exit_code, "did you mean 'create'" in done.stderr, sorted({"numpy", "fullswarm.launch.bring_up"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split("\n")[0] == "2 True []"
