@@ -55,7 +55,8 @@ import sys
 from typer.testing import CliRunner
 from fullswarm.launch.main import app
 done = CliRunner().invoke(app, ["robots", "test", "crate:///dev/ttyUSB0"])
-print(done.exit_code, "did you mean 'create'" in done.stderr, sorted({"numpy", "fullswarm.launch.bring_up"} & set(sys.modules)))
+heavy = {"numpy", "fullswarm.launch.bring_up"} & set(sys.modules)
+print(done.exit_code, "did you mean 'create'" in done.stderr, sorted(heavy))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.split("\n")[0] == "2 True []"
