@@ -205,7 +205,8 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
 
 
 def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    law, broken = move_to_goal.velocity, []
+    law = move_to_goal.velocity
+    broken: list[bool] = []
     monkeypatch.setattr(move_to_goal, "velocity", lambda *given: law(*given) * (math.nan if broken else 1.0))
     driving(bench)
     broken.append(True)
@@ -347,11 +348,10 @@ def test_an_intent_that_would_not_lapse_is_refused(bench: Bench, expires_s: floa
 def test_a_command_without_a_sound_time_is_not_obeyed(bench: Bench, fields: dict[str, float]) -> None:
     bench.enable("central", centralised=True)
     command = Command(
-        **{
-            "robot": "r1", "request_id": "q-central", "linear_m_s": 0.3, "angular_rad_s": 0.0, "ttl_s": 0.3,
-            "sequence": 5, "stamp_s": bench.runtime.now_s(), **fields,
-        }
+        robot="r1", request_id="q-central", linear_m_s=0.3, angular_rad_s=0.0, ttl_s=0.3, sequence=5,
+        stamp_s=bench.runtime.now_s(),
     )  # fmt: skip
+    command = msgspec.structs.replace(command, **fields)
     LocalBus.publish(bench.bus, bench.keys.command("r1"), command)
     bench.run(0.1)
     assert not bench.commanded.any()

@@ -374,10 +374,10 @@ def test_a_request_that_would_switch_the_filter_off_is_not_computed(parameters: 
     node = CentralisedNode(bus, runtime, SwarmConfig(), "n")
     active: list[tuple[str, ...]] = []
     bus.subscribe(keys.heartbeat("centralised"), Heartbeat, lambda beat: active.append(beat.active))
-    for request_id, given in (("bad", parameters), ("good", {})):
+    for request_id, asked in (("bad", parameters), ("good", {})):
         request = CentralisedRequest(
             request_id=request_id, behaviour="teleop_centroid_bc", law="teleop_centroid", enable=True, robots=("r1",),
-            parameters={**given}, filtered=True, core="c", sequence=1,
+            parameters={**asked}, filtered=True, core="c", sequence=1,
         )  # fmt: skip
         bus.publish(keys.centralised_request("teleop_centroid_bc"), request)
     runtime.run(0.5)
