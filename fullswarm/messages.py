@@ -1,20 +1,68 @@
 """Every message on the wire: typed, versioned, immutable. SI units, radians, ENU; stamps are monotonic seconds.
 
 Each struct carries its name and version in the field ``kind`` (``"Command/1"``). A reader refuses an unknown version
-or field instead of guessing. Stamps order the messages of one sender; the receiver measures ages from the arrival.
+or field instead of guessing, and a number that is not finite or that no lab will see: the ranges below are checked
+while a message is decoded. Stamps order the messages of one sender; the receiver measures ages from the arrival.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
-Value = bool | int | float | str | list[float | list[float]]
-"""A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points."""
+MOST = 10_000
+"""Entries of a list at most: the largest fleet that a file can name."""
 
-Team = Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)]
+Names = Annotated[tuple[str, ...], Meta(max_length=MOST)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Counts = Annotated[tuple[Count, ...], Meta(max_length=MOST)]
+Ordinal = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+
+Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]  # s
+Duration = Annotated[float, Meta(ge=0.0, le=1e10)]  # s
+Validity = Annotated[float, Meta(ge=0.0, le=60.0)]  # s that a command or an intent may hold
+Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
+Way = Annotated[float, Meta(ge=0.0, le=1e12)]  # m, added up
+HalfSize = Annotated[float, Meta(ge=0.0, le=1e5)]  # m
+Radius = Annotated[float, Meta(gt=0.0, le=100.0)]  # m
+Radians = Annotated[float, Meta(ge=-1e7, le=1e7)]
+Speed = Annotated[float, Meta(ge=-1e4, le=1e4)]  # m/s
+Turn = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad/s
+Sigma = Annotated[float, Meta(ge=0.0, le=1e7)]  # m or rad
+KnownSigma = Annotated[float, Meta(ge=-1.0, le=1e7)]  # -1: unknown
+Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
+
+Places = Annotated[tuple[Metres, ...], Meta(max_length=MOST)]
+Ways = Annotated[tuple[Way, ...], Meta(max_length=MOST)]
+Radii = Annotated[tuple[Radius, ...], Meta(max_length=MOST)]
+Angles = Annotated[tuple[Radians, ...], Meta(max_length=MOST)]
+Speeds = Annotated[tuple[Speed, ...], Meta(max_length=MOST)]
+Turns = Annotated[tuple[Turn, ...], Meta(max_length=MOST)]
+Changes = Annotated[tuple[Finite, ...], Meta(max_length=MOST)]  # m/s
+Box = tuple[Metres, Metres, HalfSize, HalfSize, Radians, HalfSize]
+
+Value = (
+    bool
+    | int
+    | float
+    | str
+    | Annotated[list[float | Annotated[list[float], Meta(max_length=MOST)]], Meta(max_length=MOST)]
+)
+"""A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points.
+
+Its numbers may be anything: whoever would carry the request out refuses it, with a reason that the sender can read.
+"""
+Parameters = Annotated[dict[str, Value], Meta(max_length=256)]
+
+LARGEST = 1e15
+"""Of what is measured; a sum of many such numbers is finite."""
+
+Team = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 """Number of a team: robots whose laws count each other as neighbours, those of one request; 0: of no team."""
+Teams = Annotated[tuple[Team, ...], Meta(max_length=MOST)]
 
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
 
@@ -33,12 +81,12 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
 
     id: str
     behaviour: str
-    robots: tuple[str, ...] = ()  # empty: the whole swarm; "@name": a group of the core's database
-    parameters: dict[str, Value] = {}
+    robots: Names = ()  # empty: the whole swarm; "@name": a group of the core's database
+    parameters: Parameters = {}
     source: str = ""  # which process asks: "cli@host:pid"; its stamps order its requests
     operator: str = ""  # in whose name, for leases: "anna@lab1"
     take: bool = False  # take the robots over from who holds them
-    stamp_s: float = 0.0
+    stamp_s: Stamp = 0.0
 
 
 class RequestStatus(Message, frozen=True, kw_only=True):
@@ -48,18 +96,18 @@ class RequestStatus(Message, frozen=True, kw_only=True):
     behaviour: str
     phase: Phase
     reason: str = ""  # why it was refused or superseded
-    robots: tuple[str, ...] = ()  # who shall run it
-    running: tuple[str, ...] = ()  # who confirmed
-    missing: tuple[str, ...] = ()  # addressed, but not present now; they get it when they join
-    refused_by: tuple[str, ...] = ()  # who said no, e.g. latched e-stop
-    stamp_s: float = 0.0
+    robots: Names = ()  # who shall run it
+    running: Names = ()  # who confirmed
+    missing: Names = ()  # addressed, but not present now; they get it when they join
+    refused_by: Names = ()  # who said no, e.g. latched e-stop
+    stamp_s: Stamp = 0.0
 
 
 class StopRequest(Message, frozen=True, kw_only=True):
     """Stand still now. Goes to the robots directly and to the core; needs neither authority nor an answer."""
 
     id: str
-    robots: tuple[str, ...] = ()  # empty: all
+    robots: Names = ()  # empty: all
     source: str = ""
 
 
@@ -67,7 +115,7 @@ class LeaseRequest(Message, frozen=True, kw_only=True):
     """An operator takes, keeps or gives back the authority over robots. Said again each second while it is held."""
 
     operator: str
-    robots: tuple[str, ...]
+    robots: Names
     hold: bool  # False: give back what `operator` holds of them
     take: bool = False  # also from who holds them now
 
@@ -77,16 +125,16 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     robot: str
     operator: str
-    age_s: float  # since it was granted
+    age_s: Duration  # since it was granted
     taken_from: str = ""  # who held it before and did not give it back
 
 
 class Leases(Message, frozen=True, kw_only=True):
     """All leases there are, on change and each second. A robot without one obeys every operator."""
 
-    leases: tuple[Lease, ...]
+    leases: Annotated[tuple[Lease, ...], Meta(max_length=MOST)]
     core: str = ""  # which core process
-    sequence: int = 0
+    sequence: Ordinal = 0
 
 
 class EStop(Message, frozen=True, kw_only=True):
@@ -94,7 +142,7 @@ class EStop(Message, frozen=True, kw_only=True):
 
     id: str
     engaged: bool
-    robots: tuple[str, ...] = ()  # empty: all
+    robots: Names = ()  # empty: all
     source: str = ""
     reason: str = ""
 
@@ -105,7 +153,7 @@ class EStopReceipt(Message, frozen=True, kw_only=True):
     id: str
     robot: str
     engaged: bool
-    rolled_m: float = 0.0  # from the order's arrival until standing
+    rolled_m: Way = 0.0  # from the order's arrival until standing
     standing: bool = False
 
 
@@ -124,16 +172,16 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     robot: str
     behaviour: str
     enable: bool
-    parameters: dict[str, Value] = {}
+    parameters: Parameters = {}
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
     team: Team = 0  # whose robots the law counts as neighbours; 0: all that are sensed
     centralised: bool = False  # no law on board: obey Command messages of `request_id`
     survives_core: bool = False  # go on when the core's heartbeat is silent
-    expires_s: float = 0.0  # > 0: the request is an intent that lapses this long after its arrival
+    expires_s: Validity = 0.0  # > 0: the request is an intent that lapses this long after its arrival
     core: str = ""  # which core process; sequences of different processes do not compare
-    sequence: int = 0
-    stamp_s: float = 0.0
+    sequence: Ordinal = 0
+    stamp_s: Stamp = 0.0
 
 
 class ControlAck(Message, frozen=True, kw_only=True):
@@ -146,7 +194,7 @@ class ControlAck(Message, frozen=True, kw_only=True):
     accepted: bool
     reason: str = ""
     core: str = ""
-    sequence: int = 0
+    sequence: Ordinal = 0
 
 
 class CentralisedRequest(Message, frozen=True, kw_only=True):
@@ -156,11 +204,11 @@ class CentralisedRequest(Message, frozen=True, kw_only=True):
     behaviour: str
     law: str
     enable: bool
-    robots: tuple[str, ...] = ()
-    parameters: dict[str, Value] = {}
+    robots: Names = ()
+    parameters: Parameters = {}
     filtered: bool = False
     core: str = ""
-    sequence: int = 0
+    sequence: Ordinal = 0
 
 
 class CentralisedCommands(Message, frozen=True, kw_only=True):
@@ -168,11 +216,11 @@ class CentralisedCommands(Message, frozen=True, kw_only=True):
 
     request_id: str
     behaviour: str
-    robots: tuple[str, ...]
-    linear_m_s: tuple[float, ...]
-    angular_rad_s: tuple[float, ...]
-    sequence: int
-    stamp_s: float
+    robots: Names
+    linear_m_s: Speeds
+    angular_rad_s: Turns
+    sequence: Ordinal
+    stamp_s: Stamp
 
 
 class Command(Message, frozen=True, kw_only=True):
@@ -180,11 +228,11 @@ class Command(Message, frozen=True, kw_only=True):
 
     robot: str
     request_id: str
-    linear_m_s: float
-    angular_rad_s: float
-    ttl_s: float
-    sequence: int
-    stamp_s: float
+    linear_m_s: Speed
+    angular_rad_s: Turn
+    ttl_s: Validity
+    sequence: Ordinal
+    stamp_s: Stamp
 
 
 class PoseFix(Message, frozen=True, kw_only=True):
@@ -194,14 +242,14 @@ class PoseFix(Message, frozen=True, kw_only=True):
     """
 
     robot: str
-    x_m: float
-    y_m: float
-    heading_rad: float
-    position_sigma_m: float  # standard deviation per axis
-    heading_sigma_rad: float
+    x_m: Metres
+    y_m: Metres
+    heading_rad: Radians
+    position_sigma_m: Sigma  # standard deviation per axis
+    heading_sigma_rad: Sigma
     source: str  # unique per process of the source
-    stamp_s: float
-    contacts: int = 0  # bodies and obstacles that the source sees the robot touch now
+    stamp_s: Stamp
+    contacts: Count = 0  # bodies and obstacles that the source sees the robot touch now
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
@@ -209,9 +257,9 @@ class Heartbeat(Message, frozen=True, kw_only=True):
 
     node: str
     process: str  # unique per process start
-    sequence: int
-    active: tuple[str, ...] = ()  # request ids in hand
-    stamp_s: float = 0.0
+    sequence: Ordinal
+    active: Names = ()  # request ids in hand
+    stamp_s: Stamp = 0.0
 
 
 # ---------------------------------------------------------------- agents -> everybody
@@ -222,16 +270,16 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     """
 
     host: str
-    sequence: int
-    stamp_s: float
-    robots: tuple[str, ...]
-    x_m: tuple[float, ...]
-    y_m: tuple[float, ...]
-    heading_rad: tuple[float, ...]
-    speed_m_s: tuple[float, ...]
-    turn_rad_s: tuple[float, ...]
-    radius_m: tuple[float, ...]
-    teams: tuple[Team, ...] = ()  # of which each is; 0: of none, and empty: none is of any
+    sequence: Ordinal
+    stamp_s: Stamp
+    robots: Names
+    x_m: Places
+    y_m: Places
+    heading_rad: Angles
+    speed_m_s: Speeds
+    turn_rad_s: Turns
+    radius_m: Radii
+    teams: Teams = ()  # of which each is; 0: of none, and empty: none is of any
 
 
 class Interventions(Message, frozen=True, kw_only=True):
@@ -241,11 +289,11 @@ class Interventions(Message, frozen=True, kw_only=True):
     """
 
     host: str
-    robots: tuple[str, ...] = ()
-    x_m_s: tuple[float, ...] = ()
-    y_m_s: tuple[float, ...] = ()
-    reasons: tuple[str, ...] = ()
-    stamp_s: float = 0.0
+    robots: Names = ()
+    x_m_s: Changes = ()
+    y_m_s: Changes = ()
+    reasons: Names = ()
+    stamp_s: Stamp = 0.0
 
 
 class SeenObstacles(Message, frozen=True, kw_only=True):
@@ -255,8 +303,8 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
     """
 
     host: str
-    rows: tuple[tuple[float, float, float, float, float, float], ...]
-    stamp_s: float
+    rows: Annotated[tuple[Box, ...], Meta(max_length=MOST)]
+    stamp_s: Stamp
 
 
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -271,20 +319,20 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     behaviour: str = ""  # empty: none
     request_id: str = ""
     core: str = ""  # which core process gave `sequence`
-    sequence: int = 0  # of the newest control request obeyed
+    sequence: Ordinal = 0  # of the newest control request obeyed
     moving: bool = False
     estop: bool = False
     stop_reason: str = ""  # why it stands although a behaviour is on
     fault: str = ""
-    battery: float = -1.0  # 0 to 1; -1: unknown
-    contacts: int = 0  # touching now
-    collisions: int = 0  # since the agent started
+    battery: Annotated[float, Meta(ge=-1.0, le=100.0)] = -1.0  # 0 to 1; -1: unknown
+    contacts: Count = 0  # touching now
+    collisions: Count = 0  # since the agent started
     pose_source: str = ""  # driver, odometry, fixes
-    position_sigma_m: float = -1.0  # standard deviation along the worse axis; -1: unknown
-    heading_sigma_rad: float = -1.0
+    position_sigma_m: KnownSigma = -1.0  # standard deviation along the worse axis; -1: unknown
+    heading_sigma_rad: KnownSigma = -1.0
     pose_note: str = ""  # fixes lost or refused, a pose that jumped
-    deviation_m_s: float = 0.0  # how far the safety filter holds its velocity from the wished one now
-    deviation_m: float = 0.0  # the same added up over time since the agent started
+    deviation_m_s: Finite = 0.0  # how far the safety filter holds its velocity from the wished one now
+    deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
 
 
@@ -294,12 +342,12 @@ class HealthReport(Message, frozen=True, kw_only=True):
     host: str
     process: str
     version: str
-    robots: tuple[RobotHealth, ...]
-    ticks: int = 0
-    late_ticks: int = 0  # more than 1 ms late
-    missed_ticks: int = 0  # whole periods skipped
-    worst_late_s: float = 0.0
-    stamp_s: float = 0.0
+    robots: Annotated[tuple[RobotHealth, ...], Meta(max_length=MOST)]
+    ticks: Count = 0
+    late_ticks: Count = 0  # more than 1 ms late
+    missed_ticks: Count = 0  # whole periods skipped
+    worst_late_s: Duration = 0.0
+    stamp_s: Stamp = 0.0
 
 
 # ---------------------------------------------------------------- performance (paper II.F)
@@ -307,18 +355,18 @@ class WorkMeasurement(Message, frozen=True, kw_only=True):
     """Distance travelled per robot since the agent started, in metres."""
 
     host: str
-    robots: tuple[str, ...]
-    distance_m: tuple[float, ...]
-    stamp_s: float
+    robots: Names
+    distance_m: Ways
+    stamp_s: Stamp
 
 
 class CollisionMeasurement(Message, frozen=True, kw_only=True):
     """Contact events per robot since the agent started (a new one after >= 0.25 s without)."""
 
     host: str
-    robots: tuple[str, ...]
-    events: tuple[int, ...]
-    stamp_s: float
+    robots: Names
+    events: Counts
+    stamp_s: Stamp
 
 
 class CoverageMeasurement(Message, frozen=True, kw_only=True):
@@ -329,28 +377,29 @@ class CoverageMeasurement(Message, frozen=True, kw_only=True):
     """
 
     host: str
-    robots: tuple[str, ...]
-    origin_x_m: float
-    origin_y_m: float
-    cell_m: float
-    rows: int
-    columns: int
-    cells: bytes
-    stamp_s: float
+    robots: Names
+    origin_x_m: Metres
+    origin_y_m: Metres
+    cell_m: Annotated[float, Meta(gt=0.0, le=1e5)]
+    rows: Count
+    columns: Count
+    cells: Annotated[bytes, Meta(max_length=1_000_000)]
+    stamp_s: Stamp
 
 
 class RobotMeasurement(Message, frozen=True, kw_only=True):
     """All that is one number per robot, or per host: what each name means stands in ``perf/metrics.py``.
 
-    Cumulative since the process started or the newest value, so that a lost message costs nothing; NaN: has none.
+    Cumulative since the process started or the newest value, so that a lost message costs nothing. A number that is
+    not finite, or beyond `LARGEST`: has none.
     """
 
     host: str
     process: str  # unique per process start: another one has counted from zero again
-    robots: tuple[str, ...]
-    columns: dict[str, tuple[float, ...]]  # name → one value per robot
-    totals: dict[str, float] = {}  # name → the host's value
-    stamp_s: float
+    robots: Names
+    columns: Annotated[dict[str, tuple[float, ...]], Meta(max_length=256)]  # name → one value per robot
+    totals: Annotated[dict[str, float], Meta(max_length=256)] = {}  # name → the host's value
+    stamp_s: Stamp
 
 
 Measurement = WorkMeasurement | CollisionMeasurement | CoverageMeasurement | RobotMeasurement
@@ -360,11 +409,11 @@ class Summary(Message, frozen=True, kw_only=True):
     """A summarizer's result for the whole swarm (paper II.F.2)."""
 
     metric: str  # work, coverage, collisions, … see `perf/metrics.py`
-    values: dict[str, float]  # e.g. total_m, mean_m, max_m; truth_total_m: as a supervisory process saw it
-    per_robot: dict[str, float] = {}
+    values: dict[str, Finite]  # e.g. total_m, mean_m, max_m; truth_total_m: as a supervisory process saw it
+    per_robot: dict[str, Finite] = {}
     finished: bool = False
     reason: str = ""  # which termination condition was met
-    stamp_s: float = 0.0
+    stamp_s: Stamp = 0.0
 
 
 # ---------------------------------------------------------------- local database (paper II.A)
@@ -384,7 +433,7 @@ class ParamEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     key: str
     value: Value | dict[str, object] | None
     author: str
-    changed: float  # wall-clock seconds since 1970
+    changed: Stamp  # wall-clock seconds since 1970
 
 
 class ParamReply(Message, frozen=True, kw_only=True):
@@ -401,3 +450,16 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 
     layer: str
     entry: ParamEntry
+
+
+FITS: dict[type[Message], Callable[[Any], bool]] = {
+    CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
+    RobotStates: lambda m: (
+        len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
+        == len(m.radius_m) and (not m.teams or len(m.teams) == len(m.robots))
+    ),
+    Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
+    WorkMeasurement: lambda m: len(m.robots) == len(m.distance_m),
+    CollisionMeasurement: lambda m: len(m.robots) == len(m.events),
+}  # fmt: skip
+"""Whether a message's columns fit together, written out because states come a thousand times per second."""

@@ -61,12 +61,23 @@ def driver_class(url: str) -> Any:
     ConfigError
         Unknown scheme, or a plug-in that does not import; says which and why.
     """
+    module, _, name = driver_target(url).partition(":")
+    return getattr(_import(module, url), name)
+
+
+def driver_target(url: str) -> str:
+    """Return where the driver class for a URL is, ``module:name``. Imports nothing: a mistyped URL is told at once.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scheme.
+    """
     scheme = urlsplit(url).scheme
     target = DRIVERS.get(scheme) or _entry_point(DRIVER_GROUP, scheme)
     if target is None:
         raise ConfigError(f"no driver for '{scheme or url}'", where=url, hint=did_you_mean(scheme, driver_schemes()))
-    module, _, name = target.partition(":")
-    return getattr(_import(module, url), name)
+    return target
 
 
 @functools.cache

@@ -172,9 +172,23 @@ class Store:
 
     def _query(self, sql: str, *args: object) -> tuple[ParamEntry, ...]:
         try:
-            return tuple(_entry(row) for row in self._db.execute(sql, args))
+            rows = self._db.execute(sql, args).fetchall()
         except sqlite3.Error as error:
             raise self._explain(error) from error
+        entries = []
+        for row in rows:
+            try:
+                entries.append(_entry(row))
+            except (ValueError, TypeError, RecursionError) as error:  # somebody else has written into the file
+                raise self._unreadable(row[0], error) from None
+        return tuple(entries)
+
+    def _unreadable(self, key: str, error: Exception) -> ConfigError:
+        name = key.replace("'", "''")
+        # To be read by a person, not to be executed here.
+        away = "; ".join(f"DELETE FROM {table} WHERE key = '{name}'" for table in ("entry", "history"))  # noqa: S608
+        hint = f'bring back a copy of the file, or take the value away: sqlite3 {self.path} "{away}"'
+        return ConfigError(f"the value of '{key}' is not JSON: {error}", where=str(self.path or "memory"), hint=hint)
 
     def _explain(self, error: Exception) -> ConfigError:
         if "locked" in str(error):
@@ -202,4 +216,8 @@ def _plain(key: str, value: Stored) -> Stored:
 
 
 def _entry(row: tuple[str, str, str, float]) -> ParamEntry:
-    return ParamEntry(key=row[0], value=json.loads(row[1]), author=row[2], changed=row[3])
+    return ParamEntry(key=row[0], value=json.loads(row[1], parse_constant=_refuse), author=row[2], changed=row[3])
+
+
+def _refuse(word: str) -> None:
+    raise ValueError(f"{word} is no number of JSON")

@@ -172,6 +172,8 @@ class Inbox:
             return
         if command.request_id != task.request.request_id:
             return
+        if not math.isfinite(command.linear_m_s + command.angular_rad_s + command.ttl_s + command.stamp_s):
+            return
         core, request_id, sequence = self._command_sequence[row]
         if (core, request_id) == (task.request.core, command.request_id) and command.sequence <= sequence:
             return
@@ -182,8 +184,7 @@ class Inbox:
         now_s = self._scheduler.now_s()
         ttl_s = min(command.ttl_s, self._config.command_ttl_s)
         delay_s = self._freshness[row].delay_s(task.request.core, command.stamp_s, now_s)
-        finite = math.isfinite(command.linear_m_s) and math.isfinite(command.angular_rad_s)
-        if delay_s >= ttl_s or not finite:
+        if delay_s >= ttl_s:
             return
         self._agent.controller.submit(row, command.linear_m_s, command.angular_rad_s, now_s + ttl_s - delay_s)
         self._agent.wake()

@@ -124,6 +124,7 @@ class AgentNode:
         self.reading: FleetReading | None = None
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self.ended = [""] * count
+        self.uncounted = 0
         self._sequence, self._dirty = 0, False
         fleet.open()
         self._timers = [
@@ -164,12 +165,21 @@ class AgentNode:
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
-        contacts = self.contacts if self.fixes.touching else reading.contacts
-        self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry, reading.twist)
+        try:
+            contacts = self.contacts if self.fixes.touching else reading.contacts
+            self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry, reading.twist)
+        except Exception as error:
+            self._uncounted(error)
         self.inbox.watch_estops(now_s)
         self._last_tick_s = now_s
         if self._dirty:
             self.publish_health()
+
+    def _uncounted(self, error: Exception) -> None:
+        """Note that a measurement failed. Whatever it was told, it must not end the process that drives the robot."""
+        self.uncounted += 1
+        if self.uncounted == 1:
+            log.error("a measurement failed; the robots are not concerned", exc_info=error)
 
     def _estimate(self, reading: FleetReading, dt_s: float) -> Array:
         """Return the poses (n, 3); NaN, on which no robot drives, from an estimator that fails."""
@@ -214,7 +224,10 @@ class AgentNode:
         if self.reading is None:
             return
         now_s = self._scheduler.now_s()
-        self.gauges.look(now_s)
+        try:
+            self.gauges.look(now_s)
+        except Exception as error:
+            self._uncounted(error)
         if not len(self.reading.obstacles):
             return
         new = self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
@@ -245,6 +258,12 @@ class AgentNode:
 
     def publish_measurements(self, *, whole: bool = True) -> None:
         """Publish what the robots have measured of themselves; the grid of coverage not always unless `whole`."""
+        try:
+            self._publish_measurements(whole=whole)
+        except Exception as error:
+            self._uncounted(error)
+
+    def _publish_measurements(self, *, whole: bool) -> None:
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self.reading is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm import registry
+from fullswarm.agent import ranges
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ControlRequest, Value
 
@@ -167,9 +168,10 @@ class Tasks:
         Raises
         ------
         ConfigError
-            The robot has no such law.
+            The robot has no such law, or a parameter is out of range.
         """
         request, before = task.request, self.of[row]
+        ranges.check(request)
         alike = before is not None and _alike(before.request, request)
         if not alike and task.law != CENTRALISED:
             registry.law_module(task.law)

@@ -1,16 +1,24 @@
-"""Messages as bytes: MessagePack, with errors that say what does not fit."""
+"""Messages as bytes: MessagePack, with errors that say what does not fit.
+
+What decodes is of its type, within the ranges that the type's annotations state, and has columns of equal length: a
+reader need not ask again.
+"""
 
 from __future__ import annotations
 
 import functools
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import msgspec
 
 from fullswarm.errors import MessageError
-from fullswarm.messages import Message
+from fullswarm.messages import FITS, Message
 
 M = TypeVar("M", bound=Message)
+
+LARGEST_BYTES = 4_000_000
+"""Of one message. A thousand robots' health is a tenth of it; what is longer would hold up whoever decodes it."""
 
 _encoder = msgspec.msgpack.Encoder()
 
@@ -21,8 +29,9 @@ def encode(message: Message) -> bytes:
 
 
 @functools.cache
-def _decoder(kind: type[Message]) -> msgspec.msgpack.Decoder[Message]:
-    return msgspec.msgpack.Decoder(kind)
+def _reader(kind: type[Message]) -> tuple[msgspec.msgpack.Decoder[Message], Callable[[Any], bool] | None]:
+    """Return what decodes a type, and what then looks at its columns, if it has any."""
+    return msgspec.msgpack.Decoder(kind), FITS.get(kind)
 
 
 def decode(data: bytes, kind: type[M]) -> M:
@@ -31,12 +40,18 @@ def decode(data: bytes, kind: type[M]) -> M:
     Raises
     ------
     MessageError
-        Not MessagePack, another type, another version, or an unknown or missing field; says which.
+        Not MessagePack, another type, another version, an unknown or missing field, a number out of range, columns
+        that do not fit together; says which.
     """
+    if len(data) > LARGEST_BYTES:
+        raise MessageError(f"{len(data)} bytes, more than {LARGEST_BYTES}", where=kind.__name__)
+    decoder, fits = _reader(kind)
     try:
-        message = _decoder(kind).decode(data)
+        message = decoder.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise MessageError(_explain(data, kind, error), where=kind.__name__) from error
+    if fits is not None and not fits(message):
+        raise MessageError("columns of different length", where=kind.__name__)
     if not isinstance(message, kind):
         raise MessageError(f"got {type(message).__name__}", where=kind.__name__)
     return message

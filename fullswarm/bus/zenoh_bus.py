@@ -18,6 +18,7 @@ from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of
 from fullswarm.bus.inbox import Inbox
 from fullswarm.bus.session import HubLink, reason_of, untyped
+from fullswarm.clock import MonotonicClock
 from fullswarm.errors import MessageError
 from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
@@ -25,7 +26,11 @@ from fullswarm.runtime import Mailbox
 M = TypeVar("M", bound=Message)
 
 CACHED_KEYS = 1024
-"""Keys whose publisher, route or complaint is remembered: every reply has a key of its own, so it must end."""
+"""Keys whose publisher or route is remembered: every reply has a key of its own, so it must end."""
+
+COMPLAIN_S = 1.0
+COMPLAINTS = 32
+"""Keys at most that are complained of within `COMPLAIN_S`, once each: a flood must not fill the log."""
 
 _STEERING = frozenset({"command", "commands", "control_request", "control_requests", "request"})
 _STOPPING = frozenset({"stop", "estop", "heartbeat"})
@@ -62,7 +67,7 @@ class ZenohBus:
     Attributes
     ----------
     dropped : int
-        Messages that came in and were not of the type, version or form that was subscribed to.
+        Messages that came in and were not of the type, version, form or range that was subscribed to.
     unsent : int
         Messages published while no hub was connected.
 
@@ -80,6 +85,7 @@ class ZenohBus:
         self._routes: dict[str, tuple[Inbox, ...]] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._complained: set[str] = set()
+        self._clock, self._complaints_s = MonotonicClock(), 0.0
         self._session: zenoh.Session | None = None
         self._closed = False
         # Two locks: zenoh's threads count while another thread holds the first one inside zenoh.
@@ -199,9 +205,13 @@ class ZenohBus:
         self._complain(key, str(error))
 
     def _complain(self, key: str, reason: str) -> None:
-        """Log once per key, whatever the rate."""
+        """Log once per key, which names the sender, and second, whatever the rate."""
+        now_s = self._clock.now_s()
         with self._count_lock:
-            if key in self._complained or len(self._complained) >= CACHED_KEYS:
+            if now_s - self._complaints_s >= COMPLAIN_S:
+                self._complained.clear()
+                self._complaints_s = now_s
+            if key in self._complained or len(self._complained) >= COMPLAINTS:
                 return
             self._complained.add(key)
-        _log.warning("message dropped", key=key, reason=reason)
+        _log.warning("message dropped", key=key, reason=reason, dropped=self.dropped)

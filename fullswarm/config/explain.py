@@ -28,6 +28,12 @@ MUST_BE = {
     "tuple_type": "must be a list",
 }
 
+UNITS = {
+    "_m_s": "m/s", "_m_s2": "m/s²", "_rad_s": "rad/s", "_rad_s2": "rad/s²", "_per_s": "1/s", "_m": "m", "_s": "s",
+    "_hz": "Hz", "_rad": "rad", "_kg": "kg",
+}  # fmt: skip
+"""What the end of a key stands for: who writes 3000 for a radius thinks of millimetres."""
+
 
 def dotted(path: KeyPath) -> str:
     """Return a path as people write it: ``world.boxes[0][2]``."""
@@ -60,7 +66,8 @@ def explain(error: ErrorDetails, schema: type[BaseModel], extra_keys: Sequence[s
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         return path, f"{_text(error)}{_not(given)}, {did_you_mean(str(given), choices)}"
-    return path, f"{_text(error)}{_not(given)}"
+    unit = next((unit for end, unit in UNITS.items() if str(path[-1]).endswith(end)), "")
+    return path, f"{_text(error)}{f' {unit}' if unit and kind == 'less_than_equal' else ''}{_not(given)}"
 
 
 def _unknown_key(path: KeyPath, schema: type[BaseModel], extra_keys: Sequence[str]) -> str:

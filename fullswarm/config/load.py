@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +22,8 @@ S = TypeVar("S", bound=BaseModel)
 
 _SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 _PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
+
+HOW_A_BOX = "write centre x, y, size x, y in m, yaw in rad"
 
 
 class FleetShorthand(Section):
@@ -43,8 +46,14 @@ class FleetShorthand(Section):
         return self.driver.replace("{id}", robot).replace("{n}", str(number))
 
 
-def load_swarm(path: Path | str, overrides: Iterable[str] = ()) -> SwarmConfig:
+Check = Callable[[SwarmConfig], Iterable[tuple[str, str, str]]]
+"""What else is wrong with a fleet's robots: (id, key, what)."""
+
+
+def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | None = None) -> SwarmConfig:
     """Read and check a fleet file, then lay `overrides` (``a.b=1``, values as in TOML) over it.
+
+    `check` is asked once all else is right; what needs to know the drivers is in :mod:`fullswarm.drivers.fleet_file`.
 
     Raises
     ------
@@ -55,7 +64,7 @@ def load_swarm(path: Path | str, overrides: Iterable[str] = ()) -> SwarmConfig:
     document = _Document(str(path), _parse(str(path), text), line_numbers(text))
     for override in overrides:
         document.override(override)
-    return document.check()
+    return document.check(check)
 
 
 def _read(path: Path) -> str:
@@ -129,7 +138,7 @@ class _Document:
                 at = at[step]
         return path
 
-    def check(self) -> SwarmConfig:
+    def check(self, more: Check | None = None) -> SwarmConfig:
         """Return the settings, or raise all complaints, sorted by line."""
         data = dict(self._data)
         fleet_table = data.pop("fleet", None)
@@ -141,10 +150,31 @@ class _Document:
         self._find_duplicates(data.get("robot"), {each.id: "[fleet]" for each in shorthand})
         if config is not None and (fleet is not None or fleet_table is None):
             self._find_strangers(config, [each.id for each in (*shorthand, *config.robot)])
+        if config is not None:
+            self._find_odd_boxes(config)
+        if config is not None and not self._problems:
+            places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
+            config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
+            for robot, key, what in () if more is None else more(config):
+                self._complain((*places.get(robot, ("fleet",)), key), what)
         if self._problems or config is None:
             lines = dict.fromkeys(text for _, text in sorted(self._problems, key=lambda problem: problem[0]))
             raise ConfigError("\n".join(lines))
-        return config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
+        return config
+
+    def _find_odd_boxes(self, config: SwarmConfig) -> None:
+        """Complain of boxes without a size, or without a part in the arena: a slip of the unit or of the order."""
+        world = config.world_or_default
+        x_min, y_min, x_max, y_max = world.bounds_m
+        for index, (x, y, size_x, size_y, yaw) in enumerate(world.boxes):
+            if not (size_x > 0.0 and size_y > 0.0):
+                self._complain(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
+            cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
+            reach_x, reach_y = (cos * size_x + sin * size_y) / 2.0, (sin * size_x + cos * size_y) / 2.0
+            if x + reach_x <= x_min or x - reach_x >= x_max or y + reach_y <= y_min or y - reach_y >= y_max:
+                arena = ", ".join(f"{each:g}" for each in world.bounds_m)
+                what = f"lies outside the arena, bounds_m = [{arena}]: {HOW_A_BOX}"
+                self._complain(("world", "boxes", index), what)
 
     def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:
         try:

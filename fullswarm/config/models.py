@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
-from fullswarm.bus.endpoint import DEFAULT_HUB
+from fullswarm.bus.endpoint import DEFAULT_HUB, is_loopback
 from fullswarm.bus.network import parse_network
+from fullswarm.config.limits import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M, SPEED_LIMIT_M_S, TURN_LIMIT_RAD_S
 from fullswarm.errors import ConfigError
 from fullswarm.words import ROBOT_ID, TRUTH
 
@@ -39,6 +40,15 @@ def _name(text: str, owner: str) -> str:
     return text
 
 
+def _bounds(bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    x_min, y_min, x_max, y_max = bounds
+    if not (x_min < x_max and y_min < y_max):
+        raise ValueError(
+            f"[{x_min:g}, {y_min:g}, {x_max:g}, {y_max:g}] is no arena: write [x_min, y_min, x_max, y_max]"
+        )
+    return bounds
+
+
 def _conditions(text: str) -> str:
     try:
         parse_network(text, where="")
@@ -50,6 +60,10 @@ def _conditions(text: str) -> str:
 RobotId = Annotated[str, AfterValidator(_robot_id)]
 GroupName = Annotated[str, AfterValidator(_group_name)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # m
+Size = Annotated[float, Field(le=1e6)]
+Bounds = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], AfterValidator(_bounds)]
+Box = tuple[Coordinate, Coordinate, Size, Size, float]
 Conditions = Annotated[str, AfterValidator(_conditions)]
 Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]
@@ -72,7 +86,7 @@ class CoreConfig(Section):
 
     store: Path | None = None  # SQLite file of the local database; None: in memory
     schedule_interval_s: float = Field(0.05, ge=0.0, le=10.0)  # rapid requests are spread over this
-    heartbeat_hz: PositiveFloat = 10.0
+    heartbeat_hz: float = Field(10.0, ge=0.5, le=1000.0)
     results: Path | None = None  # where the performance node writes JSON; None: nowhere
 
 
@@ -83,41 +97,44 @@ class AgentConfig(Section):
     state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
-    sensing_radius_m: PositiveFloat = 3.0
-    state_cell_m: float | None = Field(None, ge=0.0)  # states by grid cell of this size, 0: all on one key; see below
-    neighbour_timeout_s: PositiveFloat = 1.0
+    sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
+    state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
+    neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
     core_silence_s: float = Field(1.0, gt=0.0, le=10.0)
-    reading_timeout_s: PositiveFloat = 0.3  # the driver's last reading is older: stop
+    reading_timeout_s: float = Field(0.3, gt=0.0, le=10.0)  # the driver's last reading is older: stop
     battery_low: float = Field(0.1, ge=0.0, le=1.0)  # share at which a robot stands; only driving by hand moves it
     battery_rise: float = Field(0.05, ge=0.0, le=1.0)  # and how much more it takes to go on
-    fence_margin_m: float = 0.0  # how far outside the arena a robot's centre may be
+    fence_margin_m: float = Field(0.0, ge=-1000.0, le=1000.0)  # how far outside the arena a robot's centre may be
     fence_delay_s: float = Field(0.15, ge=0.0, le=5.0)  # from a decision to brakes that act, for the fence
-    speed_limit_m_s: PositiveFloat | None = None  # below the driver's own
-    turn_limit_rad_s: PositiveFloat | None = None
-    speed_gain: PositiveFloat = 1.0  # K_v of the paper
-    turn_gain_per_s: PositiveFloat = 3.0  # K_w of the paper
-    safety_margin_m: float = Field(0.03, ge=0.0)
-    barrier_gain_per_s: PositiveFloat = 2.0  # γ: share of the gap that may be closed per second
-    bounds_m: tuple[float, float, float, float] | None = None  # arena for real robots; None: the world's, or none
+    speed_limit_m_s: float | None = Field(None, ge=SPEED_LIMIT_M_S[0], le=SPEED_LIMIT_M_S[1])  # below the driver's own
+    turn_limit_rad_s: float | None = Field(None, ge=TURN_LIMIT_RAD_S[0], le=TURN_LIMIT_RAD_S[1])
+    speed_gain: float = Field(1.0, gt=0.0, le=100.0)  # K_v of the paper
+    turn_gain_per_s: float = Field(3.0, gt=0.0, le=100.0)  # K_w of the paper
+    safety_margin_m: float = Field(0.03, ge=SAFETY_MARGIN_M[0], le=SAFETY_MARGIN_M[1])
+    # γ: share of the gap that may be closed per second
+    barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
+    bounds_m: Bounds | None = None  # arena for real robots; None: the world's, or none
     estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
-    fix_timeout_s: PositiveFloat = 0.5  # no usable pose fix for so long: odometry alone, and another source may follow
+    # no usable pose fix for so long: odometry alone, and another source may follow
+    fix_timeout_s: float = Field(0.5, gt=0.0, le=60.0)
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
     fix_latency_s: float = Field(0.0, ge=0.0, le=1.0)  # what even the fastest fix takes from the camera to the agent
-    fix_gate_sigma: float = Field(4.0, ge=1.0)  # a fix further off, in standard deviations, is an outlier
-    fix_reanchor_count: int = Field(5, ge=2)  # so many outliers that agree, one after the other,
-    fix_reanchor_s: float = Field(0.5, ge=0.0)  # over so long: the robot was carried, the pose jumps to them
-    start_sigma_m: PositiveFloat = 0.1  # how well a robot is put on the start pose of this file
-    start_sigma_rad: PositiveFloat = 0.1
-    odometry_sigma_m: PositiveFloat = 0.02  # standard deviation of odometry after 1 m; it grows with the root
-    odometry_sigma_rad: PositiveFloat = 0.03  # of its heading after 1 m or a turn of 1 rad
+    fix_gate_sigma: float = Field(4.0, ge=1.0, le=1000.0)  # a fix further off, in standard deviations, is an outlier
+    fix_reanchor_count: int = Field(5, ge=2, le=10_000)  # so many outliers that agree, one after the other,
+    fix_reanchor_s: float = Field(0.5, ge=0.0, le=60.0)  # over so long: the robot was carried, the pose jumps to them
+    start_sigma_m: float = Field(0.1, gt=0.0, le=100.0)  # how well a robot is put on the start pose of this file
+    start_sigma_rad: float = Field(0.1, gt=0.0, le=100.0)
+    # standard deviation of odometry after 1 m; it grows with the root
+    odometry_sigma_m: float = Field(0.02, gt=0.0, le=100.0)
+    odometry_sigma_rad: float = Field(0.03, gt=0.0, le=100.0)  # of its heading after 1 m or a turn of 1 rad
 
 
 class NoiseConfig(Section):
     """What the simulated sensors add; zero is perfect sensing."""
 
-    position_m: float = Field(0.0, ge=0.0)  # standard deviation
-    heading_rad: float = Field(0.0, ge=0.0)
+    position_m: float = Field(0.0, ge=0.0, le=100.0)  # standard deviation
+    heading_rad: float = Field(0.0, ge=0.0, le=10.0)
 
 
 class WorldConfig(Section):
@@ -125,18 +142,18 @@ class WorldConfig(Section):
 
     engine: Literal["pybullet", "pybullet-wheels", "kinematic"] = "pybullet"
     address: str = DEFAULT_WORLD  # UDP host:port of the world process
-    bounds_m: tuple[float, float, float, float] = (0.0, 0.0, 20.0, 20.0)  # x_min, y_min, x_max, y_max
+    bounds_m: Bounds = (0.0, 0.0, 20.0, 20.0)  # x_min, y_min, x_max, y_max
     walls: bool = True
-    boxes: tuple[tuple[float, float, float, float, float], ...] = ()  # centre x, y, size x, y (m), yaw (rad)
-    rate_hz: PositiveFloat = 50.0
+    boxes: tuple[Box, ...] = ()  # centre x, y, size x, y (m), yaw (rad)
+    rate_hz: float = Field(50.0, ge=1.0, le=1000.0)
     substeps: int = Field(5, ge=1, le=100)  # physics steps per world step
-    speed_limit_m_s: PositiveFloat = 0.5
-    turn_limit_rad_s: PositiveFloat = 4.25
-    accel_limit_m_s2: PositiveFloat = 2.0
-    turn_accel_limit_rad_s2: PositiveFloat = 20.0
-    radius_m: PositiveFloat = 0.17  # Create footprint
-    mass_kg: PositiveFloat = 3.6
-    watchdog_s: PositiveFloat = 0.3  # a body whose driver is silent stops
+    speed_limit_m_s: float = Field(0.5, ge=SPEED_LIMIT_M_S[0], le=SPEED_LIMIT_M_S[1])
+    turn_limit_rad_s: float = Field(4.25, ge=TURN_LIMIT_RAD_S[0], le=TURN_LIMIT_RAD_S[1])
+    accel_limit_m_s2: float = Field(2.0, gt=0.0, le=1000.0)
+    turn_accel_limit_rad_s2: float = Field(20.0, gt=0.0, le=10_000.0)
+    radius_m: float = Field(0.17, ge=0.005, le=50.0)  # Create footprint
+    mass_kg: float = Field(3.6, gt=0.0, le=10_000.0)
+    watchdog_s: float = Field(0.3, gt=0.0, le=60.0)  # a body whose driver is silent stops
     noise: NoiseConfig = NoiseConfig()
     seed: int = 0
 
@@ -144,7 +161,7 @@ class WorldConfig(Section):
 class PerformanceConfig(Section):
     """Calculators, summarizers and when a trial is over."""
 
-    coverage_cell_m: PositiveFloat = 0.1
+    coverage_cell_m: float = Field(0.1, ge=0.001, le=1000.0)
     arrive_radius_m: PositiveFloat | None = None  # a robot so near its goal has arrived; None: the request's, or 0.1
     max_execution_s: PositiveFloat | None = None
     coverage_at_least: float | None = Field(None, gt=0.0, le=1.0)
@@ -167,7 +184,7 @@ class RobotConfig(Section):
     id: RobotId
     driver: str = ""  # URL; empty: sim://<id>
     emulate: Emulated | None = None  # the world gives it a body and a port; its real driver talks to that
-    pose: tuple[float, float, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
+    pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
     host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
     ssh_user: str = "fullswarm-admin"
     ssh_port: int = Field(22, ge=1, le=65535)
@@ -176,6 +193,11 @@ class RobotConfig(Section):
     def url(self) -> str:
         """The driver's URL."""
         return self.driver or f"sim://{self.id}"
+
+    @property
+    def elsewhere(self) -> bool:
+        """Its agent runs on a computer of its own, where `fullswarm deploy` puts it."""
+        return bool(self.host) and not is_loopback(self.host) and not self.simulated
 
     @property
     def simulated(self) -> bool:

@@ -9,8 +9,9 @@ from typing import Any
 
 import msgspec
 
+from fullswarm.config.parameter import Parameter
 from fullswarm.core.centralised import LAWS as CENTRALISED_LAWS
-from fullswarm.core.schema import Parameter, Record, build
+from fullswarm.core.schema import Record, build
 from fullswarm.core.shapes import shape
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
 from fullswarm.messages import ParamEntry, Value

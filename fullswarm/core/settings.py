@@ -8,9 +8,10 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from fullswarm.config import PerformanceConfig, SwarmConfig
+from fullswarm.config.limits import SPEED_LIMIT_M_S, TURN_LIMIT_RAD_S
+from fullswarm.config.parameter import BARRIER_GAIN, SAFETY_MARGIN, Parameter
 from fullswarm.core.outside import all_records
 from fullswarm.core.roster import SILENCE_S
-from fullswarm.core.schema import Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ParamEntry
 from fullswarm.store import Store, Stored
@@ -30,10 +31,10 @@ GROUP = "group/"
 _LIMITS = {
     INTERVAL: Parameter(type="number", unit="s", min=0.0, max=10.0),
     SILENCE: Parameter(type="number", unit="s", min=0.6, max=60.0),
-    SPEED: Parameter(type="number", unit="m/s", min=0.01, max=10.0),
-    TURN: Parameter(type="number", unit="rad/s", min=0.01, max=20.0),
-    MARGIN: Parameter(type="number", unit="m", min=0.0, max=1.0),
-    GAIN: Parameter(type="number", unit="1/s", min=0.01, max=20.0),
+    SPEED: Parameter(type="number", unit="m/s", min=SPEED_LIMIT_M_S[0], max=SPEED_LIMIT_M_S[1]),
+    TURN: Parameter(type="number", unit="rad/s", min=TURN_LIMIT_RAD_S[0], max=TURN_LIMIT_RAD_S[1]),
+    MARGIN: SAFETY_MARGIN,
+    GAIN: BARRIER_GAIN,
     BOUNDS: Parameter(type="points", unit="m"),
 }
 

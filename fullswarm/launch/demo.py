@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from fullswarm.bus.senders import OPERATOR
-from fullswarm.config import SwarmConfig, load_swarm
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.keys import Keys
 from fullswarm.launch.network import with_network
 from fullswarm.launch.show import Show, acts_for
@@ -24,7 +25,7 @@ NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
 def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | None = None) -> SwarmConfig:
     """Return the demo's settings, or those of the user's own fleet file, on a bad network if one is wanted."""
     named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
-    return with_network(load_swarm(named or fleet or DEMO_FILE, overrides), network)
+    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True), network)
 
 
 def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:

@@ -13,7 +13,8 @@ from urllib.parse import unquote, urlsplit
 import typer
 
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
+from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 from fullswarm.launch import gamepad, machine
 from fullswarm.operator import checks
@@ -43,7 +44,7 @@ def preflight(fleet: Path | None, robot: str, *, press: bool, yes: bool, as_json
         hint = "fullswarm doctor --robot r1 --fleet lab.toml, or FULLSWARM_FLEET"
         raise ConfigError("the fleet file says where a robot is: name it", where="--robot", hint=hint)
     agree = (lambda _: True) if yes else _ask
-    return preflight.run(load_swarm(fleet, ()), robot, agree if press else None, as_json=as_json)
+    return preflight.run(load_fleet(fleet), robot, agree if press else None, as_json=as_json)
 
 
 def _ask(question: str) -> bool | None:
@@ -59,7 +60,7 @@ def run(fleet: Path | None, *, as_json: bool) -> int:
     ConfigError
         The fleet file is wrong.
     """
-    config = None if fleet is None else load_swarm(fleet, ())
+    config = None if fleet is None else load_fleet(fleet)
     return 1 if checks.show(_checks(config), as_json=as_json) else 0
 
 

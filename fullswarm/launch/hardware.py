@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from fullswarm import registry
 from fullswarm.operator import cli, completion
 from fullswarm.operator.cli import Debug, Hub, Json, Swarm, run_guarded
 
@@ -81,6 +82,7 @@ def bring_up(
     """Drive one robot a little and check signs, scale, stops and sensors. Exit code 0: passed; 1: failed."""
 
     def command() -> int:
+        registry.driver_target(url)  # before anything is imported
         from fullswarm.launch.bring_up import run
 
         return run(url, speed_m_s=speed, confirmed=yes, ready_s=timeout, as_json=as_json)

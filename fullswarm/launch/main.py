@@ -76,10 +76,10 @@ def _run(debug: bool, command: Callable[[], int]) -> None:
     raise typer.Exit(run_guarded(command, debug))
 
 
-def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
-    from fullswarm.config import load_swarm
+def _load(fleet: Path, overrides: list[str] | None, *, here: bool = False) -> SwarmConfig:
+    from fullswarm.drivers.fleet_file import load_fleet
 
-    return load_swarm(fleet, tuple(overrides or ()))
+    return load_fleet(fleet, tuple(overrides or ()), here=here)
 
 
 @app.callback(invoke_without_command=True)
@@ -150,7 +150,7 @@ def up(
     def command() -> int:
         from fullswarm.launch.up import run
 
-        return run(_load(fleet, overrides), insecure_network, network, console=console)
+        return run(_load(fleet, overrides, here=True), insecure_network, network, console=console)
 
     _run(debug, command)
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import structlog
 
-from fullswarm.bus.endpoint import is_loopback
-from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.config import SwarmConfig
 from fullswarm.config.write import write_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.launch.latching import RUN
@@ -92,7 +91,7 @@ class Supervisor:
         if self.world and any(each.simulated for each in self.config.robot):
             self.add("world", "sim", *file, *network)
         for each in self.config.robot:
-            if not elsewhere(each):  # a second agent of its name would be on the bus, with another robot's port
+            if not each.elsewhere:  # a second agent of its name would be on the bus, with another robot's port
                 self.add(each.id, "agent", each.id, *file)
         for child in self.children.values():
             self._spawn(child)
@@ -196,8 +195,3 @@ def _reap(child: Child) -> None:
         with contextlib.suppress(ProcessLookupError):
             child.process.kill()
         child.process.wait()
-
-
-def elsewhere(robot: RobotConfig) -> bool:
-    """Tell whether a robot's agent runs on a computer of its own, where `fullswarm deploy` puts it."""
-    return bool(robot.host) and not is_loopback(robot.host) and not robot.simulated

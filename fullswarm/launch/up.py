@@ -9,7 +9,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
-from fullswarm.launch.supervisor import Supervisor, elsewhere
+from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
 from fullswarm.operator.output import progress
 from fullswarm.runtime import Runtime
@@ -26,7 +26,7 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     robots = f"{len(config.robot)} robot{'s' if len(config.robot) > 1 else ''}"
     if config.network.conditions is not None:
         robots += f" on a bad network ({config.network.conditions})"
-    away = sum(map(elsewhere, config.robot))
+    away = sum(each.elsewhere for each in config.robot)
     others = f" ({away} with an agent on another computer)" if away else ""
     swarm = f"{robots} of swarm '{config.swarm}'{others}"
     return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"

@@ -155,8 +155,9 @@ def _values(summary: Summary) -> str:
     }
     whole = "area" if summary.metric == "coverage" else "robots"
     text = ", ".join(_quantity(name, value, whole) for name, value in shown.items() if not name.startswith(_TRUTH))
-    done = f"; finished: {summary.reason or 'done'}" if summary.finished else ""
-    return text + done
+    if summary.finished:
+        return f"{text}; finished: {summary.reason or 'done'}"
+    return "; ".join(filter(None, (text, summary.reason)))
 
 
 def _is_nought(name: str, value: float) -> bool:

@@ -36,7 +36,7 @@ class Row:
     quantity: str  # e.g. total_m
     value: float
     unit: str  # empty: a count or a share
-    state: str  # running, or the termination condition that was met
+    state: str  # running, the termination condition that was met, or why it could not be worked out
 
 
 class PerformanceNode:
@@ -79,7 +79,7 @@ class PerformanceNode:
     def table(self) -> list[Row]:
         """Return the swarm's numbers as rows, metric by metric."""
         return [
-            Row(metric, quantity, value, _unit(quantity), each.reason if each.finished else "running")
+            Row(metric, quantity, value, _unit(quantity), each.reason or "running")
             for metric, each in self.summaries.items()
             for quantity, value in each.values.items()
         ]
@@ -127,6 +127,9 @@ class PerformanceNode:
             _replace(self._results / "performance.json", text, sync=sync)
         except OSError as error:
             self.fault = f"{self._results}: cannot write the results: {error.strerror or error}"
+            return
+        except (ValueError, TypeError, msgspec.MsgspecError) as error:  # of what somebody sent as a summary
+            self.fault = f"{self._results}: the results cannot be written as JSON: {error}"
             return
         self._changed, self.fault = False, ""
 

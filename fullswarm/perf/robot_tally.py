@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MessageError
-from fullswarm.messages import RobotMeasurement
+from fullswarm.messages import LARGEST, RobotMeasurement
 from fullswarm.perf import shape
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.metrics import COLUMNS, METRICS, SHAPE, Metric, Restart, Rule
@@ -151,7 +151,7 @@ class RobotTally:
             column = columns.get(name)
             if column is None:
                 continue
-            there = column[np.isfinite(column)]
+            there = column[_known(column)]
             if len(there):
                 values[quantity] = RULES[rule](there) / (count if rule == "share" else 1)
             elif rule in EMPTY:
@@ -159,7 +159,7 @@ class RobotTally:
         per_robot: Values = {}
         if metric.per_robot in columns:
             column = columns[metric.per_robot]
-            numbers, there = column.tolist(), np.isfinite(column).tolist()
+            numbers, there = column.tolist(), _known(column).tolist()
             per_robot = {robot: numbers[row] for robot, row in order if there[row]}
         return Result(values, per_robot)
 
@@ -168,5 +168,11 @@ class RobotTally:
         if not columns.keys() >= set(wanted):
             return {}
         table = np.stack([columns[name] for name in wanted])
-        x_m, y_m, heading_rad = table[:, np.isfinite(table).all(axis=0)]
+        x_m, y_m, heading_rad = table[:, _known(table).all(axis=0)]
         return shape.values(x_m, y_m, heading_rad, self._bounds_m)
+
+
+def _known(values: Array) -> NDArray[np.bool_]:
+    """Return which values are there: neither NaN nor so large that a sum of them would not be finite."""
+    known: NDArray[np.bool_] = np.abs(values) <= LARGEST
+    return known

@@ -6,6 +6,9 @@ Nodes in the core: ``WorkSummarizer(bus, keys, scheduler, conditions)``, likewis
 A supervisory process that sees the true bodies may calculate, too (paper II.F.1): what it publishes as host ``truth``
 is kept apart and shown beside what the robots say, as ``truth_…``. The truth decides when a trial is over, if it is
 known; it stands in for robots that say nothing.
+
+They run in the process that commands the robots, so nothing that they are told may end it: what the bookkeeping raises
+is caught here, counted and said in the summary, which keeps the last values that could be worked out.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Generic
+
+import msgspec
+import structlog
 
 from fullswarm.bus.base import Bus
 from fullswarm.errors import MessageError
@@ -24,6 +30,11 @@ from fullswarm.perf.tallies import Alone, CollisionTally, CoverageTally, M, One,
 from fullswarm.perf.termination import Conditions, reason_to_stop
 from fullswarm.runtime import Scheduler, Timer
 from fullswarm.words import TRUTH
+
+log = structlog.get_logger()
+
+FAILED = "failed: "
+"""How the reason begins of a summary that could not be worked out just now."""
 
 REPORT_PERIOD_S = 1.0
 ROBOTS_PERIOD_S = 5.0
@@ -59,8 +70,10 @@ class Summarizer(Generic[M]):
         *,
         period_s: float = REPORT_PERIOD_S,
     ) -> None:
-        self.metric, self.refused = metric, 0
-        """`refused`: measurements that made no sense and were dropped."""
+        self.metric, self.refused, self.failures = metric, 0, 0
+        """`refused`: measurements that made no sense and were dropped; `failures`: of the bookkeeping itself."""
+        self._failure = ""
+        self._newest: tuple[Summary, ...] = ()
         self._make, self._tally = tally, tally()
         self._truth: Tally[M] | None = None
         self._onboard = False
@@ -69,8 +82,9 @@ class Summarizer(Generic[M]):
         self._final: tuple[Summary, ...] = ()
         self._deadline: Timer | None = None
         self._period_s = period_s
-        self._timer = scheduler.every(period_s, self._on_period)
-        self._subscription = bus.subscribe(keys.measurement(metric), kind, self._on_measurement, latest=True)
+        self._timer = scheduler.every(period_s, lambda: self._safely(self._on_period))
+        take = lambda message: self._safely(lambda: self._on_measurement(message))  # noqa: E731
+        self._subscription = bus.subscribe(keys.measurement(metric), kind, take, latest=True)
 
     @property
     def finished(self) -> bool:
@@ -87,15 +101,34 @@ class Summarizer(Generic[M]):
 
     def report(self) -> None:
         """Publish the results now, e.g. when the core ends between two reports."""
-        if self._started_s is not None:
-            for summary in self.summaries():
-                self._bus.publish(self._keys.summary(summary.metric), summary)
+        if self._started_s is None and not self._failure:
+            return
+        self._safely(self._work_out)
+        for summary in self._newest or (Summary(metric=self.metric, values={}),):
+            told = summary
+            if self._failure and not summary.finished:
+                told = msgspec.structs.replace(summary, reason=self._failure, stamp_s=self._scheduler.now_s())
+            self._bus.publish(self._keys.summary(told.metric), told)
+        self._failure = ""
 
     def close(self) -> None:
         """Stop listening and reporting. Closing twice is fine."""
         self._subscription.close()
         self._timer.cancel()
         self._cancel_deadline()
+
+    def _work_out(self) -> None:
+        self._newest = self.summaries()
+
+    def _safely(self, work: Callable[[], None]) -> None:
+        """Do some bookkeeping. Whatever it raises, for whatever it was told, the process goes on commanding robots."""
+        try:
+            work()
+        except Exception as error:
+            self.failures += 1
+            if not self._failure:  # once per report
+                log.error("statistics failed; the robots are not concerned", metric=self.metric, exc_info=error)
+            self._failure = f"{FAILED}{type(error).__name__}: {error}"
 
     def _results(self, reason: str) -> tuple[Summary, ...]:
         now_s = self._scheduler.now_s()
@@ -145,7 +178,7 @@ class Summarizer(Generic[M]):
         self._truth = truth
 
     def _on_period(self) -> None:
-        self._check()
+        self._safely(self._check)
         self._set_deadline()  # the limit may have been changed
         if not self._final or self._final[0].stamp_s < self._scheduler.now_s():
             self.report()
@@ -171,7 +204,7 @@ class Summarizer(Generic[M]):
             return
         left_s = self._started_s + limit_s - self._scheduler.now_s()
         if left_s < self._period_s:
-            self._deadline = self._scheduler.after(max(left_s, 0.0), self._check)
+            self._deadline = self._scheduler.after(max(left_s, 0.0), lambda: self._safely(self._check))
 
     def _cancel_deadline(self) -> None:
         if self._deadline is not None:

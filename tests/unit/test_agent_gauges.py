@@ -10,6 +10,7 @@ import pytest
 
 from fullswarm.agent.gauges import Gauges
 from fullswarm.messages import RobotMeasurement
+from fullswarm.perf.calculators import Calculators
 from tests.unit.agent_bench import Bench
 
 
@@ -108,3 +109,17 @@ def test_the_file_may_say_how_near_is_there() -> None:
     bench.enable("move_to_goal", {"goal": [4.5, 2.0], "gain": 1.0, "arrive_radius_m": 0.1})
     bench.run(0.6)
     assert column(heard[-1], "arrived_s")[0] < 0.3
+
+
+@pytest.mark.parametrize(("owner", "method"), [(Calculators, "update"), (Gauges, "look"), (Gauges, "message")])
+def test_a_measurement_that_fails_stops_no_robot(owner: type, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise OverflowError("math range error")
+
+    monkeypatch.setattr(owner, method, broken)
+    bench = Bench([(2.0, 2.0, 0.0)])
+    bench.enable("move_to_goal", {"goal": [9.0, 2.0], "gain": 1.0, "arrive_radius_m": 0.5})
+    bench.run(2.0)
+    assert bench.commanded[0, 0] > 0.4
+    assert bench.agent.uncounted > 0
+    bench.agent.close()

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fullswarm.agent import ranges
+from fullswarm.agent.behaviours import move_to_goal
+from fullswarm.bus import LocalBus
+from fullswarm.core.records import load_records, make_record
 from fullswarm.drivers.base import Hazard
-from fullswarm.messages import ControlRequest
+from fullswarm.errors import ConfigError
+from fullswarm.messages import Command, ControlRequest
 from tests.unit.agent_bench import TICK_S, Bench
 
 GOAL = {"goal": [15.0, 5.0], "gain": 1.0, "arrive_radius_m": 0.2}
@@ -197,10 +204,14 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
     driving(bench)
 
 
-def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench) -> None:
+def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    law = move_to_goal.velocity
+    broken: list[bool] = []
+    monkeypatch.setattr(move_to_goal, "velocity", lambda *given: law(*given) * (math.nan if broken else 1.0))
     driving(bench)
-    bench.enable("move_to_goal", {**GOAL, "goal": [math.nan, 1.0]})
+    broken.append(True)
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
+    assert "not finite" in bench.agent.wishes.law_error[0]
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -284,3 +295,82 @@ def test_after_a_hazard_only_a_new_request_moves_it(bench: Bench) -> None:
     assert not bench.acks[-1].accepted
     assert "ask for it again" in bench.acks[-1].reason
     driving(bench, request_id="second")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("safety_margin_m", -5.0, r"safety_margin_m = -5 is outside \[0, 1\] m"),
+        ("safety_margin_m", -1e-9, "is outside"),
+        ("safety_margin_m", math.nan, "not a finite number"),
+        ("safety_margin_m", "none", "not a finite number"),
+        ("safety_margin_m", True, "not a finite number"),
+        ("barrier_gain_per_s", 0.0, r"outside \[0.01, 20\] 1/s"),
+        ("barrier_gain_per_s", math.inf, "not a finite number"),
+        ("gain", -1.0, r"gain = -1 is outside \[0.05, 5\] 1/s"),
+        ("gain", "fast", "gain = 'fast' is not a finite number"),
+        ("goal", [math.nan, 1.0], "goal.x = nan is not a finite number"),
+        ("goal", 3.0, r"goal = 3.0 is not a point"),
+        ("hearing_m", 1e300, "hearing_m"),
+        ("unheard_of", math.inf, "unheard_of = inf"),
+        ("unheard_of", [[1.0, math.nan]], "unheard_of = nan"),
+    ],
+)
+@pytest.mark.parametrize("before", [True, False])
+def test_a_parameter_out_of_range_is_refused_with_the_reason_and_changes_nothing(
+    bench: Bench, name: str, value: Any, said: str, before: bool
+) -> None:
+    if before:  # the same law runs already: its parameters are renewed in place
+        bench.enable("move_to_goal", GOAL, filtered=True)
+    margin_m = bench.agent.tasks.margin_m[0]
+    bench.enable("move_to_goal", {**GOAL, name: value}, filtered=True)
+    assert not bench.acks[-1].accepted
+    assert re.search(said, bench.acks[-1].reason), bench.acks[-1].reason
+    bench.run(0.5)
+    assert bench.agent.tasks.margin_m[0] == margin_m >= 0.0
+    assert bench.commanded.any() == before
+
+
+@pytest.mark.parametrize("expires_s", [math.nan, -1.0, 1e9])
+def test_an_intent_that_would_not_lapse_is_refused(bench: Bench, expires_s: float) -> None:
+    request = ControlRequest(
+        request_id="q", robot="r1", behaviour="drive", law="drive", enable=True, core="c", sequence=7,
+        expires_s=expires_s, stamp_s=bench.runtime.now_s(),
+        parameters={"linear": 1.0, "angular": 0.0, "speed_m_s": 0.5, "turn_rad_s": 1.0},
+    )  # fmt: skip
+    LocalBus.publish(bench.bus, bench.keys.control_requests("r1", "drive"), request)  # no wire has looked at it
+    bench.run(0.2)
+    assert "expires_s" in bench.acks[-1].reason
+    assert not bench.commanded.any()
+
+
+@pytest.mark.parametrize("fields", [{"ttl_s": math.nan}, {"stamp_s": math.nan}, {"ttl_s": -1.0}])
+def test_a_command_without_a_sound_time_is_not_obeyed(bench: Bench, fields: dict[str, float]) -> None:
+    bench.enable("central", centralised=True)
+    command = Command(
+        robot="r1", request_id="q-central", linear_m_s=0.3, angular_rad_s=0.0, ttl_s=0.3, sequence=5,
+        stamp_s=bench.runtime.now_s(),
+    )  # fmt: skip
+    command = msgspec.structs.replace(command, **fields)
+    LocalBus.publish(bench.bus, bench.keys.command("r1"), command)
+    bench.run(0.1)
+    assert not bench.commanded.any()
+
+
+def test_what_the_records_allow_is_allowed_on_board() -> None:
+    tables = load_records()
+    for name in tables:
+        record = make_record(name, tables)
+        if record.centralised or not record.law:
+            continue
+        for key, parameter in record.parameters.items():
+            for value in (parameter.min, parameter.max, parameter.default):
+                if value is not None and parameter.type == "number":
+                    request = ControlRequest(
+                        request_id="q", robot="r1", behaviour=name, law=record.law, enable=True,
+                        expires_s=record.expires_s, parameters={**record.static, key: value},
+                    )  # fmt: skip
+                    ranges.check(request)
+            if parameter.type == "number" and parameter.max is not None:
+                with pytest.raises(ConfigError, match=key):
+                    ranges.check(msgspec.structs.replace(request, parameters={key: parameter.max * 1.001 + 0.001}))

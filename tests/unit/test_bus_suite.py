@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 import socket
 import subprocess
 import sys
@@ -19,9 +21,10 @@ from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
 from fullswarm.bus.session import client_config, untyped
 from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
+from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, Heartbeat, StopRequest
+from fullswarm.messages import Command, Heartbeat, SeenObstacles, StopRequest
 from fullswarm.runtime import Mailbox
 
 DEADLINE_S = 5.0
@@ -251,6 +254,36 @@ def test_bytes_that_are_no_message_are_counted_and_logged_once(
     assert seen == [beat(7)]
     assert subscriber.dropped == 4
     assert capsys.readouterr().out.count("message dropped") == 1
+
+
+def test_a_number_that_cannot_be_is_dropped_and_named_once_per_sender_and_second(
+    remote: tuple[ZenohBus, ZenohBus, Pair], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher, subscriber, pair = remote
+    clock = SimClock()
+    monkeypatch.setattr(subscriber, "_clock", clock)
+    clock.advance_to(100.0)
+    seen: list[SeenObstacles] = []
+    subscriber.subscribe(KEYS.obstacles(), SeenObstacles, seen.append)
+    pair.settle()
+
+    def tell(host: str, half_m: float) -> None:
+        rows = ((1.0, 2.0, half_m, 0.5, 0.0, 0.0),)
+        publisher.publish(KEYS.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=1.0))
+
+    for count in (1, 2):
+        for half_m in (math.nan, 1e308, -1.0):
+            tell("r1", half_m)
+            tell("r2", half_m)
+        pair.until(functools.partial(lambda dropped: subscriber.dropped == dropped, 6 * count))
+        clock.advance_to(102.0)
+    tell("r1", 0.5)
+    pair.until(lambda: bool(seen))
+    assert len(seen) == 1
+    lines = [line for line in capsys.readouterr().out.splitlines() if "message dropped" in line]
+    assert len(lines) == 4
+    assert sum("obstacles/r1" in line for line in lines) == 2
+    assert all("$.rows[" in line for line in lines)
 
 
 def test_the_bus_lives_without_a_hub() -> None:

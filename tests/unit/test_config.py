@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -276,3 +277,130 @@ def _paths(value: object, path: KeyPath) -> list[KeyPath]:
     elif isinstance(value, list):
         items = list(enumerate(value))
     return [way for key, inner in items for way in [(*path, key), *_paths(inner, (*path, key))]]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[agent]\nsensing_radius_m = 300000\n",
+         "fleet.toml:2: agent.sensing_radius_m: must be less than or equal to 1000 m, not 300000"),
+        ("[agent]\nspeed_limit_m_s = 500\n",
+         "fleet.toml:2: agent.speed_limit_m_s: must be less than or equal to 10 m/s, not 500"),
+        ("[agent]\nsafety_margin_m = 30\n",
+         "fleet.toml:2: agent.safety_margin_m: must be less than or equal to 1 m, not 30"),
+        ("[agent]\ncontrol_rate_hz = 0.001\n", "fleet.toml:2: agent.control_rate_hz: must be greater than or equal"),
+        ("[agent]\ncontrol_rate_hz = 1e6\n",
+         "fleet.toml:2: agent.control_rate_hz: must be less than or equal to 500 Hz"),
+        ("[world]\nrate_hz = 1e6\n", "fleet.toml:2: world.rate_hz: must be less than or equal to 1000 Hz"),
+        ("[world]\nradius_m = 170\n", "fleet.toml:2: world.radius_m: must be less than or equal to 50 m, not 170"),
+        ("[world]\nsubsteps = 100000\n", "fleet.toml:2: world.substeps: must be less than or equal to 100, not 100000"),
+        ("[world]\nbounds_m = [20.0, 0.0, 0.0, 20.0]\n", "fleet.toml:2: world.bounds_m: [20, 0, 0, 20] is no arena"),
+        ("[world]\nboxes = [\n[5, 5, 1, 1, 0],\n[5, 5, 0, 1, 0],\n]\n",
+         "fleet.toml:4: world.boxes[1]: has no size (0 by 1 m)"),
+        ("[world]\nboxes = [\n[5, 5, 1, 1, 0],\n[25, 5, 1, 1, 0],\n]\n",
+         "fleet.toml:4: world.boxes[1]: lies outside the arena, bounds_m = [0, 0, 20, 20]: write centre x, y, size"),
+        ("[world]\nboxes = [[20.6, 5, 1, 1, 0]]\n", "fleet.toml:2: world.boxes[0]: lies outside the arena"),
+    ],
+)  # fmt: skip
+def test_what_no_lab_has_is_refused_with_its_line(tmp_path: Path, text: str, line: str) -> None:
+    (complaint,) = complaints(tmp_path, text)
+    assert complaint.startswith(line)
+
+
+def test_a_box_that_reaches_into_the_arena_is_one_of_it(tmp_path: Path) -> None:
+    text = "[world]\nboxes = [[20.4, 5, 1, 1, 0], [20.6, 10, 1, 1, 0.785], [10, 10, 100, 0.1, 0]]\n"
+    assert len(load(tmp_path, text).world_or_default.boxes) == 3
+
+
+def robots(*drivers: str) -> str:
+    return "\n".join(f'[[robot]]\nid = "r{k}"\ndriver = "{driver}"' for k, driver in enumerate(drivers, 1)) + "\n"
+
+
+def fleet_complaints(tmp_path: Path, text: str, *, here: bool = True) -> list[str]:
+    (tmp_path / "fleet.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_fleet(tmp_path / "fleet.toml", here=here)
+    return [line.removeprefix(f"{tmp_path}/") for line in str(caught.value).splitlines()]
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_a_mistyped_scheme_is_refused_with_its_line(tmp_path: Path, here: bool) -> None:
+    text = robots("craete:///dev/ttyUSB0", "null://r2", "mavlink+upd://127.0.0.1:14550")
+    assert fleet_complaints(tmp_path, text, here=here) == [
+        "fleet.toml:3: robot[0].driver: no driver for 'craete', did you mean 'create'?",
+        "fleet.toml:9: robot[2].driver: no driver for 'mavlink+upd', did you mean 'mavlink+udp'?",
+    ]
+    assert fleet_complaints(tmp_path, '[fleet]\ncount = 4\ndriver = "simm"\n', here=here)[0] == (
+        "fleet.toml:3: fleet.driver: no driver for 'simm', did you mean 'sim'?"
+    )
+
+
+def test_a_driver_of_another_package_is_missed_only_where_the_agent_runs(tmp_path: Path) -> None:
+    text = robots("khepera:///dev/ttyUSB0")
+    assert "no driver for 'khepera', known: " in fleet_complaints(tmp_path, text)[0]
+    assert load_fleet(tmp_path / "fleet.toml").robots == ("r1",)
+    (tmp_path / "fleet.toml").write_text(text + 'host = "robot-1.lab"\n')
+    assert load_fleet(tmp_path / "fleet.toml", here=True).robots == ("r1",)
+
+
+CAN = "can+odrive://can0?wheel_radius=0.05&base=0.3"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "what"),
+    [
+        ("create:///dev/ttyUSB0", "create:///dev/ttyUSB0?model=create1", "the port /dev/ttyUSB0"),
+        ("create:///dev/ttyUSB0", "mavlink+serial:///dev/ttyUSB0?baud=57600", "the port /dev/ttyUSB0"),
+        ("mavlink+serial:///dev/ttyUSB0?sysid=1", "mavlink+serial:///dev/ttyUSB0?sysid=2", "the port /dev/ttyUSB0"),
+        ("mavlink+udp://127.0.0.1:14550?sysid=1", "mavlink+udp://0.0.0.0:14550?sysid=2", "the UDP port 14550"),
+        ("mavlink+tcp://10.0.0.1:5760", "mavlink+tcp://10.0.0.1:5760?sysid=1",
+         "the MAVLink system 1 at tcp 10.0.0.1:5760"),
+        (f"{CAN}&left=1&right=2", f"{CAN}&left=2&right=3", "the CAN node 2 of can0"),
+        ("can+vesc:///dev/ttyACM0?interface=slcan&left=1&right=2",
+         "can+vesc:///dev/ttyACM0?interface=slcan&left=3&right=4", "the port /dev/ttyACM0"),
+        ("sim://a", "sim://a", "the simulated robot a"),
+    ],
+)  # fmt: skip
+def test_two_robots_on_one_port_are_refused(tmp_path: Path, one: str, other: str, what: str) -> None:
+    (complaint,) = fleet_complaints(tmp_path, robots("null://x", one, other))
+    assert complaint.startswith(f"fleet.toml:9: robot[2].driver: {what}")
+    assert "is taken by r2: give each" in complaint
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("create:///dev/ttyUSB0", "create:///dev/ttyUSB1"),
+        ("mavlink+udp://127.0.0.1:14550", "mavlink+udp://127.0.0.1:14560"),
+        ("mavlink+tcp://10.0.0.1:5760?sysid=1", "mavlink+tcp://10.0.0.1:5760?sysid=2"),
+        ("mavlink+udpout://10.0.0.1:14550?sysid=1", "mavlink+udpout://10.0.0.2:14550?sysid=1"),
+        (f"{CAN}&left=1&right=2", f"{CAN}&left=3&right=4"),
+        (f"{CAN}&left=1&right=2", "can+vesc://can0?left=1&right=2"),  # other frames: standard and extended ids
+        ("null://x", "null://x"),
+    ],
+)
+def test_robots_that_share_a_wire_by_their_addresses_are_welcome(tmp_path: Path, one: str, other: str) -> None:
+    (tmp_path / "fleet.toml").write_text(robots(one, other))
+    assert len(load_fleet(tmp_path / "fleet.toml", here=True).robot) == 2
+
+
+def test_the_same_port_of_two_computers_is_two_ports(tmp_path: Path) -> None:
+    text = '[[robot]]\nid = "{0}"\ndriver = "create:///dev/ttyUSB0"\nhost = "{1}"\n'
+    (tmp_path / "fleet.toml").write_text(text.format("r1", "pi-1.lab") + text.format("r2", "pi-2.lab"))
+    assert len(load_fleet(tmp_path / "fleet.toml", here=True).robot) == 2
+    same = text.format("r1", "pi-1.lab") + text.format("r2", "pi-1.lab")
+    assert "the port /dev/ttyUSB0 is taken by r1" in fleet_complaints(tmp_path, same, here=False)[0]
+    # Without `host` each has a computer of its own, unless `up` runs all agents on this one.
+    (tmp_path / "fleet.toml").write_text(robots("create:///dev/ttyUSB0", "create:///dev/ttyUSB0"))
+    assert len(load_fleet(tmp_path / "fleet.toml").robot) == 2
+
+
+def test_start_poses_that_cannot_be_are_refused_with_their_line(tmp_path: Path) -> None:
+    text = "[world]\nboxes = [[5, 5, 1, 1, 0]]\n" + "".join(
+        f'[[robot]]\nid = "r{k}"\npose = [{x}, 5, 0]\n' for k, x in enumerate((30, 5, 10, 10.2))
+    )
+    assert fleet_complaints(tmp_path, text) == [
+        "fleet.toml:5: robot[0].pose: r0 at (30.00, 5.00) is outside the walls",
+        "fleet.toml:8: robot[1].pose: r1 at (5.00, 5.00) overlaps box 0",
+        "fleet.toml:11: robot[2].pose: r2 and r3 overlap, 0.20 m apart",
+    ]

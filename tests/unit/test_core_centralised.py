@@ -10,12 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from fullswarm.bus.local import LocalBus
+from fullswarm.clock import SimClock
+from fullswarm.config import SwarmConfig
 from fullswarm.core.centralised import formation, teleop, voronoi
 from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
 from fullswarm.core.centralised.joint_layout import Arena
 from fullswarm.core.centralised.law import Array, Memory
 from fullswarm.core.centralised.node import CentralisedNode
-from fullswarm.messages import CentralisedCommands, CentralisedRequest, RobotStates
+from fullswarm.keys import Keys
+from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
+from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.store import Store
 from tests.unit.core_swarm import KEYS, Swarm, fresh
 
@@ -359,4 +364,22 @@ def test_a_stick_on_the_centroid_streams_and_lapses(swarm: Swarm) -> None:
     swarm.run(1.0)
     assert len(swarm.sent(CentralisedCommands)) == count
     assert swarm.status("i39").phase == "ended"
+    node.close()
+
+
+@pytest.mark.parametrize("parameters", [{"safety_margin_m": -5.0}, {"barrier_gain_per_s": math.nan}])
+def test_a_request_that_would_switch_the_filter_off_is_not_computed(parameters: dict[str, float]) -> None:
+    runtime = Runtime(SimClock(), Mailbox())
+    bus, keys = LocalBus(runtime.mailbox), Keys("swarm")
+    node = CentralisedNode(bus, runtime, SwarmConfig(), "n")
+    active: list[tuple[str, ...]] = []
+    bus.subscribe(keys.heartbeat("centralised"), Heartbeat, lambda beat: active.append(beat.active))
+    for request_id, asked in (("bad", parameters), ("good", {})):
+        request = CentralisedRequest(
+            request_id=request_id, behaviour="teleop_centroid_bc", law="teleop_centroid", enable=True, robots=("r1",),
+            parameters={**asked}, filtered=True, core="c", sequence=1,
+        )  # fmt: skip
+        bus.publish(keys.centralised_request("teleop_centroid_bc"), request)
+    runtime.run(0.5)
+    assert active[-1] == ("good",)
     node.close()

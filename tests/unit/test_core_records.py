@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm import registry
+from fullswarm.config.parameter import Parameter
 from fullswarm.core.centralised import LAWS
 from fullswarm.core.records import BEHAVIOURS, Library, load_records, make_record, resolve
-from fullswarm.core.schema import Parameter, Record
+from fullswarm.core.schema import Record
 from fullswarm.core.shapes import shape
 from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.messages import Value

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -65,3 +67,16 @@ def test_robots_check_prints_what_was_checked_or_what_is_wrong() -> None:
     assert failed.exit_code == 1
     assert "return what it really does: zero" in failed.stdout
     assert "Traceback" not in failed.stderr
+
+
+def test_a_mistyped_url_is_told_before_anything_heavy_is_imported() -> None:
+    code = """
+import sys
+from typer.testing import CliRunner
+from fullswarm.launch.main import app
+done = CliRunner().invoke(app, ["robots", "test", "crate:///dev/ttyUSB0"])
+heavy = {"numpy", "fullswarm.launch.bring_up"} & set(sys.modules)
+print(done.exit_code, "did you mean 'create'" in done.stderr, sorted(heavy))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split("\n")[0] == "2 True []"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ from fullswarm.messages import (
     WorkMeasurement,
 )
 from fullswarm.perf.coverage import MAX_CELLS, pack
+from fullswarm.perf.performance_node import PerformanceNode
 from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer
+from fullswarm.perf.tallies import Totals
 from fullswarm.perf.termination import Progress, reason_to_stop
 from fullswarm.runtime import Runtime
 
@@ -285,3 +288,41 @@ def test_a_change_before_the_deadline_moves_it() -> None:
 )
 def test_reason_to_stop(conditions: dict[str, float | bool], progress: Progress, reason: str) -> None:
     assert reason_to_stop(PerformanceConfig.model_validate(conditions), progress) == reason
+
+
+def test_numbers_whose_sum_is_not_finite_end_nothing_and_the_metric_says_so(tmp_path: Path) -> None:
+    bench = Bench()
+    node = PerformanceNode(bench.bus, KEYS, bench.runtime, tmp_path)
+    bench.tell(work("a", a=3.0))
+    bench.runtime.run(1.5)
+    bench.tell(work("b", b=1.7e308), work("c", c=1.7e308))  # no wire has looked at them
+    bench.runtime.run(2.0)
+    newest = bench.of("work")[-1]
+    assert newest.reason.startswith("failed: OverflowError")
+    assert not newest.finished
+    assert newest.values["total_m"] == 3.0  # what could be worked out last
+    assert bench.work.failures > 0
+    assert {row.state for row in node.table()} == {newest.reason}
+    bench.tell(hits("a", a=1))
+    bench.runtime.run(1.0)
+    assert bench.of("collisions")[-1].reason == ""
+    bench.work.report()  # as at the end of the core
+    node.close()
+    assert "failed: OverflowError" in (tmp_path / "performance.json").read_text()
+
+
+def test_a_failure_that_passes_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("for once")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Totals, "add", broken)
+        bench.tell(work("a", a=3.0))
+        bench.runtime.run(1.0)
+    assert bench.of("work")[-1].reason == "failed: ZeroDivisionError: for once"
+    bench.tell(work("a", a=4.0))
+    bench.runtime.run(1.0)
+    assert bench.of("work")[-1].reason == ""
+    assert bench.of("work")[-1].values["total_m"] == 4.0

@@ -248,17 +248,17 @@ def test_robots_with_different_words_or_reach_are_not_thrown_together() -> None:
 
 def test_one_robot_may_have_a_word_where_another_has_a_number() -> None:
     tasks = make_tasks(2)
-    tasks.enable(0, Task(request("r0", "rendezvous", parameters={"gain": 1.0}), 0.0))
-    tasks.enable(1, Task(request("r1", "rendezvous", parameters={"gain": "much"}), 0.0))
+    tasks.enable(0, Task(request("r0", "rendezvous", parameters={"way": 1.0}), 0.0))
+    tasks.enable(1, Task(request("r1", "rendezvous", parameters={"way": "much"}), 0.0))
     assert sorted(group.rows.tolist() for group in tasks.groups()) == [[0], [1]]
 
 
 def test_an_update_whose_value_has_another_shape_is_taken_or_refused() -> None:
     tasks = make_tasks(1)
-    tasks.enable(0, Task(request("r0", "move_to_goal", parameters={"goal": [1.0, 2.0]}), 0.0))
+    tasks.enable(0, Task(request("r0", "move_to_goal", parameters={"spots": [1.0, 2.0]}), 0.0))
     tasks.groups()
-    tasks.enable(0, Task(request("r0", "move_to_goal", parameters={"goal": [[1.0, 2.0], [3.0, 4.0]]}), 0.0))
-    assert tasks.groups()[0].params.goal == [[1.0, 2.0], [3.0, 4.0]]
+    tasks.enable(0, Task(request("r0", "move_to_goal", parameters={"spots": [[1.0, 2.0], [3.0, 4.0]]}), 0.0))
+    assert tasks.groups()[0].params.spots == [[1.0, 2.0], [3.0, 4.0]]
 
 
 def test_a_law_that_becomes_centralised_leaves_the_robot_to_the_commands_alone() -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -144,4 +145,28 @@ def test_what_is_written_is_read(values: dict[str, Stored]) -> None:
     if values:
         store.set_many(values, "ann")
     assert {each.key: each.value for each in store.list()} == values
+    store.close()
+
+
+@pytest.mark.parametrize("value", ["{not json", "", "NaN", "[1.0, Infinity]", b"\xff\xfe", "[" * 100_000])
+def test_a_value_that_is_not_json_is_named_with_what_to_do(tmp_path: Path, value: object) -> None:
+    path = tmp_path / "core.sqlite"
+    store = Store(path)
+    store.set("wanted/r1", {"behaviour": "stop"}, "core")
+    store.set("a", 1.0, "anna")
+    store.close()
+    database = sqlite3.connect(path)
+    for table in ("entry", "history"):
+        database.execute(f"UPDATE {table} SET value = ? WHERE key = 'wanted/r1'", (value,))
+    database.commit()
+    store = Store(path)
+    for read in (lambda: store.get("wanted/r1"), lambda: store.list("wanted/"), lambda: store.history("*")):
+        with pytest.raises(ConfigError, match=r"core\.sqlite: the value of 'wanted/r1' is not JSON") as caught:
+            read()
+    assert store.get("a") == 1.0
+    statement = caught.value.hint.partition('"')[2].rstrip('"')
+    database.executescript(statement)  # what the hint says
+    database.close()
+    assert store.get("wanted/r1") is None
+    assert len(store.history("*")) == 1
     store.close()

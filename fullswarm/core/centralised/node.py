@@ -12,6 +12,7 @@ import structlog
 
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.config.parameter import FILTER
 from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
 from fullswarm.core.centralised.joint_layout import Arena
 from fullswarm.core.centralised.law import Array, Index, Law, Memory, law, number
@@ -103,6 +104,12 @@ class CentralisedNode:
 
     def _start(self, request: CentralisedRequest) -> None:
         job = self._jobs.get(request.request_id)
+        try:
+            for name in FILTER.keys() & request.parameters.keys():
+                FILTER[name].check(name, request.parameters[name])
+        except ValueError as error:  # whoever may speak on the bus can send one
+            self._complain(request, error)
+            return
         if job is not None:
             if job.request.robots != request.robots:
                 job.memory.clear()  # rows mean other robots now

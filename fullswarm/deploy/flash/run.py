@@ -17,13 +17,14 @@ from typing import Any
 
 from rich.table import Table
 
-from fullswarm.config import RobotConfig, load_swarm
+from fullswarm.config import RobotConfig
 from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
 from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.release.keys import Keys, usable
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import output, session
 
@@ -86,7 +87,7 @@ def run(request: Request) -> int:
 
 
 def _run(request: Request, keys: Keys) -> int:
-    config = load_swarm(request.fleet)
+    config = load_fleet(request.fleet)
     robots = plan.robots_of(config, request.robots)
     targets = _targets(request, robots)
     mtools.check_there()

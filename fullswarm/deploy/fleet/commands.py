@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fullswarm.config import load_swarm
 from fullswarm.deploy.fleet import people
 from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.fleet.desired import Desired
@@ -22,6 +21,7 @@ from fullswarm.deploy.fleet.update import AT_A_TIME, Board, perform
 from fullswarm.deploy.fleet.work import Kit, Outcome, Work
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import FullswarmError, Unreachable
 from fullswarm.operator import output
 
@@ -69,7 +69,7 @@ class Fleet:
             asyncssh is not installed.
         """
         need_asyncssh()
-        config = load_swarm(order.fleet, ())
+        config = load_fleet(order.fleet)
         robots = people.pick(config, order.robots, order.fleet)
         keys = Keys.default()
         login = people.login(config, keys, ask_password=order.ask_password, own_keys=own_keys)

@@ -91,26 +91,27 @@ def fill_starts(
     filled = default_starts(config, len(ids) - len(taken), taken)
     rest = iter(filled.tolist())
     poses = np.array([next(rest) if one is None else one for one in given], dtype=float).reshape(-1, 3)
-    wrong = list(_complaints(config, ids, poses))
+    wrong = [what for _, what in complaints(config, ids, poses)]
     if wrong:
         raise ConfigError("; ".join(wrong), where="start poses", hint=f"robots are discs of {config.radius_m} m radius")
     return poses
 
 
-def _complaints(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterator[str]:
+def complaints(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterator[tuple[str, str]]:
+    """Yield (robot, what is wrong with its start pose): not finite, outside, in an obstacle or in another robot."""
     x_min, y_min, x_max, y_max = config.bounds_m
     obstacles = with_trigonometry(static_obstacles(config))
     for i, (x, y, heading) in enumerate(poses.tolist()):
         if not np.isfinite([x, y, heading]).all():
-            yield f"{ids[i]}'s pose ({x}, {y}, {heading}) is not finite"
+            yield ids[i], f"{ids[i]}'s pose ({x}, {y}, {heading}) is not finite"
             continue
         if config.walls and not (x_min < x < x_max and y_min < y < y_max):
-            yield f"{ids[i]} at ({x:.2f}, {y:.2f}) is outside the walls"
+            yield ids[i], f"{ids[i]} at ({x:.2f}, {y:.2f}) is outside the walls"
             continue
         for k in range(len(obstacles)):
             if _overlap_m(x, y, config.radius_m, obstacles, k) > 0.0:
                 what = f"box {k}" if k < len(config.boxes) else "a wall"
-                yield f"{ids[i]} at ({x:.2f}, {y:.2f}) overlaps {what}"
+                yield ids[i], f"{ids[i]} at ({x:.2f}, {y:.2f}) overlaps {what}"
         apart = np.hypot(poses[i + 1 :, 0] - x, poses[i + 1 :, 1] - y)
         for j in np.flatnonzero(apart < 2 * config.radius_m - SLACK_M):
-            yield f"{ids[i]} and {ids[i + 1 + int(j)]} overlap, {apart[j]:.2f} m apart"
+            yield ids[i], f"{ids[i]} and {ids[i + 1 + int(j)]} overlap, {apart[j]:.2f} m apart"

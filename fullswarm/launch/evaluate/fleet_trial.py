@@ -18,7 +18,8 @@ from fullswarm import kernels
 from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
-from fullswarm.config import SwarmConfig, load_swarm
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.keys import Keys
@@ -68,7 +69,7 @@ def run_fleet(
     SafetyStop
         A robot is held by an e-stop: nothing goes on by itself. The trial is kept as a failed one.
     """
-    config = fleet if isinstance(fleet, SwarmConfig) else load_swarm(fleet, ())
+    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True)
     fits, left_out = choose(trials, config)
     tell_left_out(left_out)
     if not fits:
