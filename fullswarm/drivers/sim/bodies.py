@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 from fullswarm.drivers.body import BodyState
-from fullswarm.drivers.sim.kinematic_kernels import obstacle_gap
+from fullswarm.drivers.sim.contact_kernels import obstacle_gap
 from fullswarm.drivers.sim.world import World
 from fullswarm.geometry import wrap
 
