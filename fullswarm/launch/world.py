@@ -73,6 +73,7 @@ class WorldNode:
         self._truth: Truth | None = None
         self._folder = emulated.port_folder(config) if skins else None
         self._steps = self._made = 0
+        self._touched = self.world.contacts.copy()  # the most at once since the last fix, by row
         self._began_s = scheduler.now_s()
         self._timers = [
             scheduler.every(1.0 / settings.rate_hz, self._run),
@@ -110,6 +111,7 @@ class WorldNode:
         self._server.tick()
         self.bodies.after_step()
         self._steps += 1
+        np.maximum(self._touched, self.world.contacts, out=self._touched)
         if self._truth is not None:
             world = self.world
             self._truth.look(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
@@ -134,9 +136,10 @@ class WorldNode:
                 heading_sigma_rad=max(self._noise.heading_rad, LEAST_SIGMA_RAD),
                 source=self._process,
                 stamp_s=now_s,
-                contacts=int(self.world.contacts[row]),
+                contacts=int(self._touched[row]),
             )
             self._bus.publish(self._keys.pose_fix(robot), fix)
+        self._touched[:] = 0
 
     def close(self) -> None:
         """Switch off the emulated robots, give up all ports, let go of the physics."""

@@ -8,6 +8,7 @@ file                    what it holds                                           
 ``metrics.py``          what else is measured: columns, quantities, their meaning   core
 ``robot_tally.py``      joins those columns; ``shape.py``: order, spacing, …        core
 ``truth.py``            what the true bodies did; ``supervisor.py`` publishes it    base station
+``approach.py``         how near each pair of robots came                           base station
 ``coverage.py``         the coverage grid and how it travels on the bus             agent, core
 ``summarizers.py``      one node per metric: measurements of all hosts → Summary    core
 ``termination.py``      when a trial is over                                        core

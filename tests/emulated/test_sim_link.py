@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import socket
 import time
@@ -9,12 +10,18 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import STAND, Lifecycle, Twist
+from fullswarm.bus import LocalBus
+from fullswarm.clock import SimClock
+from fullswarm.config import SwarmConfig, WorldConfig
+from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.drivers.sim.emulator import WorldServer
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
+from fullswarm.keys import Keys
+from fullswarm.launch.world import WorldNode
+from fullswarm.messages import PoseFix
+from fullswarm.runtime import Mailbox, Runtime
 
 CONFIG = WorldConfig(engine="kinematic", address="127.0.0.1:0", bounds_m=(0.0, 0.0, 8.0, 8.0), speed_limit_m_s=0.4)
 
@@ -102,6 +109,55 @@ def test_a_driver_drives_its_body(bench: Bench) -> None:
     assert driver.state.name == "CLOSED"
     assert bench.server is not None
     bench.until(lambda: bench.server is not None and bench.server.connected == ())
+
+
+def test_a_contact_that_is_over_before_the_driver_is_read_is_read_once(bench: Bench) -> None:
+    driver = bench.driver("r1")
+    bench.until(lambda: x_of(driver) > 0.0)
+    contacts = iter((2, 1, 0))
+
+    def touch() -> None:
+        bench.world.contacts[0] = next(contacts, 0)
+        bench.world.hazards[0] = int(bench.world.contacts[0] == 2)
+
+    bench.world.watchers.append(touch)
+    sent_s = bench.world.time_s
+    bench.until(lambda: driver._time_s >= sent_s + 0.1)
+    reading = driver.read()
+    assert reading is not None
+    assert (reading.contacts, reading.hazards) == (2, Hazard.BUMP)
+    read_s = bench.world.time_s
+    bench.until(lambda: driver._time_s > read_s)
+    reading = driver.read()
+    assert reading is not None
+    assert (reading.contacts, reading.hazards) == (0, Hazard.NONE)
+
+
+def test_a_fix_tells_of_contacts_since_the_one_before() -> None:
+    runtime = Runtime(SimClock(), Mailbox())
+    bus, keys = LocalBus(runtime.mailbox), Keys("swarm")
+    config = SwarmConfig.model_validate(
+        {
+            "world": {"engine": "kinematic", "address": "127.0.0.1:0"},
+            "robot": [{"id": "r1", "pose": (2.0, 2.0, 0.0), "emulate": "create2"}],
+        }
+    )
+    fixes: list[PoseFix] = []
+    bus.subscribe(keys.pose_fix("r1"), PoseFix, fixes.append)
+    node = WorldNode(bus, runtime, config, "world-here")
+    try:
+        runtime.run(0.2)
+        steps = itertools.count()
+
+        def touch() -> None:
+            node.world.contacts[0] = int(next(steps) == 3)  # 5 ms of the 50 ms between two fixes
+
+        node.world.watchers.append(touch)
+        runtime.run(0.2)
+    finally:
+        node.close()
+    assert [each.contacts for each in fixes if each.contacts] == [1]
+    assert len(fixes) >= 7
 
 
 def test_a_silent_driver_means_a_standing_body(bench: Bench) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -111,6 +112,27 @@ def test_a_world_is_seen_from_the_first_look_on_however_many_steps_pass_between_
         assert way_m - 0.5 * world.dt_s <= witness.truth.distance_m[0] <= way_m
         assert not witness.touched().any()
         assert witness.above_limits == 0
+    finally:
+        world.close()
+
+
+def test_a_graze_between_two_looks_is_counted() -> None:
+    config = WorldConfig(engine="kinematic", bounds_m=(0.0, 0.0, 9.0, 4.0), speed_limit_m_s=4.0, accel_limit_m_s2=500.0)
+    world = World(config, ["a", "b", "c"], [(1.0, 1.0, 0.0), (5.0, 1.33, math.pi), (8.0, 3.0, 0.0)])
+    try:
+        witness = WorldWitness(world, np.full((3, 2), 2.0), 0.5, 0.1)
+        witness.look()
+        for _ in range(80):
+            world.set_twists(np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
+            world.step()
+        assert world.contacts.tolist() == [0, 0, 0]
+        witness.look()
+        assert [each.tolist() for each in witness.events] == [[1, 1, 0], [0, 0, 0]]
+        assert (witness.pairs_touched, witness.robots_touched) == (1, 2)
+        assert witness.touched().tolist() == [True, True, False]
+        evidence = witness.evidence()
+        assert evidence.closest_m[0] <= evidence.touch_m < evidence.closest_m[1:].min()
+        assert len(evidence.bend) > 0
     finally:
         world.close()
 

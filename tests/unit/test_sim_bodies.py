@@ -72,6 +72,21 @@ def test_the_half_on_the_other_robots_side_is_pressed(side: float, bumps: tuple[
     assert stepped.body.state().bumps == bumps
 
 
+def test_a_short_touch_presses_the_bumper_until_it_has_sprung_back() -> None:
+    stepped = Stepped((0.0, 0.0, 0.0), (1.0, 0.335, math.pi))
+    stepped.body.drive(0.5, 0.0)
+    stepped.bodies.of["r1"].drive(0.5, 0.0)
+    touched, pressed = [], []
+    for _ in range(400):
+        stepped.run(0.005)
+        touched.append(bool(stepped.world.contacts[0]))
+        pressed.append(stepped.body.state().contacts > 0)
+    assert touched.index(True) == pressed.index(True)
+    last = len(touched) - 1 - touched[::-1].index(True)
+    assert all(pressed[touched.index(True) : last + 9])
+    assert not any(pressed[last + 11 :])
+
+
 def test_nobody_drives_at_a_speed_that_is_no_number() -> None:
     stepped = Stepped((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="cannot move"):

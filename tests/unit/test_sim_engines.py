@@ -57,7 +57,7 @@ def drive(engine: Engine, twists: Array, steps: int, ramp_steps: int = 0) -> Arr
     seen = []
     for step in range(steps):
         engine.step(twists * min(1.0, (step + 1) / (ramp_steps + 1)))
-        seen.append(engine.contacts.copy())
+        seen.append(engine.referee.contacts.copy())
     return np.array(seen, dtype=float)
 
 
@@ -80,7 +80,7 @@ def test_free_body_follows_the_arc(name: str, v: float, w: float, rig: Rig) -> N
     assert abs(math.remainder(engine.pose[0, 2] - heading - w, 2 * math.pi)) < tolerance
     assert abs(engine.pose[0, 2]) <= math.pi
     assert engine.twist[0] == pytest.approx([v, w], abs=10 * tolerance)
-    assert engine.contacts[0] == 0
+    assert engine.referee.contacts[0] == 0
 
 
 @ENGINES
@@ -90,16 +90,16 @@ def test_head_on_pair_ends_touching_not_overlapping(name: str, rig: Rig) -> None
     for _ in range(60):
         engine.step(twists)
         closest = min(closest, math.dist(engine.pose[0, :2], engine.pose[1, :2]))
-        seen.append(engine.contacts.tolist())
+        seen.append(engine.referee.contacts.tolist())
     assert 2 * R - TOLERANCE[name][1] < closest < 2 * R + TOLERANCE[name][1]
     assert seen[0] == [0, 0, 0]
     assert seen[-1] == [1, 1, 0]
-    assert engine.pairs.tolist() == [[0, 1]]
+    assert engine.referee.pairs.tolist() == [[0, 1]]
     assert abs(engine.twist[0, 0]) < 0.1
     for _ in range(20):
         engine.step(-twists)
-    assert engine.contacts.tolist() == [0, 0, 0]
-    assert engine.pairs.shape == (0, 2)
+    assert engine.referee.contacts.tolist() == [0, 0, 0]
+    assert engine.referee.pairs.shape == (0, 2)
 
 
 @ENGINES
@@ -108,8 +108,8 @@ def test_wall_stops_a_body(name: str, rig: Rig) -> None:
     engine = rig(config, (3.6, 1.5, 0.0))
     drive(engine, np.array([[0.5, 0.0]]), 40)
     assert engine.pose[0, 0] == pytest.approx(4.0 - R, abs=1e-3)
-    assert engine.contacts[0] == 1
-    assert engine.pairs.tolist() == [[0, -2]]  # the wall at x_max is the second obstacle
+    assert engine.referee.contacts[0] == 1
+    assert engine.referee.pairs.tolist() == [[0, -2]]  # the wall at x_max is the second obstacle
     assert static_obstacles(config)[1].tolist() == [4.5, 1.5, 0.5, 2.5, 0.0, 0.0]
 
 
@@ -122,8 +122,8 @@ def test_rotated_box_is_met_at_its_corner(name: str, rig: Rig) -> None:
         engine.step(np.array([[0.4, 0.0], [0.4, 0.0]]))
         closest = min(closest, 5.0 - math.sqrt(0.5) - R - engine.pose[0, 0] + abs(engine.pose[0, 1] - 5.0))
     assert closest > -1e-3
-    assert engine.contacts.tolist() == [1, 0]
-    assert engine.pairs.tolist() == [[0, -1]]
+    assert engine.referee.contacts.tolist() == [1, 0]
+    assert engine.referee.pairs.tolist() == [[0, -1]]
 
 
 @engines("kinematic", "pybullet")
@@ -137,7 +137,7 @@ def test_a_pile_stays_solid(name: str, speed: float, rig: Rig) -> None:
         engine.step(np.stack([speed * np.cos(away), 3.0 * np.sin(away)], axis=1))
         apart = np.hypot(*(engine.pose[:, None, :2] - engine.pose[None, :, :2]).transpose(2, 0, 1))
         worst = max(worst, float(np.max(2 * R - apart - np.eye(16))))
-    assert engine.contacts.max() >= 3
+    assert engine.referee.contacts.max() >= 3
     assert worst < 1e-3
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,3 +107,82 @@ def test_a_bad_network_is_measured_too() -> None:
     assert found.end_reason == "time limit"
     assert found.onboard["work.robots"] == 8
     assert found.onboard["work.total_m"] == pytest.approx(found.truth["work.total_m"], rel=0.5)
+
+
+# ------------------------------------------------------------------------------------- counted again by an outsider
+def recounted(path: Path) -> dict[str, Any]:
+    """Count contacts from the stored file alone, with nothing of the referee: all pairs, ways finely sampled."""
+    with np.load(path) as file:
+        stored = {name: file[name] for name in file.files}
+    count, step_s, touch_m = len(stored["ids"]), float(stored["step_s"]), float(stored["touch_m"])
+    closest, events, touched, pairs = np.full((count, count), np.inf), np.zeros((2, count), int), set(), set()
+    last_s = np.full((2, count), -np.inf)
+    xy, fine = np.cumsum(stored["xy"], axis=0) * 1e-5, np.linspace(0.0, 1.0, 40)[:, None, None]
+    for step in range(1, len(xy)):
+        part = np.concatenate([[0.0], stored["part_s"] / step_s])[:, None, None]
+        corners = xy[step - 1] + (xy[step] - xy[step - 1]) * part
+        for bend in np.flatnonzero(stored["bend_step"] == step):
+            robot = stored["bend_robot"][bend]
+            corners[1:, robot] = xy[step - 1, robot] + np.cumsum(stored["bend"][bend], axis=0) * 1e-5
+        places = np.concatenate([a + (b - a) * fine for a, b in itertools.pairwise(corners)])
+        hit = np.zeros((2, count), bool)
+        for i in range(count):
+            gaps = np.hypot(*(places - places[:, i : i + 1]).transpose(2, 0, 1)).min(axis=0)
+            gaps -= stored["radius_m"] + stored["radius_m"][i]
+            gaps[i] = np.inf
+            closest[i] = np.minimum(closest[i], gaps)
+            hit[0, i] = (gaps <= touch_m).any()
+            pairs |= {(min(i, int(j)), max(i, int(j))) for j in np.flatnonzero(gaps <= touch_m)}
+            for x, y, half_x, half_y, yaw, _ in stored["obstacles"]:
+                turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+                outside = np.maximum(np.abs((places[:, i] - (x, y)) @ turn) - (half_x, half_y), 0.0)
+                hit[1, i] |= np.hypot(*outside.T).min() - stored["radius_m"][i] <= touch_m
+        for kind in range(2):
+            events[kind] += hit[kind] & (step * step_s - last_s[kind] >= 0.25 - 1e-9)
+            last_s[kind][hit[kind]] = step * step_s
+        touched |= set(np.flatnonzero(hit.any(axis=0)).tolist())
+    return {
+        "robot_events": int(events[0].sum()),
+        "obstacle_events": int(events[1].sum()),
+        "pairs_touched": len(pairs),
+        "robots_touched": len(touched),
+        "closest": closest[np.triu_indices(count, 1)],
+    }
+
+
+@pytest.mark.parametrize(
+    ("cell", "limit_s"),
+    [
+        ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal", 8.0),
+        ("robots=8,scenario=uniform,engine=kinematic,behaviour=move_to_goal", 6.0),
+        pytest.param("robots=16,scenario=empty,engine=pybullet,behaviour=move_to_goal", 8.0, marks=pytest.mark.sim),
+    ],
+)
+def test_an_outsider_counts_the_same_contacts_from_what_is_stored(cell: str, limit_s: float, tmp_path: Path) -> None:
+    engine = "pybullet" if "pybullet" in cell else "kinematic"
+    (one,) = plan(load_experiment("paper"), (2,), (cell,), engine=engine)
+    found = measure(replace(one, time_limit_s=limit_s))
+    assert found.contacts is not None
+    found.contacts.save(tmp_path / "contacts.npz")
+    again, outcome = recounted(tmp_path / "contacts.npz"), found.outcome
+    assert outcome.pairs_touched is not None
+    assert outcome.pairs_touched > 3
+    assert outcome.robots_touched == found.truth["collisions.robots_touched"]
+    for name in ("robot_events", "obstacle_events", "pairs_touched", "robots_touched"):
+        assert again[name] == getattr(outcome, name), name
+    stored = found.contacts.closest_m
+    assert (stored <= found.contacts.touch_m).sum() == outcome.pairs_touched
+    near = again["closest"] < 0.05
+    np.testing.assert_allclose(stored[near], again["closest"][near], atol=1e-3)
+    # Ways within a step are taken as straight for pairs that are far from each other.
+    np.testing.assert_allclose(stored, again["closest"], atol=0.02)
+    assert found.truth["separation.min_m"] == pytest.approx(float(stored.min()))
+
+
+def test_without_a_contact_the_closest_approaches_are_stored_alone() -> None:
+    contacts = measure(trial()).contacts
+    assert contacts is not None
+    assert contacts.xy.size == contacts.bend.size == 0
+    assert len(contacts.closest_m) == 8 * 7 // 2
+    assert contacts.closest_m.min() > contacts.touch_m
+    assert contacts.closest_s.max() <= 20.0

@@ -9,12 +9,15 @@ import math
 from collections.abc import Sequence
 
 from fullswarm.drivers.body import BodyState
-from fullswarm.drivers.sim.kinematic_kernels import obstacle_gap
+from fullswarm.drivers.sim.contact_kernels import obstacle_gap
 from fullswarm.drivers.sim.world import World
 from fullswarm.geometry import wrap
 
 MIDDLE_RAD = math.radians(12.0)
 """What touches so close to straight ahead presses both halves of a bumper."""
+
+RETURN_S = 0.05
+"""A bumper needs so long to spring back: firmware that asks each 15 ms feels a short contact, too."""
 
 SKIN_RATE_HZ = 200.0
 """Emulated encoders are read every 10 to 15 ms: a slower world would make them jump."""
@@ -28,6 +31,8 @@ class WorldBody:
         self._wish = (0.0, 0.0)
         x_m, y_m, heading_rad = world.pose[row].tolist()
         self._state = BodyState(x_m, y_m, heading_rad)
+        self._pressed: tuple[tuple[bool, bool], int] = (False, False), 0
+        self._pressed_s = -math.inf
 
     def drive(self, speed_m_s: float, turn_rad_s: float) -> None:
         """Move like this from the next step on; raises ``ValueError`` if not finite."""
@@ -50,11 +55,14 @@ class WorldBody:
         x_m, y_m, heading_rad = world.pose[row].tolist()
         speed_m_s, _ = world.twist[row].tolist()
         turned_rad = wrap(heading_rad - before.heading_rad)
-        contacts = int(world.contacts[row])
+        if world.contacts[row]:
+            self._pressed = self._bumps(x_m, y_m, heading_rad), int(world.contacts[row])
+            self._pressed_s = world.time_s
+        bumps, contacts = self._pressed if world.time_s - self._pressed_s < RETURN_S else ((False, False), 0)
         self._state = BodyState(
             x_m, y_m, heading_rad, speed_m_s, turned_rad / world.dt_s,
             before.rolled_m + speed_m_s * world.dt_s, before.turned_rad + turned_rad,
-            self._bumps(x_m, y_m, heading_rad) if contacts else (False, False), contacts,
+            bumps, contacts,
         )  # fmt: skip
 
     def _bumps(self, x_m: float, y_m: float, heading_rad: float) -> tuple[bool, bool]:

@@ -1,4 +1,4 @@
-"""What both PyBullet engines share: a quiet client of one's own, static obstacles, reading contacts."""
+"""What both PyBullet engines share: a quiet client of one's own, static obstacles, steps whose paths are known."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ import importlib
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.engine import TOUCH_M
 
 OBSTACLE_HEIGHT_M = 1.0
 LOOK_AHEAD_M = 0.05
@@ -50,6 +48,8 @@ class BulletClient:
         self.id: int = self.api.connect(self.api.DIRECT)
         self.firmware = f"pybullet {version('pybullet')}"
         self._open = True
+        self._step_s, self._substeps = step_s, substeps
+        self._parts = substeps  # into which the next call of Bullet divides its time
         self.api.setPhysicsEngineParameter(
             fixedTimeStep=step_s,
             numSubSteps=substeps,
@@ -60,11 +60,16 @@ class BulletClient:
             **engine,
         )
 
-    def add_obstacles(self, obstacles: Array, floor_z_m: float) -> dict[int, int]:
-        """Add static boxes (rows as in ``Reading.obstacles``); return -1-k by Bullet's body id."""
+    @property
+    def part_s(self) -> Array:
+        """When the substeps of a step end, since its start, (substeps,)."""
+        return np.arange(1, self._substeps + 1, dtype=np.float64) * (self._step_s / self._substeps)
+
+    def add_obstacles(self, obstacles: Array, floor_z_m: float) -> list[int]:
+        """Add static boxes (rows as in ``Reading.obstacles``); return Bullet's body ids."""
         api, client = self.api, self.id
-        rows: dict[int, int] = {}
-        for k, (x, y, half_x, half_y, yaw, _) in enumerate(obstacles.tolist()):
+        bodies: list[int] = []
+        for x, y, half_x, half_y, yaw, _ in obstacles.tolist():
             shape = api.createCollisionShape(
                 api.GEOM_BOX, halfExtents=[half_x, half_y, OBSTACLE_HEIGHT_M / 2], physicsClientId=client
             )
@@ -77,37 +82,38 @@ class BulletClient:
                 physicsClientId=client,
             )
             api.changeDynamics(body, -1, lateralFriction=0.0, restitution=0.0, physicsClientId=client)
-            rows[body] = -1 - k
-        return rows
+            bodies.append(body)
+        return bodies
 
-    def touching(self, rows: dict[int, int]) -> NDArray[np.int64]:
-        """Return the touching pairs (m, 2) among the bodies of `rows` (body id to row), sorted; robots first."""
-        points = self.api.getContactPoints(physicsClientId=self.id)
-        if not points:
-            return NO_PAIRS
-        found = set()
-        for point in points:
-            first, second = rows.get(point[1]), rows.get(point[2])
-            if first is not None and second is not None and point[8] < TOUCH_M:
-                if second >= 0 and (first < 0 or second < first):
-                    first, second = second, first
-                if first >= 0:
-                    found.add((first, second))
-        return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+    def step(self, bodies: Sequence[int], rows: Sequence[int], path: Array) -> None:
+        """Advance by one world step; write into `path` (substeps + 1, n, 2) the ways of the `bodies` in `rows`.
+
+        Bullet tells where bodies are only between two calls, so substeps are called one by one while anybody is asked
+        about; the motion is the same to the bit.
+        """
+        if not rows:
+            self._divide(self._substeps)
+            self.api.stepSimulation(self.id)
+            return
+        self._divide(1)
+        get, told = self.api.getBasePositionAndOrientation, [(row, bodies[row]) for row in rows]
+        for point in range(self._substeps + 1):
+            if point:
+                self.api.stepSimulation(self.id)
+            for row, body in told:
+                (x, y, _), _ = get(body, self.id)
+                path[point, row] = x, y
+
+    def _divide(self, parts: int) -> None:
+        if parts != self._parts:
+            self._parts = parts
+            step_s = self._step_s if parts > 1 else self._step_s / self._substeps
+            self.api.setPhysicsEngineParameter(
+                fixedTimeStep=step_s, numSubSteps=parts if parts > 1 else 0, physicsClientId=self.id
+            )
 
     def close(self) -> None:
         """Disconnect. Closing twice is fine."""
         if self._open:
             self._open = False
             self.api.disconnect(self.id)
-
-
-NO_PAIRS: NDArray[np.int64] = np.zeros((0, 2), np.int64)
-
-
-def count_contacts(pairs: NDArray[np.int64], contacts: NDArray[np.int64]) -> None:
-    """Set `contacts` (n,) to the number of pairs that each row is part of."""
-    contacts[:] = 0
-    if len(pairs):
-        rows = pairs.ravel()
-        contacts += np.bincount(rows[rows >= 0], minlength=len(contacts))

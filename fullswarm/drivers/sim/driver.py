@@ -7,6 +7,7 @@ import secrets
 import select
 import socket
 import threading
+from dataclasses import replace
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
@@ -46,6 +47,7 @@ class SimDriver:
     def _reset(self) -> None:
         self._state, self._fault, self._firmware, self._world = Lifecycle.CLOSED, "", "", ""
         self._reading: Reading | None = None
+        self._unread = False
         self._origin: Pose | None = None
         self._time_s = -math.inf
         self._heard_s = -math.inf
@@ -132,7 +134,14 @@ class SimDriver:
             self._judge(now_s)  # a gap that nobody looked at must not leave the robot ACTIVE
             reading = self._convert(datagram, now_s)
             with self._lock:
+                if self._unread and self._reading is not None:  # a contact must not be over before anybody has read it
+                    reading = replace(
+                        reading,
+                        contacts=max(reading.contacts, self._reading.contacts),
+                        hazards=reading.hazards | self._reading.hazards,
+                    )
                 self._time_s, self._heard_s, self._reading = datagram.time_s, now_s, reading
+                self._unread = True
                 if self._state in (Lifecycle.OPEN, Lifecycle.FAULT) and self._world:
                     self._state, self._fault = Lifecycle.READY, ""
 
@@ -178,8 +187,10 @@ class SimDriver:
         self._drive(STAND)
 
     def read(self) -> Reading | None:
-        """Return the newest reading."""
-        return self._reading
+        """Return the newest reading; its contacts and hazards are those since the last call."""
+        with self._lock:
+            self._unread = False
+            return self._reading
 
     def command(self, twist: Twist) -> Twist:
         """Send a set-point in one datagram; return it clipped to the limits, or zero unless ACTIVE."""

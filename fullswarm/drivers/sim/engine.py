@@ -6,17 +6,14 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
+from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.errors import ConfigError, MissingExtra
 
 WALL_HALF_M = 0.5
 """Half thickness of an arena wall; its inner face lies on the bound."""
-
-TOUCH_M = 1e-4
-"""Gap below which two PyBullet bodies count as touching: solid bodies rest 0.01 mm inside each other."""
 
 
 class Engine(Protocol):
@@ -24,8 +21,7 @@ class Engine(Protocol):
 
     pose: Array  # (n, 3) x, y (m), heading in [-pi, pi]; the same array at all times
     twist: Array  # (n, 2) m/s along the heading, rad/s, measured over the last step
-    contacts: NDArray[np.int64]  # (n,) bodies, boxes and walls touched during the last step
-    pairs: NDArray[np.int64]  # (m, 2) touching rows; the second is -1-k for obstacle k
+    referee: ContactReferee  # who touched whom during the last step
     firmware: str  # name and version of what computes the physics
 
     def step(self, twists: Array) -> None:
@@ -51,6 +47,13 @@ def static_obstacles(config: WorldConfig) -> Array:
             (middle_x, y_max + WALL_HALF_M, half_x, WALL_HALF_M, 0.0, 0.0),
         ]
     return np.array(rows, dtype=float).reshape(-1, 6)
+
+
+def with_trigonometry(obstacles: Array) -> Array:
+    """Return (k, 8): centre, half sizes, cos and sin of the yaw, corner radius, radius of the enclosing disc."""
+    x, y, half_x, half_y, yaw, corner = obstacles.T
+    reach = np.hypot(half_x, half_y) + corner
+    return np.ascontiguousarray(np.stack([x, y, half_x, half_y, np.cos(yaw), np.sin(yaw), corner, reach], axis=1))
 
 
 def check_config(config: WorldConfig) -> None:

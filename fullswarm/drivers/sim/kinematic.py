@@ -11,15 +11,9 @@ import numpy as np
 import fullswarm
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.engine import static_obstacles
+from fullswarm.drivers.sim.contacts import ContactReferee
+from fullswarm.drivers.sim.engine import static_obstacles, with_trigonometry
 from fullswarm.drivers.sim.kinematic_kernels import SCRATCH_COLUMNS, advance
-
-
-def with_trigonometry(obstacles: Array) -> Array:
-    """Return (k, 8): centre, half sizes, cos and sin of the yaw, corner radius, radius of the enclosing disc."""
-    x, y, half_x, half_y, yaw, corner = obstacles.T
-    reach = np.hypot(half_x, half_y) + corner
-    return np.ascontiguousarray(np.stack([x, y, half_x, half_y, np.cos(yaw), np.sin(yaw), corner, reach], axis=1))
 
 
 class KinematicEngine:
@@ -30,46 +24,46 @@ class KinematicEngine:
         self.firmware = f"kinematic {fullswarm.__version__}"
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        self.contacts = np.zeros(n, np.int64)
         self._obstacles = with_trigonometry(static_obstacles(config))
+        self._substeps = int(config.substeps)
+        self._dt_s = 1.0 / config.rate_hz
+        # Each substep has two parts: bodies move, then they are pushed apart at once.
+        part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
+        self.referee = ContactReferee(config, self._obstacles, n, part_s)
         self._scratch = np.zeros((n, SCRATCH_COLUMNS))
         self._state = np.array([0.0, -1.0])  # metres moved since the list was made, its skin (m); -1: no list
         self._counts = np.zeros(1, np.int64)
         self._grid = np.zeros(8 * n + 64, np.int64)
-        self._radius_m, self._dt_s = float(config.radius_m), 1.0 / config.rate_hz
-        self._substeps = int(config.substeps)
-        self._allocate(16 * n + 64)
-        self.pairs = self._pairs[:0]
-
-    def _allocate(self, capacity: int) -> None:
-        self._candidates = np.zeros((capacity, 4), np.int64)
-        self._pairs = np.zeros((capacity, 2), np.int64)
 
     def step(self, twists: Array) -> None:
         """Advance one world step."""
-        touching = self._advance(twists)
-        while touching < 0:
+        while not self._advance(twists):
             # Nothing was changed yet: the list of candidates did not fit.
-            self._allocate(2 * len(self._candidates))
-            touching = self._advance(twists)
-        self.pairs = self._pairs[:touching]
+            self.referee.allocate(2 * len(self.referee.candidates))
+        self.referee.publish()
 
-    def _advance(self, twists: Array) -> int:
+    def _advance(self, twists: Array) -> bool:
+        referee = self.referee
         return advance.run(
             self.pose,
             twists,
             self.twist,
-            self.contacts,
-            self._pairs,
             self._obstacles,
             self._scratch,
-            self._candidates,
+            referee.candidates,
             self._grid,
             self._state,
             self._counts,
-            self._radius_m,
+            referee.radius_m,
             self._dt_s,
             self._substeps,
+            referee.touch_m,
+            referee.path,
+            referee.near_room,
+            referee.gap_room,
+            referee.pair_room,
+            referee.contacts,
+            referee.found,
         )
 
     def close(self) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.bullet import NO_PAIRS, BulletClient, count_contacts
-from fullswarm.drivers.sim.engine import static_obstacles
+from fullswarm.drivers.sim.bullet import BulletClient
+from fullswarm.drivers.sim.contacts import ContactReferee
+from fullswarm.drivers.sim.engine import static_obstacles, with_trigonometry
 
 HEIGHT_M = 0.2
 SOLVER_ITERATIONS = 30  # a pile of 32 stays below 0.1 mm of penetration
@@ -26,14 +27,13 @@ class PyBulletEngine:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        self.contacts = np.zeros(n, np.int64)
-        self.pairs = NO_PAIRS
+        obstacles = static_obstacles(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), n, self._client.part_s)
         self.firmware = self._client.firmware
-        self._rows = self._client.add_obstacles(static_obstacles(config), -HEIGHT_M)
+        self._client.add_obstacles(obstacles, -HEIGHT_M)
         self._bodies = [self._add_body(config, pose) for pose in self.pose.tolist()]
-        self._rows |= {body: row for row, body in enumerate(self._bodies)}
         self._velocity = np.zeros((n, 3))
         self._spin = np.zeros((n, 3))
 
@@ -81,7 +81,9 @@ class PyBulletEngine:
         push = self._client.api.resetBaseVelocity
         for body, linear, angular in zip(self._bodies, velocity.tolist(), self._spin.tolist(), strict=True):
             push(body, linear, angular, client)
-        self._client.api.stepSimulation(client)
+        near = self.referee.look_ahead(pose, float(np.abs(speed).max(initial=0.0)) * self._dt_s)
+        self._client.step(self._bodies, near, self.referee.path)
+        self.referee.judge()
         get = self._client.api.getBasePositionAndOrientation
         told = [get(body, client) for body in self._bodies]
         new = np.array([(at[0], at[1], turn[2], turn[3]) for at, turn in told])
@@ -93,10 +95,6 @@ class PyBulletEngine:
         self.twist[:, 1] = twists[:, 1]
         pose[:, :2] = new[:, :2]
         pose[:, 2] = heading
-        pairs = self._client.touching(self._rows)
-        if len(pairs) or len(self.pairs):
-            count_contacts(pairs, self.contacts)
-        self.pairs = pairs
 
     def close(self) -> None:
         """End the physics server."""

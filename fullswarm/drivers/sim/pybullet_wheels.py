@@ -12,8 +12,9 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.bullet import NO_PAIRS, BulletClient, count_contacts
-from fullswarm.drivers.sim.engine import static_obstacles
+from fullswarm.drivers.sim.bullet import BulletClient
+from fullswarm.drivers.sim.contacts import ContactReferee
+from fullswarm.drivers.sim.engine import static_obstacles, with_trigonometry
 
 WHEEL_BASE_M = 0.235  # Create 2 Open Interface specification
 WHEEL_RADIUS_M = 0.036
@@ -39,28 +40,27 @@ class WheelsEngine:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        self.contacts = np.zeros(n, np.int64)
-        self.pairs = NO_PAIRS
+        self._dt_s, obstacles = 1.0 / config.rate_hz, static_obstacles(config)
         self._base_m = WHEEL_BASE_M * config.radius_m / CREATE_RADIUS_M
         self._client = BulletClient(
-            1.0 / config.rate_hz,
+            self._dt_s,
             config.substeps,
             numSolverIterations=20,
             solverResidualThreshold=1e-4,
             enableConeFriction=0,
         )
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), n, self._client.part_s)
         self.firmware = self._client.firmware + " wheels"
         api, client = self._client.api, self._client.id
         api.setGravity(0.0, 0.0, GRAVITY_M_S2, physicsClientId=client)
         plane = api.createCollisionShape(api.GEOM_PLANE, physicsClientId=client)
         floor = api.createMultiBody(baseMass=0, baseCollisionShapeIndex=plane, physicsClientId=client)
         api.changeDynamics(floor, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
-        self._rows = self._client.add_obstacles(static_obstacles(config), 0.0)
-        for body in self._rows:
+        for body in self._client.add_obstacles(obstacles, 0.0):
             api.changeDynamics(body, -1, lateralFriction=SHELL_FRICTION, physicsClientId=client)
         self._shapes = self._make_shapes(config)
+        self._fastest_m_s = 0.0
         self._bodies = [self._add_body(config, pose) for pose in self.pose.tolist()]
-        self._rows |= {body: row for row, body in enumerate(self._bodies)}
 
     def _make_shapes(self, config: WorldConfig) -> tuple[int, int, int]:
         api, client = self._client.api, self._client.id
@@ -131,15 +131,19 @@ class WheelsEngine:
             api.setJointMotorControlArray(
                 body, [0, 1], api.VELOCITY_CONTROL, targetVelocities=speeds, forces=force, physicsClientId=client
             )
-        api.stepSimulation(client)
+        # A body that slides drives on faster than its wheels turn.
+        fastest = max(float(np.abs(twists[:, 0]).max(initial=0.0)), self._fastest_m_s)
+        near = self.referee.look_ahead(self.pose, fastest * self._dt_s)
+        self._client.step(self._bodies, near, self.referee.path)
+        self.referee.judge()
+        self._fastest_m_s = 0.0
         for row, body in enumerate(self._bodies):
             at, (qx, qy, qz, qw) = api.getBasePositionAndOrientation(body, client)
             linear, angular = api.getBaseVelocity(body, client)
             heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
             self.pose[row] = at[0], at[1], heading
+            self._fastest_m_s = max(self._fastest_m_s, math.hypot(linear[0], linear[1]))
             self.twist[row] = linear[0] * math.cos(heading) + linear[1] * math.sin(heading), angular[2]
-        self.pairs = self._client.touching(self._rows)
-        count_contacts(self.pairs, self.contacts)
 
     def close(self) -> None:
         """End the physics server."""

@@ -7,15 +7,14 @@ world's own: it advances by ``1 / rate_hz`` per step, however long the step take
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array, Description, Limits
-from fullswarm.drivers.sim.engine import make_engine, static_obstacles
-from fullswarm.drivers.sim.kinematic import with_trigonometry
+from fullswarm.drivers.sim.engine import make_engine, static_obstacles, with_trigonometry
 from fullswarm.drivers.sim.starts import fill_starts
 from fullswarm.drivers.sim.world_kernels import dead_reckon, front_bumps, ramp, sense
 from fullswarm.errors import ConfigError, did_you_mean
@@ -48,11 +47,12 @@ class World:
     pose, sensed_pose : (n, 3) true, and as the robots sense it with noise
     odometry : (n, 3) from the measured twist, in the start frame
     twist : (n, 2) measured, m/s and rad/s
-    contacts : (n,) bodies and obstacles touched during the last step
+    contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
     hazards : (n,) ``Hazard`` bits
     target, drive : (n, 2) set-points as asked, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
+    watchers : called after each step: who must not miss one adds itself
 
     Raises
     ------
@@ -80,7 +80,8 @@ class World:
         self.description = describe(config)
         self.engine = make_engine(config, fill_starts(config, ids, starts))
         self.firmware = self.engine.firmware
-        self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.engine.contacts
+        self.referee = self.engine.referee
+        self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.referee.contacts
         self.sensed_pose = self.pose if _perfect(config) else self.pose.copy()
         self.odometry = np.zeros((n, 3))
         self.hazards = np.zeros(n, np.uint8)
@@ -94,6 +95,7 @@ class World:
         self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
         self._steps = 0
         self._touching = False
+        self.watchers: list[Callable[[], None]] = []
         self._add_noise()
 
     @property
@@ -104,7 +106,7 @@ class World:
     @property
     def pairs(self) -> NDArray[np.int64]:
         """Touching pairs of the last step (m, 2); the second is -1-k for obstacle k."""
-        return self.engine.pairs
+        return self.referee.pairs
 
     def row(self, robot: str) -> int:
         """Return the row of a robot; `ConfigError` if it has none."""
@@ -142,12 +144,14 @@ class World:
         self.engine.step(self.drive)
         self._steps += 1
         dead_reckon.run(self.odometry, self.twist, self.dt_s)
-        pairs = self.engine.pairs
+        pairs = self.referee.pairs
         touching = len(pairs) > 0
         if touching or self._touching:
             front_bumps(self.pose, pairs, self.shapes, self.hazards)
             self._touching = touching
         self._add_noise()
+        for watch in self.watchers:
+            watch()
 
     def _add_noise(self) -> None:
         if self.sensed_pose is self.pose:

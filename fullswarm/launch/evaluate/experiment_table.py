@@ -18,7 +18,7 @@ def table(report: Report) -> Table:
     grouped = differ_by_group(each.cell for each in report.cells)
     for name in (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "bad"):
         view.add_column(name, overflow="fold")
-    for name in ("N", "seeds", "coll.", "robots %", "trials %", "mean s", "blocked"):
+    for name in ("N", "seeds", "coll.", "pairs", "touched", "robots %", "trials %", "mean s", "blocked"):
         view.add_column(name, justify="right", no_wrap=True, min_width=len(name))
     for cell in report.cells:
         view.add_row(*[cell.cell.group] * grouped, *_row(cell), style="red" if _is_bad(cell) else None)
@@ -40,6 +40,8 @@ def _row(cell: CellResult) -> tuple[str, ...]:
         str(of.robots),
         str(len(cell.results)),
         NONE if cell.is_empty else str(cell.collisions),
+        NONE if cell.is_empty else str(cell.pairs_touched),
+        NONE if cell.is_empty else str(cell.robots_touched),
         _number(100 * cell.arrived_fraction, 1),
         _number(100 * cell.all_arrived_fraction, 0),
         _number(mean_s, 1),
@@ -56,6 +58,8 @@ def closing(report: Report) -> str:
     apart = sum(len(each.results) - len(each.failed) - len(each.outcomes) for each in report.cells)
     above = sum(each.above_limits for cell in report.cells for _, each in cell.outcomes)
     counts = f"{report.trials_done} trials done, {report.trials_failed} failed, {report.collisions} collisions"
+    pairs, robots = (sum(getattr(each, name) for each in report.cells) for name in ("pairs_touched", "robots_touched"))
+    counts += f" ({pairs} pairs, {robots} robots touched)" * bool(report.collisions)
     lines = [
         f"{counts}, {above} commands above the limits, {apart} starts outside the safe set",
         f"{report.simulated_s:.0f} s simulated in {report.wall_s:.0f} s",

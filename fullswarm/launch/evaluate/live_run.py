@@ -152,6 +152,7 @@ def drive(swarm: LiveSwarm, asked: Asked, witness: Witness, stopped: Callable[[]
         ended_s = runtime.now_s()
         outcome = _outcome(swarm, asked, witness, ended_s - began_s)
         track.take(ended_s - began_s, witness)
+        evidence = witness.evidence()
     finally:
         sampling.cancel()
         halt(swarm)
@@ -167,6 +168,7 @@ def drive(swarm: LiveSwarm, asked: Asked, witness: Witness, stopped: Callable[[]
         truth={} if truth is None else finite(truth.values()),
         per_robot=joined(swarm.summaries.per_robot(), {} if truth is None else truth.per_robot()),
         trajectory=track.trajectory(swarm.config.robots, asked, witness),
+        contacts=evidence,
         coverage=swarm.summaries.coverage(),
     )
 
@@ -182,6 +184,8 @@ def _outcome(swarm: LiveSwarm, asked: Asked, witness: Witness, took_s: float) ->
         safe_start=asked.safe_start,
         simulated_s=round(took_s, 3),
         above_limits=witness.above_limits,
+        pairs_touched=witness.pairs_touched,
+        robots_touched=witness.robots_touched,
     )
 
 

@@ -24,8 +24,10 @@ from fullswarm.launch.evaluate.trial_watch import BodyWatch, Measurement, Summar
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
+from fullswarm.perf.approach import Approaches
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.experiment.plan import Trial, scenario_of, world_of
+from fullswarm.perf.experiment.record import GRAIN_M, Contacts
 from fullswarm.perf.experiment.results import Outcome, TrialResult
 from fullswarm.perf.scenarios import Scenario, goals_for, spawn, world_config
 
@@ -44,12 +46,17 @@ class TrialFailed(FullswarmError):
 
 
 class Referee:
-    """Counts contacts and commands above the limits, after each step of the world.
+    """Counts contacts and commands above the limits, after each step of the world, and keeps what proves the count.
 
     Parameters
     ----------
     world : its bodies are watched
     limits : what the robots' drivers say that they can do
+
+    Attributes
+    ----------
+    pairs : which pairs of robots have touched, as (row, higher row)
+    touched : (n,) which robots have touched anything
     """
 
     def __init__(self, world: World, limits: Limits) -> None:
@@ -57,23 +64,69 @@ class Referee:
         self._world = world
         self._most = np.array([limits.speed_m_s, limits.turn_rad_s]) * (1.0 + TOLERANCE)
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
+        self.pairs: set[tuple[int, int]] = set()
+        self.touched = np.zeros(count, np.bool_)
         self._counts = np.zeros((2, count), np.int64)
+        self._steps = 0
+        self._approaches = Approaches(world.pose, np.full(count, world.config.radius_m))
+        self._xy = [world.pose[:, :2].copy()]
+        self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
         self.above_limits = 0
 
     def look(self) -> None:
         """Take in the last step."""
-        world, counts = self._world, self._counts
+        world, counts, found = self._world, self._counts, self._world.referee
+        self._steps += 1
+        self._xy.append(world.pose[:, :2].copy())
+        self._approaches.look(self._steps * world.dt_s, world.pose, found.near, found.near_gap_m)
         counts[:] = 0
-        for first, second in world.pairs.tolist():
-            if second >= 0:
-                counts[0, first] += 1
-                counts[0, second] += 1
-            else:
-                counts[1, first] += 1
+        if len(found.pairs):
+            for first, second in found.pairs.tolist():
+                if second >= 0:
+                    counts[0, first] += 1
+                    counts[0, second] += 1
+                    self.pairs.add((min(first, second), max(first, second)))
+                else:
+                    counts[1, first] += 1
+            rows = np.flatnonzero(found.contacts)
+            self.touched[rows] = True
+            self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
         self.robots.update(world.time_s, counts[0])
         self.obstacles.update(world.time_s, counts[1])
         if (np.abs(world.target) > self._most).any():
             self.above_limits += int((np.abs(world.target) > self._most).any(axis=1).sum())
+
+    @property
+    def closest_m(self) -> float:
+        """The least gap between two robots so far; inf: there is one, or no step yet."""
+        return float(self._approaches.least_m.min(initial=np.inf))
+
+    def evidence(self) -> Contacts:
+        """Return what is needed to count the contacts again."""
+        world, found = self._world, self._world.referee
+        bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
+        xy = _grains(np.array(self._xy)) if bends else np.zeros((0, len(world.ids), 2), np.int32)
+        steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))
+        ways = _grains(np.array([way for *_, way in bends]).reshape(-1, len(found.part_s), 2))
+        starts = xy[steps - 1, rows].reshape(-1, 1, 2)
+        return Contacts(
+            ids=world.ids,
+            radius_m=np.full(len(world.ids), world.config.radius_m),
+            obstacles=np.array(world.obstacles),
+            touch_m=found.touch_m,
+            step_s=world.dt_s,
+            closest_m=self._approaches.least_m.astype(np.float32),
+            closest_s=np.round(self._approaches.at_s, 6),
+            part_s=found.part_s,
+            xy=np.diff(xy, axis=0, prepend=np.int32(0)),
+            bend_step=steps,
+            bend_robot=rows,
+            bend=np.diff(ways, axis=1, prepend=starts),
+        )
+
+
+def _grains(at_m: Array) -> NDArray[np.int32]:
+    return np.round(at_m / GRAIN_M).astype(np.int32)
 
 
 Measure = Callable[[Trial], Measurement]
@@ -144,9 +197,8 @@ def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, sw
     for row in range(len(world.ids)):
         world.set_limits(row, widened(limits))
     safe = in_safe_set(world, config.agent.safety_margin_m)
-    referee = Referee(world, limits)
     bodies = BodyWatch(world, goals, scenario.goal.radius_m, config.performance.coverage_cell_m)
-    watching = False
+    referee, watching = Referee(world, limits), False
 
     def look() -> None:
         if watching:
@@ -162,7 +214,7 @@ def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, sw
     try:
         runtime.run(READY_S)
         operator.request(trial.cell.behaviour, (), parameters(trial, scenario, goals), statuses.append)
-        watching = True
+        referee, watching = Referee(world, limits), True
         bodies.begin()
         limit_s = trial.time_limit_s or scenario.time_limit_s
         began_s, deadlock_s = runtime.now_s(), 0.0
@@ -189,14 +241,17 @@ def _run(trial: Trial, scenario: Scenario, config: SwarmConfig, goals: Array, sw
         above_limits=referee.above_limits,
         deadlocks=sum(int(agent.deadlocks.draws.sum()) for agent in swarm.agents),
         deadlock_s=round(deadlock_s, 3),
+        pairs_touched=len(referee.pairs),
+        robots_touched=int(referee.touched.sum()),
     )
     return Measurement(
         outcome=outcome,
         end_reason=end_reason,
         onboard=summaries.onboard(),
-        truth=finite(bodies.truth.values()),
+        truth=finite({**bodies.truth.values(), "separation.min_m": referee.closest_m}),
         per_robot=joined(summaries.per_robot(), bodies.truth.per_robot()),
         trajectory=bodies.trajectory(),
+        contacts=referee.evidence(),
         coverage=summaries.coverage(),
     )
 

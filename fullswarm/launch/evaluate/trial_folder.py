@@ -22,6 +22,7 @@ from fullswarm.launch.evaluate.trial_file import launch_text
 from fullswarm.launch.evaluate.trial_watch import Measurement
 from fullswarm.perf.experiment.plan import Trial
 from fullswarm.perf.experiment.record import (
+    CONTACTS_FILE,
     COVERAGE_FILE,
     PROVENANCE_FILE,
     RESULT_FILE,
@@ -133,6 +134,8 @@ def fill(folder: Path, record: Record, about: Provenance, found: Measurement | s
         return
     if found.trajectory is not None:
         found.trajectory.save(folder / TRAJECTORY_FILE)
+    if found.contacts is not None:
+        found.contacts.save(folder / CONTACTS_FILE)
     if found.coverage is not None:
         frame, covered = found.coverage
         numbers = np.array([frame.origin_x_m, frame.origin_y_m, frame.cell_m, frame.rows, frame.columns])

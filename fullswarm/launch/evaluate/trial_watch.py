@@ -14,7 +14,7 @@ from fullswarm.drivers.sim.world import World
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import Summary
 from fullswarm.perf.coverage import GridFrame
-from fullswarm.perf.experiment.record import Trajectory
+from fullswarm.perf.experiment.record import Contacts, Trajectory
 from fullswarm.perf.experiment.results import Outcome
 from fullswarm.perf.metrics import METRICS
 from fullswarm.perf.truth import Truth
@@ -43,6 +43,7 @@ class Measurement:
     per_robot: Mapping[str, Numbers] = field(default_factory=dict)
     trajectory: Trajectory | None = None
     coverage: tuple[GridFrame, NDArray[np.uint8]] | None = None  # the swarm's own; (rows, columns) of 0 and 1
+    contacts: Contacts | None = None
 
 
 class BodyWatch:

@@ -18,6 +18,7 @@ from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch.evaluate.trial import Referee
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
+from fullswarm.perf.experiment.record import Contacts
 from fullswarm.perf.truth import Truth
 
 ENDLESS = Limits(speed_m_s=np.inf, turn_rad_s=np.inf, accel_m_s2=np.inf, turn_accel_rad_s2=np.inf)
@@ -54,6 +55,20 @@ class Witness(Protocol):
         ...
 
     @property
+    def pairs_touched(self) -> int | None:
+        """How many pairs of robots have touched; None: nobody can tell who touched whom."""
+        ...
+
+    @property
+    def robots_touched(self) -> int:
+        """How many robots have touched anything."""
+        ...
+
+    def evidence(self) -> Contacts | None:
+        """Return what is needed to count the contacts again; None: nobody knows it."""
+        ...
+
+    @property
     def above_limits(self) -> int:
         """How many commands were beyond the actuators' limits."""
         ...
@@ -65,7 +80,7 @@ class Witness(Protocol):
 
 
 class WorldWitness:
-    """Sees the bodies of a simulated world, from the first look on.
+    """Sees the bodies of a simulated world after each of its steps, from the first look on.
 
     Parameters
     ----------
@@ -75,29 +90,30 @@ class WorldWitness:
     """
 
     def __init__(self, world: World, goals: Array, goal_radius_m: float, cell_m: float, emulated: bool = False) -> None:
-        self._world, self._seen_s = world, world.time_s
+        self._world = world
         self._began_s: float | None = None
-        limits = world.description.limits
-        self._referee = Referee(world, ENDLESS if emulated else limits)
+        self._limits = ENDLESS if emulated else world.description.limits
+        self._referee = Referee(world, self._limits)
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
         Truth(*about).look(0.0, world.pose, world.twist, world.dt_s, world.contacts)
-        Referee(world, limits).look()
+        Referee(world, self._limits).look()
         self.truth: Truth = Truth(*about)
 
     def look(self) -> None:
-        """Take in what the world has done since the last look: mostly one step, more when the machine was busy."""
-        world = self._world
-        now_s = world.time_s
+        """Begin, unless that is done: the world calls by itself, so that no step is missed on a busy machine."""
         if self._began_s is None:
-            self._began_s = self._seen_s = now_s
-        if now_s <= self._seen_s:
-            return
+            self._began_s = self._world.time_s
+            self._referee = Referee(self._world, self._limits)
+            self._world.watchers.append(self._take_in)
+
+    def _take_in(self) -> None:
+        """Take in one step of the world."""
+        world = self._world
         self._referee.look()
-        self.truth.look(now_s - self._began_s, world.pose, world.twist, now_s - self._seen_s, world.contacts)
+        self.truth.look(world.time_s - (self._began_s or 0.0), world.pose, world.twist, world.dt_s, world.contacts)
         self._touched |= world.contacts > 0
-        self._seen_s = now_s
 
     def touched(self) -> NDArray[np.bool_]:
         """Return who has touched anything since this was asked last."""
@@ -116,8 +132,22 @@ class WorldWitness:
 
     @property
     def events(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Contacts as the engine tells them."""
+        """Contacts as the world's referee tells them."""
         return self._referee.robots.events, self._referee.obstacles.events
+
+    @property
+    def pairs_touched(self) -> int:
+        """Pairs of robots."""
+        return len(self._referee.pairs)
+
+    @property
+    def robots_touched(self) -> int:
+        """Robots that touched robots or obstacles."""
+        return int(self._referee.touched.sum())
+
+    def evidence(self) -> Contacts:
+        """Return the referee's."""
+        return self._referee.evidence()
 
     @property
     def above_limits(self) -> int:
@@ -164,6 +194,20 @@ class HeardWitness:
     def events(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Contacts that the robots count, by what was nearest at the time."""
         return self._events[0], self._events[1]
+
+    @property
+    def pairs_touched(self) -> None:
+        """A bumper does not tell who pressed it."""
+        return None
+
+    @property
+    def robots_touched(self) -> int:
+        """Robots that have counted a contact."""
+        return int((self._events.sum(axis=0) > 0).sum())
+
+    def evidence(self) -> None:
+        """Robots keep none."""
+        return
 
     @property
     def above_limits(self) -> int:

@@ -25,6 +25,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     above_limits: int = 0  # commands beyond the actuators' limits
     deadlocks: int = 0  # how often a robot was found blocked
     deadlock_s: float = 0.0  # robot-seconds spent on stepping aside
+    pairs_touched: int | None = None  # pairs of robots that touched at least once; None: nobody could tell
+    robots_touched: int | None = None  # robots that touched anything
 
     @property
     def events(self) -> int:
@@ -65,6 +67,16 @@ class CellResult:
     def collisions(self) -> int:
         """Contact events; see `is_empty`."""
         return sum(each.events for _, each in self.outcomes)
+
+    @property
+    def pairs_touched(self) -> int:
+        """Pairs of robots that touched, of all trials that could tell."""
+        return sum(each.pairs_touched or 0 for _, each in self.outcomes)
+
+    @property
+    def robots_touched(self) -> int:
+        """Robots that touched anything, of all trials that could tell."""
+        return sum(each.robots_touched or 0 for _, each in self.outcomes)
 
     @property
     def failed(self) -> list[TrialResult]:
@@ -118,6 +130,8 @@ class CellResult:
             "collisions": self.collisions if known else None,
             "robot_collisions": sum(each.robot_events for each in outcomes) if known else None,
             "obstacle_collisions": sum(each.obstacle_events for each in outcomes) if known else None,
+            "pairs_touched": self.pairs_touched if known else None,
+            "robots_touched": self.robots_touched if known else None,
             "colliding_seeds": self.colliding_seeds,
             "arrived_fraction": self.arrived_fraction if known else None,
             "all_arrived_fraction": self.all_arrived_fraction if known else None,

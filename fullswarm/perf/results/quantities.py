@@ -50,6 +50,8 @@ class Quantity:
 
 
 COLLISIONS = Quantity((("outcome", "events"),), "Collisions per trial")
+PAIRS = Quantity((("outcome", "pairs_touched"),), "Pairs that touched")
+TOUCHED = Quantity((("outcome", "robots_touched"),), "Robots that touched anything")
 ARRIVED = Quantity((("outcome", "arrived_fraction"),), "Robots that arrived", "%", 100.0)
 TIME = Quantity((("outcome", "arrival_s"),), "Time until all arrived", "s")
 WORK = Quantity(
@@ -84,6 +86,10 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "deadlocks": float(outcome.deadlocks),
         "deadlock_s": outcome.deadlock_s,
     }
+    for name in ("pairs_touched", "robots_touched"):
+        count = getattr(outcome, name)
+        if count is not None:
+            values[name] = float(count)
     return {**values, "arrival_s": outcome.simulated_s} if all_arrived else values
 
 

@@ -9,7 +9,17 @@ from urllib.parse import quote
 from fullswarm.perf.experiment.plan import differ_by_group
 from fullswarm.perf.experiment.record import RESULT_FILE, TRIAL_FILE, TRIALS
 from fullswarm.perf.results.folder import Folder, StoredTrial
-from fullswarm.perf.results.quantities import ARRIVED, COLLISIONS, COVERAGE, TIME, WORK, Quantity, unit_of
+from fullswarm.perf.results.quantities import (
+    ARRIVED,
+    COLLISIONS,
+    COVERAGE,
+    PAIRS,
+    TIME,
+    TOUCHED,
+    WORK,
+    Quantity,
+    unit_of,
+)
 from fullswarm.perf.results.sample import Condition, Sample, bare, is_filtered
 from fullswarm.perf.results.statistics import describe, paired, wilson
 
@@ -43,7 +53,13 @@ class Grid:
 def cells_grid(condition: Condition) -> Grid:
     """Return all cells with means, quartiles and 95 % confidence intervals."""
     headers = ["Scenario", "Behaviour", "Robots", "Trials", "Collisions per trial", "Median (quartiles)"]
-    headers += ["Trials with collisions [%]", "Robots that arrived [%]", "Trials in which all arrived [%]"]
+    headers += [
+        PAIRS.label,
+        TOUCHED.label,
+        "Trials with collisions [%]",
+        "Robots that arrived [%]",
+        "Trials in which all arrived [%]",
+    ]
     headers += [each.label for each in (TIME, WORK, COVERAGE)]
     return Grid(headers, [_cell_row(each) for each in condition.samples], words=2)
 
@@ -65,6 +81,8 @@ def _cell_row(sample: Sample) -> list[Entry]:
             tone="" if not count or (struck and cell.collisions_expected) else "bad" if struck else "good",
         ),
         Entry(quartiles if count else NONE),
+        Entry(_mean(sample, PAIRS)),
+        Entry(_mean(sample, TOUCHED)),
         Entry(_share(struck, count)),
         Entry(_mean(sample, ARRIVED)),
         Entry(_share(all_arrived, count)),
