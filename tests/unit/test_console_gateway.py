@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from typing import Any
 
 import numpy as np
@@ -219,6 +220,37 @@ def test_obstacles_that_two_robots_have_seen_are_one(bench: ConsoleBench) -> Non
     bench.bus.publish(KEYS.obstacles("b"), SeenObstacles(host="b", rows=(row, (9.0, *row[1:])), stamp_s=0.0))
     bench.run(1.1)
     assert [each[0] for each in page.last("obstacles")["rows"]] == [1.0, 9.0]
+
+
+@pytest.mark.parametrize("wild", [math.nan, math.inf, 1e308])
+def test_an_obstacle_that_cannot_be_ends_nothing_and_is_told_once(bench: ConsoleBench, wild: float) -> None:
+    page, desk = bench.join()
+    good, bad = (1.0, 2.0, 0.5, 0.5, 0.0, 0.0), (3.0, 2.0, wild, 0.5, 0.0, 0.0)
+    for _ in range(3):  # as handlers get it: no bus is needed to reach them
+        bench.gateway._on_obstacles(SeenObstacles(host="a", rows=(good, bad), stamp_s=0.0))
+        bench.run(1.1)
+    assert page.last("obstacles")["rows"] == [list(good)]
+    assert len([text for text in page.log("fault") if "obstacles" in text]) == 1
+    assert bench.gateway.undrawn == {"obstacles": 3}
+    assert bench.say(desk, page, "estop")["ok"]
+
+
+def test_what_cannot_be_drawn_leaves_the_other_frames_and_the_buttons(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    # A value that no database may hold, and whose fault is found only when the frame is written.
+    bench.gateway._world._values["behaviour/wild"] = {"parameters": {}, "summary": object()}
+    bench.gateway._changed.add("world")
+    bench.states("r1")
+    bench.report(health("r1"))
+    bench.run(0.5)
+    assert page.last("fleet")["robots"][0]["robot"] == "r1"
+    assert bench.say(desk, page, "estop")["ok"]
+    bench.run(0.2)
+    assert page.last("estop")["engaged"]
+    late, _ = bench.join("session-2")
+    assert late.last("hello")["history"]["log"]
+    assert bench.gateway.undrawn == {"world": 2}
+    assert [text for text in page.log("fault") if "'world'" in text]
 
 
 def test_trails_are_kept_for_a_minute(bench: ConsoleBench) -> None:
