@@ -13,6 +13,7 @@ from fullswarm.messages import (
     SeenObstacles,
     Summary,
 )
+from fullswarm.operator.console import advice
 from fullswarm.perf.coverage import pack
 from tests.unit.console_bench import KEYS, ConsoleBench, health
 
@@ -78,13 +79,37 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     assert 4 <= len(page.all("fleet")) - before <= 5
     first, second = page.last("fleet")["robots"]
     assert first["attention"]
-    assert "cable" in first["advice"]
+    assert first["advice"] == advice.UNKNOWN
     assert (first["host"], first["version"], first["radius_m"]) == ("h", "1.2", 0.17)
     assert (second["behaviour"], second["battery"], second["advice"]) == ("flocking", 0.1, "Charge it soon.")
     assert page.log("fault") == ["r1: link lost"]
     bench.run(3.0)
     assert page.last("fleet")["silent"] == ["r1", "r2"]
     assert page.log("link")[-1] == "r1, r2: silent"
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"fault": "/dev/ttyUSB0: the charger is plugged in"}, "Take it off its charger."),
+        ({"fault": "p: it does not go into Safe mode; the cause may be its charger"}, advice.BARRED),
+        ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"fault": "no such battery message", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"stop_reason": "a wheel hangs and its safety switch keeps the motors off"},
+         "Put all its wheels on the floor, away from edges. Release its safety switch."),
+        ({"stop_reason": "the pilot took over and a wheel hangs"}, ""),
+        ({"stop_reason": "the operator's intent has run out", "behaviour": "drive_bc"}, ""),
+    ],
+)  # fmt: skip
+def test_advice_is_given_only_where_the_cause_is_certain(
+    bench: ConsoleBench, fields: dict[str, Any], said: str
+) -> None:
+    page, _ = bench.join()
+    bench.report(health("r1", **fields))
+    bench.states("r1")
+    bench.run(0.5)
+    assert page.last("fleet")["robots"][0]["advice"] == said
 
 
 def test_a_core_that_falls_silent_is_told_within_one_and_a_half_seconds(bench: ConsoleBench) -> None:
