@@ -29,7 +29,7 @@ from fullswarm.operator.console.goals import Goals
 from fullswarm.operator.console.ground import Coverage, Holding, Obstacles
 from fullswarm.operator.console.history import CHART_NAMES, CHART_RATE_HZ, TRAIL_RATE_HZ, Charts, Entry, Journal, Trails
 from fullswarm.operator.console.news import News
-from fullswarm.operator.console.requests import RequestBook, named
+from fullswarm.operator.console.requests import RequestBook, for_page, named
 from fullswarm.operator.console.world import World
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Scheduler
@@ -329,7 +329,7 @@ class Gateway:
             "request_id": status.request_id,
             "behaviour": status.behaviour,
             "phase": status.phase,
-            "reason": status.reason,
+            "reason": for_page(status.reason),
             "robots": status.robots,
             "running": status.running,
             "missing": status.missing,
