@@ -80,7 +80,8 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
         # Health comes twice a second, states twenty times: who stands already must not be said to roll.
         rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
         return "E-STOP, still rolling" if rolls else "E-STOP", True
-    if health.stop_reason and (health.behaviour or not health.stop_reason.startswith(NO_ALARM)):
+    alarm = health.behaviour or not health.stop_reason.startswith(NO_ALARM)
+    if health.stop_reason and health.stop_reason != LAPSED and alarm:
         return f"STOPPED: {health.stop_reason}", True
     doing = "moving" if health.moving else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):

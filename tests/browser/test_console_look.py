@@ -16,6 +16,7 @@ pytestmark = pytest.mark.system
 
 TABLET: ViewportSize = {"width": 1024, "height": 768}
 PHONE: ViewportSize = {"width": 390, "height": 844}
+LEAST_MAP_PX = 200
 LEAST_PX = 44
 """What a finger hits."""
 Scheme = Literal["light", "dark"]
@@ -74,6 +75,45 @@ def test_a_tablet_shows_it_all_with_room_for_fingers(browser: Browser, demo: Dem
     assert console.page.evaluate("document.documentElement.scrollWidth") <= TABLET["width"]
     console.faultless()
     context.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844), (844, 390), (720, 450)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_estop_panel_covers_no_part_of_the_map(
+    calm: Console, observer: Observer, snap: Snap, width: int, height: int, scheme: Scheme
+) -> None:
+    """Also while it asks whether everybody is clear of the robots; 720x450 is a laptop's screen at 200 %."""
+    page = calm.page
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": height})
+    try:
+        calm.named("estop").click()
+        expect(page.locator("#estop-title")).to_have_text("E-STOP: 8 of 8 confirmed standing", timeout=5_000)
+        snap(page, f"estop-{width}x{height}-{scheme}")
+        calm.named("estop-clear").click()
+        boxes = {each: page.locator(f"#{each}").bounding_box() for each in ("map", "estop-panel", "estop-clear-hold")}
+        map_box, panel, hold = boxes["map"], boxes["estop-panel"], boxes["estop-clear-hold"]
+        assert map_box is not None
+        assert panel is not None
+        assert hold is not None
+        assert map_box["height"] >= LEAST_MAP_PX
+        beside = panel["x"] >= map_box["x"] + map_box["width"] or panel["x"] + panel["width"] <= map_box["x"]
+        assert beside or panel["y"] >= map_box["y"] + map_box["height"]
+        for x_px, y_px in (calm.at(*place) for place in calm.places().values()):
+            assert map_box["x"] <= x_px <= map_box["x"] + map_box["width"]
+            assert map_box["y"] <= y_px <= map_box["y"] + map_box["height"]
+        for box in (hold, calm.named("estop").bounding_box(), calm.named("stop").bounding_box()):
+            assert box is not None
+            assert box["y"] >= 0
+            assert box["y"] + box["height"] <= height
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= width
+        snap(page, f"clear-{width}x{height}-{scheme}")
+        observer.operator.estop(False)
+        expect(page.locator("#estop-panel")).to_be_hidden(timeout=15_000)
+    finally:
+        page.set_viewport_size(SIZE)
+        page.emulate_media(color_scheme="light")
 
 
 def test_a_phone_can_stop_them(browser: Browser, demo: Demo, snap: Snap) -> None:

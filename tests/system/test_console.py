@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
+import psutil
 import pytest
+from websockets.client import ClientProtocol
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
+from websockets.uri import parse_uri
 
 from tests.system.live import LiveSwarm
 
@@ -39,7 +43,7 @@ class Browser:
             connect(origin.replace("http", "ws") + "/ws", origin=Origin(origin), max_size=None, proxy=None)
         )
         self.line.send(json.dumps({"t": "hello", "token": token, "session": session, "name": "test"}))
-        self.until(lambda: bool(self.all("hello")), "the greeting")
+        self.took_s = self.until(lambda: bool(self.all("hello")), "the greeting")
 
     def read(self) -> None:
         """Take what has come, and wait for nothing."""
@@ -199,6 +203,79 @@ def test_a_reload_in_mid_run_loses_nothing(swarm: LiveSwarm, console: str, page:
     again.say("stop")
     again.until(lambda: again.moving() == set(), "all stand")
     again.stack.close()
+
+
+def flood(origin: str, count: int, first: bytes = b"") -> list[socket.socket]:
+    """Open connections as fast as that goes, of people without the token; each sends `first` and nothing more."""
+    address = ("127.0.0.1", int(origin.rpartition(":")[2]))
+    opened = [socket.socket() for _ in range(count)]
+    for each in opened:
+        each.setblocking(False)
+        each.connect_ex(address)
+    for each in opened:
+        with contextlib.suppress(OSError):  # thrown out already
+            each.send(first)
+    return opened
+
+
+def test_a_thousand_connections_without_a_token_keep_no_operator_out(swarm: LiveSwarm) -> None:
+    own = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (own[1], own[1]))
+    with contextlib.ExitStack() as stack:
+        process = swarm.spawn("console", "--listen", "127.0.0.1:0", "--json")
+        stack.callback(process.kill)
+        url = _url(process)
+        psutil.Process(process.pid).rlimit(psutil.RLIMIT_NOFILE, (1024, 1024))  # usual, and fewer than will come
+        origin = url.partition("/#")[0]
+        first = Browser(swarm, url, "session-1")
+        stack.enter_context(first.stack)
+        first.until(first.sees_all, "the page shows the swarm")
+        first.say("request", behaviour="flocking_bc")
+        first.until(lambda: len(first.moving()) == 3, "all move")
+        half = f"GET / HTTP/1.1\r\nHost: {origin.removeprefix('http://')}\r\nX-Half: ".encode()
+        upgrade = half.replace(b"/ ", b"/ws ", 1).replace(b"X-Half: ", (
+            f"Origin: {origin}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n").encode())  # fmt: skip
+        for connections in (flood(origin, 1000), flood(origin, 500, half), flood(origin, 100, upgrade)):
+            for each in connections:
+                stack.callback(each.close)
+        flooded_s = swarm.clock.now_s()
+        operator = Browser(swarm, url, "session-2")
+        stack.enter_context(operator.stack)
+        in_s = swarm.clock.now_s() - flooded_s
+        assert operator.say("estop", reason="a test")["ok"]
+        swarm.until(lambda: all(row.health and row.health.estop for row in swarm.view.snapshot().robots), 5.0, "e-stop")
+        assert in_s < 1.0
+        operator.until(lambda: bool(operator.all("estop")) and operator.last("estop")["done"], "all receipts are there")
+        operator.say("clear")
+        operator.until(lambda: not operator.last("estop")["engaged"] and operator.last("estop")["done"], "released")
+        process.terminate()
+        took_s = swarm.until(lambda: process.poll() is not None, 10.0, "the console ends")
+        assert took_s < 1.0
+        assert (process.returncode, process.communicate()[1]) == (0, "")
+    resource.setrlimit(resource.RLIMIT_NOFILE, own)
+
+
+def test_it_ends_within_a_second_although_a_page_answers_nothing(swarm: LiveSwarm) -> None:
+    process = swarm.spawn("console", "--listen", "127.0.0.1:0", "--json")
+    origin, _, token = _url(process).partition("/#token=")
+    protocol = ClientProtocol(parse_uri(origin.replace("http", "ws") + "/ws"), origin=Origin(origin))
+    with socket.create_connection(("127.0.0.1", int(origin.rpartition(":")[2]))) as line:
+
+        def send() -> None:
+            for each in protocol.data_to_send():
+                line.sendall(each)
+
+        protocol.send_request(protocol.connect())
+        send()
+        protocol.receive_data(line.recv(4096))
+        protocol.send_text(json.dumps({"t": "hello", "token": token, "session": "session-3"}).encode())
+        send()
+        assert b'"swarm"' in line.recv(4096)  # it is in, and reads no further
+        process.terminate()
+        took_s = swarm.until(lambda: process.poll() is not None, 10.0, "the console ends")
+    assert took_s < 1.0
+    assert (process.returncode, process.communicate()[1]) == (0, "")
 
 
 def test_ctrl_c_ends_it_and_tells_the_pages(swarm: LiveSwarm) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from fullswarm.messages import (
     SeenObstacles,
     Summary,
 )
+from fullswarm.operator.console import advice
 from fullswarm.perf.coverage import pack
 from tests.unit.console_bench import KEYS, ConsoleBench, health
 
@@ -77,13 +79,37 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     assert 4 <= len(page.all("fleet")) - before <= 5
     first, second = page.last("fleet")["robots"]
     assert first["attention"]
-    assert "cable" in first["advice"]
+    assert first["advice"] == advice.UNKNOWN
     assert (first["host"], first["version"], first["radius_m"]) == ("h", "1.2", 0.17)
     assert (second["behaviour"], second["battery"], second["advice"]) == ("flocking", 0.1, "Charge it soon.")
     assert page.log("fault") == ["r1: link lost"]
     bench.run(3.0)
     assert page.last("fleet")["silent"] == ["r1", "r2"]
     assert page.log("link")[-1] == "r1, r2: silent"
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"fault": "/dev/ttyUSB0: the charger is plugged in"}, "Take it off its charger."),
+        ({"fault": "p: it does not go into Safe mode; the cause may be its charger"}, advice.BARRED),
+        ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"fault": "no such battery message", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"stop_reason": "a wheel hangs and its safety switch keeps the motors off"},
+         "Put all its wheels on the floor, away from edges. Release its safety switch."),
+        ({"stop_reason": "the pilot took over and a wheel hangs"}, ""),
+        ({"stop_reason": "the operator's intent has run out", "behaviour": "drive_bc"}, ""),
+    ],
+)  # fmt: skip
+def test_advice_is_given_only_where_the_cause_is_certain(
+    bench: ConsoleBench, fields: dict[str, Any], said: str
+) -> None:
+    page, _ = bench.join()
+    bench.report(health("r1", **fields))
+    bench.states("r1")
+    bench.run(0.5)
+    assert page.last("fleet")["robots"][0]["advice"] == said
 
 
 def test_a_core_that_falls_silent_is_told_within_one_and_a_half_seconds(bench: ConsoleBench) -> None:
@@ -219,6 +245,37 @@ def test_obstacles_that_two_robots_have_seen_are_one(bench: ConsoleBench) -> Non
     bench.bus.publish(KEYS.obstacles("b"), SeenObstacles(host="b", rows=(row, (9.0, *row[1:])), stamp_s=0.0))
     bench.run(1.1)
     assert [each[0] for each in page.last("obstacles")["rows"]] == [1.0, 9.0]
+
+
+@pytest.mark.parametrize("wild", [math.nan, math.inf, 1e308])
+def test_an_obstacle_that_cannot_be_ends_nothing_and_is_told_once(bench: ConsoleBench, wild: float) -> None:
+    page, desk = bench.join()
+    good, bad = (1.0, 2.0, 0.5, 0.5, 0.0, 0.0), (3.0, 2.0, wild, 0.5, 0.0, 0.0)
+    for _ in range(3):  # as handlers get it: no bus is needed to reach them
+        bench.gateway._on_obstacles(SeenObstacles(host="a", rows=(good, bad), stamp_s=0.0))
+        bench.run(1.1)
+    assert page.last("obstacles")["rows"] == [list(good)]
+    assert len([text for text in page.log("fault") if "obstacles" in text]) == 1
+    assert bench.gateway.undrawn == {"obstacles": 3}
+    assert bench.say(desk, page, "estop")["ok"]
+
+
+def test_what_cannot_be_drawn_leaves_the_other_frames_and_the_buttons(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    # A value that no database may hold, and whose fault is found only when the frame is written.
+    bench.gateway._world._values["behaviour/wild"] = {"parameters": {}, "summary": object()}
+    bench.gateway._changed.add("world")
+    bench.states("r1")
+    bench.report(health("r1"))
+    bench.run(0.5)
+    assert page.last("fleet")["robots"][0]["robot"] == "r1"
+    assert bench.say(desk, page, "estop")["ok"]
+    bench.run(0.2)
+    assert page.last("estop")["engaged"]
+    late, _ = bench.join("session-2")
+    assert late.last("hello")["history"]["log"]
+    assert bench.gateway.undrawn == {"world": 2}
+    assert [text for text in page.log("fault") if "'world'" in text]
 
 
 def test_trails_are_kept_for_a_minute(bench: ConsoleBench) -> None:

@@ -56,6 +56,17 @@ def test_a_refusal_reaches_log_and_page_with_its_reason(bench: ConsoleBench) -> 
     assert len(bench.requests()) == count
 
 
+def test_a_refusal_advises_the_button_of_the_page_and_no_shell(bench: ConsoleBench) -> None:
+    page, desk = bench.join()
+    asked = bench.say(desk, page, "request", behaviour="flocking")
+    bench.run(0.01)
+    reason = "refused by r1: its e-stop is latched; clear it with `fullswarm estop --clear`"
+    bench.status(asked["request_id"], "refused", behaviour="flocking", reason=reason)
+    bench.run(0.01)
+    assert "e-stop is latched; clear it with the button 'Clear the e-stop…'" in page.last("request")["reason"]
+    assert "`" not in page.last("request")["reason"] + page.log("refused")[-1]
+
+
 def test_authority_comes_with_what_was_accepted_and_not_before(bench: ConsoleBench) -> None:
     page, desk = bench.join()
     refused = bench.say(desk, page, "request", behaviour="x", robots=["r1"])

@@ -19,11 +19,11 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.messages import StopRequest
 from fullswarm.operator.console import server as console_server
+from fullswarm.operator.console.connections import MOST_UNVERIFIED, uvicorn_server
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.operator.console.guard import Names
 from fullswarm.operator.console.pages import Pages
 from fullswarm.operator.console.pump import Pump
-from fullswarm.operator.console.serve import uvicorn_server
 from fullswarm.operator.console.server import Web
 from fullswarm.runtime import Runtime
 from tests.unit.console_bench import KEYS
@@ -265,12 +265,62 @@ def test_there_is_an_end_of_pages(folder: Path) -> None:
             for number in range(console_server.MOST_CLIENTS):
                 await stack.enter_async_context(served.page(f"session-{number}"))
             async with served.connect() as line:
+                await line.send(json.dumps({**HELLO, "session": "one-too-many"}))
                 assert await closing(line) == console_server.TOO_MANY
         async with asyncio.timeout(PATIENCE_S):
             while served.web.clients:
                 await asyncio.sleep(0.01)
         async with served.page():
             pass
+
+    run(folder, story)
+
+
+def test_lines_without_a_greeting_take_no_place_of_a_page(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            for _ in range(2 * console_server.MOST_CLIENTS):
+                await stack.enter_async_context(served.connect())
+            async with served.page() as line:
+                await line.send('{"t":"stop","ref":1}')
+                assert (await frame(line, "answer"))["ok"]
+            assert served.web.clients <= 1
+        assert served.stops
+
+    run(folder, story)
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "])
+def test_a_connection_without_a_whole_request_ends(folder: Path, sent: bytes) -> None:
+    async def story(served: Served) -> None:
+        served.server.server_state.unverified.header_s = 0.2
+        reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
+        writer.write(sent)
+        async with asyncio.timeout(PATIENCE_S):
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+        writer.close()
+
+    run(folder, story)
+
+
+def test_the_oldest_connection_without_a_request_makes_room_and_no_page_does(folder: Path) -> None:
+    async def story(served: Served) -> None:
+        unverified = served.server.server_state.unverified
+        async with served.page() as page, served.connect() as asked:
+            assert len(unverified) == 1  # the page has sent the token
+            silent = [await asyncio.open_connection("127.0.0.1", served.port) for _ in range(MOST_UNVERIFIED)]
+            async with asyncio.timeout(PATIENCE_S):
+                with contextlib.suppress(ConnectionResetError):
+                    assert await silent[0][0].read() == b""
+            assert len(unverified) == MOST_UNVERIFIED
+            assert not silent[1][0].at_eof()
+            await asked.send(json.dumps({**HELLO, "session": "session-2"}))
+            assert (await frame(asked))["t"] == "hello"
+            await page.send('{"t":"ping","ref":1}')
+            assert (await frame(page, "answer"))["ok"]
+            for _, writer in silent:
+                writer.close()
 
     run(folder, story)
 

@@ -141,6 +141,7 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
         ({"stop_reason": "it was stopped by ann", "behaviour": ""}, ("standing", False)),
         ({"stop_reason": "it was stopped by ann", "behaviour": "drive"}, ("STOPPED: it was stopped by ann", True)),
         ({"stop_reason": LAPSED, "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": LAPSED, "behaviour": "drive_bc"}, ("standing", False)),
         ({"stop_reason": "its e-stop was released by ann", "behaviour": ""}, ("standing", False)),
         ({"lifecycle": "FAULT"}, ("FAULT: no reason given", True)),
         ({"lifecycle": "OPEN"}, ("open, not ready", False)),

@@ -1,4 +1,8 @@
-"""What to do about a robot that needs somebody: one short sentence, for people who stand beside it."""
+"""What to do about a robot that needs somebody: one short sentence, for people who stand beside it.
+
+Only words that name one cause get advice of their own, and only as a whole: part of a sentence may be about something
+else. For all others the driver's own words, which stand beside the advice, are all that is known.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +10,30 @@ from fullswarm.messages import RobotHealth
 from fullswarm.operator.view import RobotRow
 
 LOW_BATTERY = 0.2
+UNKNOWN = "Do what its driver says; where that names no cause, the cause is unknown: see the robot's log."
+BARRED = "It is connected, but bars motion: mend what it says, then ask again."
 
-_STOPS = (
-    ("driver is not ready", "Wait a moment; if it stays so, look at its cable, power and `fullswarm doctor`."),
-    ("told nothing new", "Its link is up but mute: look at the cable, then switch the robot off and on."),
-    ("sees no floor", "Put all its wheels on the floor, away from edges."),
-    ("wheel hangs", "Put all its wheels on the floor, away from edges."),
-    ("overcurrent", "Free its wheels."),
-    ("safety switch", "Release its safety switch."),
-    ("stop button", "Release the button on the robot."),
-    ("law failed", "Ask for another behaviour; the robot's log has the error."),
-    ("hub is lost", "Bring the hub or its network back; the robot goes on by itself then."),
-    ("core's heartbeat", "Start the core again (`fullswarm core`); the robot goes on by itself then."),
-    ("no fresh command", "The process that computes this behaviour is silent: start `fullswarm centralised`."),
-    ("battery is low", "Charge it, or drive it to its charger by hand."),
-    ("computer stood still", "Its computer is overloaded or was suspended: close other work there."),
-    ("no pose", "Let its cameras or motion capture see it; check that pose fixes arrive for this robot."),
-    ("leave the arena", "Drive it back by hand, or give it a goal inside the arena."),
-)
-_GUARDIAN = "Its computer is slow, overloaded or out of memory: close other work there; its link is not the cause."
-_FAULTS = (
-    ("guards this port", _GUARDIAN),
-    ("guardian", _GUARDIAN),
-    ("is the world running", "Start the simulated world again: `fullswarm sim`."),
-    ("permission", "Give this user access to the device: `fullswarm doctor` says how."),
-    ("no such", "Plug the robot's adapter in; `fullswarm robots find` shows what is there."),
-    ("charger", "Take it off its charger."),
-    ("wheel hangs", "Put all its wheels on the floor, away from edges."),
-    ("sees no floor", "Put all its wheels on the floor, away from edges."),
-    ("battery", "Charge or change its battery."),
-    ("overcurrent", "Free the wheels, then switch the robot off and on."),
-    ("watchdog", "The link was silent too long: check the cable; it connects again by itself."),
-    ("disarmed", "Arm it, or release its safety switch."),
-)
+_FLOOR = "Put all its wheels on the floor, away from edges."
+_CAUSES = {
+    "the charger is plugged in": "Take it off its charger.",
+    "a cliff sensor sees no floor": _FLOOR,
+    "a wheel hangs": _FLOOR,
+    "a wheel motor draws too much current (overcurrent)": "Free its wheels.",
+    "its safety switch keeps the motors off": "Release its safety switch.",
+}
+_STOPS = _CAUSES | {
+    "the driver is not ready": "Wait a moment; if it stays so, the robot's log says what its driver waits for.",
+    "the robot has told nothing new for too long": "No sensor data comes, the cause is unknown: see the robot's log.",
+    "the hub is lost": "Bring the hub or its network back; the robot goes on by itself then.",
+    "the core's heartbeat is silent": "See that the core runs and its network is up; the robot goes on by itself then.",
+    "no fresh command": "See that the process which computes this behaviour runs and its network is up.",
+    "the battery is low; charge it, or drive it to its charger by hand": "Charge it, or drive it there by hand.",
+    "this computer stood still; what it knows is too old": "Its computer is overloaded or was suspended: close other "
+    "work there.",
+    "the estimator has no pose": "See that pose fixes arrive for this robot, and that its cameras or the motion "
+    "capture see it.",
+    "it would leave the arena": "Drive it back by hand, or give it a goal inside the arena.",
+}
 
 
 def advise(row: RobotRow) -> str:
@@ -53,12 +48,12 @@ def advise(row: RobotRow) -> str:
 
 def _of(health: RobotHealth) -> str:
     if health.lifecycle == "FAULT":
-        return of_fault(health.fault) or "Check power and cable; it connects again by itself. Its log has more."
+        return _known(_CAUSES, health.fault) or UNKNOWN
     if health.fault:
-        return of_fault(health.fault) or "It is connected, but bars motion: mend what it says, then ask again."
+        return _known(_CAUSES, health.fault) or BARRED
     if health.estop:
         return "Look whether the way is free, then clear the e-stop."
-    if health.stop_reason and (known := _first(_STOPS, health.stop_reason)):
+    if health.stop_reason and (known := _known(_STOPS, health.stop_reason)):
         return known
     if 0.0 <= health.battery < LOW_BATTERY:
         return "Charge it soon."
@@ -71,11 +66,8 @@ def _of(health: RobotHealth) -> str:
     return ""
 
 
-def of_fault(fault: str) -> str:
-    """Return what to do about a driver's fault; empty when its text says nothing that is known here."""
-    return _first(_FAULTS, fault)
-
-
-def _first(table: tuple[tuple[str, str], ...], text: str) -> str:
-    low = text.lower()
-    return next((advice for sign, advice in table if sign in low), "")
+def _known(table: dict[str, str], text: str) -> str:
+    """Return the advice on a text that is a known cause, or several of them, and names nothing else."""
+    causes = text.rpartition(": ")[2].split(" and ")  # a driver says first where
+    found = dict.fromkeys(table.get(cause, "") for cause in causes)
+    return " ".join(found) if all(found) else ""

@@ -14,6 +14,7 @@ from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
+from fullswarm.operator.console.requests import for_page
 from fullswarm.operator.console.world import World
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.leases import LeaseHolder
@@ -177,7 +178,7 @@ class Desk:
         def heard(status: RequestStatus) -> None:
             # While it is held: afterwards it is the word on the zeros.
             if status.phase == "refused" and teleop is self._teleop and teleop.held:
-                self._block(status.reason or "refused without a reason")
+                self._block(for_page(status.reason) or "refused without a reason")
 
         teleop = Teleop(self._operator, self._place.scheduler, on_status=heard)
         return teleop

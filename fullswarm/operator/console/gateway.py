@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
+
+import structlog
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
@@ -26,7 +29,7 @@ from fullswarm.operator.console.goals import Goals
 from fullswarm.operator.console.ground import Coverage, Holding, Obstacles
 from fullswarm.operator.console.history import CHART_NAMES, CHART_RATE_HZ, TRAIL_RATE_HZ, Charts, Entry, Journal, Trails
 from fullswarm.operator.console.news import News
-from fullswarm.operator.console.requests import RequestBook, named
+from fullswarm.operator.console.requests import RequestBook, for_page, named
 from fullswarm.operator.console.world import World
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Scheduler
@@ -35,6 +38,8 @@ STATE_HZ, CHANGES_HZ, FLEET_HZ, GROUND_HZ = 20.0, 10.0, 4.0, 1.0
 KEPT_S = 10.0
 """A page that is loaded again within it finds its desk, with the robots it holds."""
 MOST_DESKS = 64
+
+_log = structlog.get_logger()
 
 Made = dict[str, Any]
 
@@ -50,7 +55,12 @@ class Identity:
 
 
 class Gateway:
-    """The console's node. A page comes by :meth:`join`, and hears everything by its listener."""
+    """The console's node. A page comes by :meth:`join`, and hears everything by its listener.
+
+    Attributes
+    ----------
+    undrawn : how often each kind of frame or message could not be shown
+    """
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, identity: Identity, wall_s: Callable[[], float]
@@ -60,6 +70,7 @@ class Gateway:
         self._left_s: dict[str, float] = {}
         self._changed: set[str] = set()
         self._states_told = self._seated = 0
+        self.undrawn: dict[str, int] = {}
         self.view = FleetView(bus, keys, scheduler)
         self._world = World(
             bus,
@@ -87,8 +98,8 @@ class Gateway:
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
             bus.subscribe(keys.leases, Leases, self._on_leases),
             bus.subscribe(keys.intervention(), Interventions, self._on_intervention, latest=True),
-            bus.subscribe(keys.obstacles(), SeenObstacles, self._obstacles.add, latest=True),
-            bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._coverage.add, latest=True),
+            bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True),
+            bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._on_coverage, latest=True),
         ]
         self._timers = [
             scheduler.every(1.0 / STATE_HZ, self._tell_states),
@@ -113,8 +124,10 @@ class Gateway:
             self._seated += 1
             source = f"{self._identity.process}/{self._seated}"
             desk = self._desks[session] = Desk(self._place, session, source, title)
-        for frame in self._standing(desk):
-            listener.put(frame["t"], frames.encode(frame))
+        for kind, make in self._standing(desk).items():
+            with self._drawing(kind):
+                if (frame := make()) is not None:
+                    listener.put(kind, frames.encode(frame))
         desk.listeners.append(listener)
         return desk
 
@@ -152,34 +165,58 @@ class Gateway:
                 self._close_desk(session)
 
     # ---------------------------------------------------------------- frames
-    def _standing(self, desk: Desk) -> Iterator[Made]:
-        """Make all that a page must know to start with, the greeting first."""
+    @contextlib.contextmanager
+    def _drawing(self, what: str) -> Iterator[None]:
+        """Leave out what cannot be shown, and say so once: this process carries the stop buttons, too."""
+        try:
+            yield
+        except Exception as error:  # any kind: none of them may end the process
+            self.undrawn[what] = self.undrawn.get(what, 0) + 1
+            if self.undrawn[what] == 1:
+                _log.error("the console cannot show something", what=what, error=repr(error), exc_info=True)
+                text = f"the console cannot show all of '{what}' ({error}); stop and e-stop work"
+                self._journal.add(self._scheduler.now_s(), "fault", text)
+
+    def _standing(self, desk: Desk) -> dict[str, Callable[[], Made | None]]:
+        """Return how to make each frame that a page must have to start with, the greeting first."""
         now_s = self._scheduler.now_s()
-        seen = self.view.snapshot()
-        history = {
-            "trails": self._trails.shown(now_s),
-            "charts": list(self._charts.rows),
-            "chart_names": CHART_NAMES,
-            "log": [entry.shown(desk.name) for entry in self._journal.entries],
+        return {
+            "hello": lambda: self._hello(desk, now_s),
+            "fleet": lambda: report.fleet(self.view.snapshot(), now_s),
+            "state": lambda: self._states_frame(now_s),
+            "goals": self._goals_frame,
+            "leases": lambda: self._leases_frame(desk),
+            "obstacles": self._obstacles.shown,
+            "filter": lambda: self._holding.shown(now_s),
+            "coverage": self._coverage.shown,
+            "estop": lambda: self._estops.shown(now_s),
         }
-        yield {
+
+    def _hello(self, desk: Desk, now_s: float) -> Made:
+        hello: Made = {
             "t": "hello",
             "swarm": self._keys.swarm,
             "version": self._identity.version,
             "read_only": self._identity.read_only,
             "operator": desk.name,
-            **self._world.shown(),
-            "history": history,
         }
-        yield report.fleet(seen, now_s)
-        yield {"t": "state", "at": round(now_s, 3), "robots": report.states(seen)}
-        yield self._goals_frame()
-        yield self._leases_frame(desk)
-        yield self._obstacles.shown()
-        yield self._holding.shown(now_s)
-        for frame in (self._coverage.shown(), self._estops.shown(now_s)):
-            if frame is not None:
-                yield frame
+        # Written out here already: without a greeting the page would stay shut, whatever else it could show.
+        with self._drawing("world"):
+            frames.encode(world := self._world.shown())
+            hello |= world
+        with self._drawing("history"):
+            history = {
+                "trails": self._trails.shown(now_s),
+                "charts": list(self._charts.rows),
+                "chart_names": CHART_NAMES,
+                "log": [entry.shown(desk.name) for entry in self._journal.entries],
+            }
+            frames.encode(history)
+            hello["history"] = history
+        return hello
+
+    def _states_frame(self, now_s: float) -> Made:
+        return {"t": "state", "at": round(now_s, 3), "robots": report.states(self.view.snapshot())}
 
     def _goals_frame(self) -> Made:
         return {"t": "goals", "robots": self._goals.shown(self._world.wanted())}
@@ -219,64 +256,80 @@ class Gateway:
     def _tell_states(self) -> None:
         if self.view.states_heard != self._states_told:
             self._states_told = self.view.states_heard
-            now_s = self._scheduler.now_s()
             if self._desks:
-                self._tell({"t": "state", "at": round(now_s, 3), "robots": report.states(self.view.snapshot())})
+                with self._drawing("state"):
+                    self._tell(self._states_frame(self._scheduler.now_s()))
 
     def _tell_changes(self) -> None:
         now_s = self._scheduler.now_s()
-        if "world" in self._changed:
-            self._tell({"t": "world", **self._world.shown()})
-        if "goals" in self._changed:
-            self._tell(self._goals_frame())
-        self._changed.clear()
+        changed, self._changed = self._changed, set()
+        with self._drawing("estop"):
+            if self._estops.order is not None and (frame := self._estops.news(now_s)):
+                self._tell(frame)
+        with self._drawing("stop"):
+            if self._stops.order is not None and (frame := self._stops.news(self.view.snapshot(), now_s)):
+                self._tell(frame)
+        if "world" in changed:
+            with self._drawing("world"):
+                self._tell({"t": "world", **self._world.shown()})
+        if "goals" in changed:
+            with self._drawing("goals"):
+                self._tell(self._goals_frame())
         if self._holding.changed or self._holding.expired(now_s):
             self._holding.changed = False
-            self._tell(self._holding.shown(now_s))
-        if self._estops.order is not None and (frame := self._estops.news(now_s)):
-            self._tell(frame)
-        if self._stops.order is not None and (frame := self._stops.news(self.view.snapshot(), now_s)):
-            self._tell(frame)
+            with self._drawing("filter"):
+                self._tell(self._holding.shown(now_s))
 
     def _tell_fleet(self) -> None:
         now_s, seen = self._scheduler.now_s(), self.view.snapshot()
-        self._news.look(seen, now_s)
+        with self._drawing("log"):
+            self._news.look(seen, now_s)
         if self._desks:
-            self._tell(report.fleet(seen, now_s))
+            with self._drawing("fleet"):
+                self._tell(report.fleet(seen, now_s))
 
     def _follow(self) -> None:
-        self._trails.add(self.view.snapshot(), self._scheduler.now_s())
+        with self._drawing("trails"):
+            self._trails.add(self.view.snapshot(), self._scheduler.now_s())
 
     def _tell_chart(self) -> None:
-        row = self._charts.add(self.view.snapshot().summaries, self._scheduler.now_s())
-        if row is not None:
-            self._tell({"t": "chart", "row": row})
+        with self._drawing("chart"):
+            row = self._charts.add(self.view.snapshot().summaries, self._scheduler.now_s())
+            if row is not None:
+                self._tell({"t": "chart", "row": row})
 
     def _tell_ground(self) -> None:
         self._forget_desks(self._scheduler.now_s())
         if self._obstacles.changed:
             self._obstacles.changed = False
-            self._tell(self._obstacles.shown())
-        if self._coverage.changed and (frame := self._coverage.shown()):
+            with self._drawing("obstacles"):
+                self._tell(self._obstacles.shown())
+        if self._coverage.changed:
             self._coverage.changed = False
-            self._tell(frame)
+            with self._drawing("coverage"):
+                if frame := self._coverage.shown():
+                    self._tell(frame)
 
     # ---------------------------------------------------------------- as it happens
     def _on_request(self, request: BehaviourRequest) -> None:
-        self._requests.asked(request, self._scheduler.now_s())
-        if not self._world.lapses(request.behaviour):
-            self._goals.heard(request)
+        with self._drawing("request"):
+            self._requests.asked(request, self._scheduler.now_s())
+            if not self._world.lapses(request.behaviour):
+                self._goals.heard(request)
 
     def _on_status(self, status: RequestStatus) -> None:
-        if not self._requests.said(status, self._scheduler.now_s()):
-            return
+        with self._drawing("request"):
+            if self._requests.said(status, self._scheduler.now_s()):
+                self._tell_status(status)
+
+    def _tell_status(self, status: RequestStatus) -> None:
         operator = self._requests.operator_of(status.request_id)
         frame = {
             "t": "request",
             "request_id": status.request_id,
             "behaviour": status.behaviour,
             "phase": status.phase,
-            "reason": status.reason,
+            "reason": for_page(status.reason),
             "robots": status.robots,
             "running": status.running,
             "missing": status.missing,
@@ -288,34 +341,47 @@ class Gateway:
     def _on_stop(self, order: StopRequest) -> None:
         now_s = self._scheduler.now_s()
         if self._stops.ordered(order, now_s):
-            by = self._name_of(order.source)
-            self._requests.stopped(order.id, "the stop", by)
-            self._journal.add(now_s, "stop", f"{by} stops {named(order.robots)}", order.robots, by=by)
             self._block_sticks(order.robots)
+            with self._drawing("stop"):
+                by = self._name_of(order.source)
+                self._requests.stopped(order.id, "the stop", by)
+                self._journal.add(now_s, "stop", f"{by} stops {named(order.robots)}", order.robots, by=by)
 
     def _on_estop(self, order: EStop) -> None:
         now_s = self._scheduler.now_s()
         if not self._estops.ordered(order, now_s):
             return
-        by, reason = self._name_of(order.source), f": {order.reason}" if order.reason else ""
-        act = "presses the e-stop of" if order.engaged else "clears the e-stop of"
-        text = f"{by} {act} {named(order.robots)}{reason}"
-        self._requests.stopped(order.id, "the e-stop", by)
-        self._journal.add(now_s, "estop", text, order.robots, request_id=order.id, by=by)
         self._block_sticks(order.robots)  # by a release too: a stick that is held at that moment must not start them
         if not order.engaged:
             self._end_presses(order.robots)
+        with self._drawing("estop"):
+            by, reason = self._name_of(order.source), f": {order.reason}" if order.reason else ""
+            act = "presses the e-stop of" if order.engaged else "clears the e-stop of"
+            text = f"{by} {act} {named(order.robots)}{reason}"
+            self._requests.stopped(order.id, "the e-stop", by)
+            self._journal.add(now_s, "estop", text, order.robots, request_id=order.id, by=by)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
-        self._estops.confirmed(receipt, self._scheduler.now_s())
+        with self._drawing("estop"):
+            self._estops.confirmed(receipt, self._scheduler.now_s())
 
     def _on_leases(self, leases: Leases) -> None:
         self._leases = leases
-        if self._news.leased(leases.leases, self._scheduler.now_s()):
-            self._tell_each(self._leases_frame)
+        with self._drawing("leases"):
+            if self._news.leased(leases.leases, self._scheduler.now_s()):
+                self._tell_each(self._leases_frame)
 
     def _on_intervention(self, message: Interventions) -> None:
-        self._holding.add(message, self._scheduler.now_s())
+        with self._drawing("filter"):
+            self._holding.add(message, self._scheduler.now_s())
+
+    def _on_obstacles(self, message: SeenObstacles) -> None:
+        with self._drawing("obstacles"):
+            self._obstacles.add(message)
+
+    def _on_coverage(self, message: CoverageMeasurement) -> None:
+        with self._drawing("coverage"):
+            self._coverage.add(message)
 
     def _block_sticks(self, robots: tuple[str, ...]) -> None:
         for desk in self._desks.values():

@@ -18,6 +18,8 @@ MOST_CELLS = 250_000
 """A finer grid is made coarser for the page: it would be megabytes, and finer than a screen."""
 INTERVENTION_S = 0.7
 """Three periods of the interventions: whoever says nothing more lets the robots drive as they wish."""
+FARTHEST_M = 1e6
+"""An obstacle that is further away or larger than that was not seen."""
 SAME_M = 0.05
 """Obstacles that two robots have seen this close together are one."""
 
@@ -78,10 +80,20 @@ class Obstacles:
     _hosts: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
 
     def add(self, message: SeenObstacles) -> None:
-        """Take what one host has seen in place of what it said before."""
-        if self._hosts.get(message.host) != message.rows:
-            self._hosts[message.host] = message.rows
+        """Take what one host has seen in place of what it said before.
+
+        Raises
+        ------
+        MessageError
+            A row is not finite, or no obstacle can be so large; the others are taken.
+        """
+        rows = tuple(row for row in message.rows if all(abs(value) <= FARTHEST_M for value in row))  # NaN is not
+        if self._hosts.get(message.host) != rows:
+            self._hosts[message.host] = rows
             self.changed = True
+        if len(rows) < len(message.rows):
+            reason = f"{len(message.rows) - len(rows)} obstacles that cannot be"
+            raise MessageError(reason, where=message.host, hint="see the robot's log")
 
     def shown(self) -> dict[str, Any]:
         """Return the frame ``obstacles``."""

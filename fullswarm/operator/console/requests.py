@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ STREAM_GAP_S = 2.0
 """A stick that was quiet for so long starts anew in the log."""
 NAMES_SHOWN = 6
 BEATEN = "superseded by "
+_CLEAR = re.compile(r"clear it with `fullswarm estop --clear[^`]*`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ class RequestBook:
         return reason if asked is None else f"{before}{BEATEN}{asked.behaviour} of {asked.operator}"
 
     def _log(self, status: RequestStatus, operator: str, now_s: float) -> None:
-        because = f": {self._readable(status.reason)}" if status.reason else ""
+        because = f": {for_page(self._readable(status.reason))}" if status.reason else ""
         if status.phase == "refused":
             text = f"{status.behaviour} refused{because}"
         elif status.refused_by:
@@ -118,6 +120,11 @@ class RequestBook:
             text = f"{status.behaviour} {status.phase}{because}"
         kind: LogKind = "refused" if status.phase == "refused" or status.refused_by else "request"
         self.journal.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
+
+
+def for_page(reason: str) -> str:
+    """Return a reason for people at a browser, who have the page's button and maybe no shell."""
+    return _CLEAR.sub("clear it with the button 'Clear the e-stop…'", reason)
 
 
 def named(robots: Sequence[str]) -> str:

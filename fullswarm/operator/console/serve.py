@@ -15,7 +15,7 @@ import secrets
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,21 +28,17 @@ from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator import output
-from fullswarm.operator.console.frames import MAX_BYTES
 from fullswarm.operator.session import Target
 from fullswarm.runtime import Runtime, Scheduler
 
 if TYPE_CHECKING:
     import uvicorn
-    from starlette.applications import Starlette
 
 DEFAULT_LISTEN = "127.0.0.1:8807"
 TOKEN = "FULLSWARM_CONSOLE_TOKEN"  # noqa: S105  (the name of a variable)
 LEAST_TOKEN = 16
 INTERRUPTED = 130
 DEAD_LINK_MS = 10_000
-GRACE_S = 2
-MOST_CONNECTIONS = 64
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
 """For each way to listen everywhere: an address far away that belongs to nobody."""
 
@@ -156,6 +152,7 @@ def _bind(host: str, port: int, listen: str) -> socket.socket:
 async def _serve(
     listener: socket.socket, host: str, token: str, keys: Keys, target: Target, options: Options, guest: Guest | None
 ) -> int:
+    from fullswarm.operator.console.connections import uvicorn_server
     from fullswarm.operator.console.gateway import Gateway, Identity
     from fullswarm.operator.console.guard import Names, lower
     from fullswarm.operator.console.pages import Pages
@@ -197,35 +194,6 @@ async def _serve(
     if failed:
         raise failed[0]
     return INTERRUPTED if signal.SIGINT in ended_by else 0
-
-
-def uvicorn_server(app: Starlette) -> uvicorn.Server:
-    """Return the server of an application, not started: on bound sockets, silent, and deaf to signals."""
-    import uvicorn
-
-    class Server(uvicorn.Server):
-        """One that leaves the signals alone: a second Ctrl-C must end the process, SIGTERM end it in order."""
-
-        @contextlib.contextmanager
-        def capture_signals(self) -> Iterator[None]:
-            yield
-
-    config = uvicorn.Config(
-        app,
-        http="h11",
-        ws="websockets-sansio",
-        ws_max_size=4 * MAX_BYTES,  # what is over MAX_BYTES but not absurd gets its own closing code
-        ws_per_message_deflate=False,  # costs more than a loopback or a lab's network
-        lifespan="off",
-        log_config=None,
-        log_level="error",
-        access_log=False,
-        proxy_headers=False,
-        server_header=False,
-        limit_concurrency=MOST_CONNECTIONS,
-        timeout_graceful_shutdown=GRACE_S,
-    )
-    return Server(config)
 
 
 def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:

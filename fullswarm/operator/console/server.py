@@ -59,18 +59,20 @@ class Web:
     async def socket(self, websocket: WebSocket) -> None:
         """Serve one page from its first frame to its last."""
         await websocket.accept()
-        if self.clients >= MOST_CLIENTS:
-            await _close(websocket, TOO_MANY, "too many pages are open")
-            return
-        self.clients += 1
-        try:
+        with contextlib.suppress(WebSocketDisconnect):
             hello = await self._greeting(websocket)
-            if hello is not None:
+            if hello is None:
+                return
+            # Counted only now: who does not know the token must not be able to fill the room.
+            if self.clients >= MOST_CLIENTS:
+                await _close(websocket, TOO_MANY, "too many pages are open")
+                return
+            websocket.state.admission.leave()
+            self.clients += 1
+            try:
                 await self._serve(websocket, hello)
-        except WebSocketDisconnect:
-            return
-        finally:
-            self.clients -= 1
+            finally:
+                self.clients -= 1
 
     async def _greeting(self, websocket: WebSocket) -> frames.Hello | None:
         try:

@@ -115,6 +115,7 @@ export class Bench {
       sessionStorage: { getItem: (name) => kept.get(name) ?? null, setItem: (name, text) => kept.set(name, text) },
       navigator: { getGamepads: () => bench.pads },
       document: {
+        body: new Element(),
         getElementById: (id) => bench.element(id),
         createElement: () => new Element(),
         querySelectorAll: () => [],

@@ -32,6 +32,27 @@ for (const [what, ids] of [["that is switched off", ["r7", "r8"]], ["without rob
   });
 }
 
+function robot(id, more = {}) {
+  return { robot: id, estop: false, silent: false, fault: "", stop_reason: "", lifecycle: "ACTIVE", attention: false, ...more };
+}
+
+function fleet(bench, ...robots) {
+  bench.hear({ t: "fleet", at: 1, hub: true, core_age_s: 0.1, nodes: [], robots, missing: [], silent: [] });
+}
+
+test("a refusal goes with its cause, and only then", async () => {
+  const bench = await Bench.with("r1", "r2");
+  fleet(bench, robot("r1"), robot("r2"));
+  const said = { t: "request", request_id: "a", behaviour: "flocking_bc", phase: "refused", reason: "its e-stop is latched",
+    robots: ["r1"], running: [], missing: [], refused_by: ["r1"], operator: "anna", mine: true };
+  bench.hear(said);
+  fleet(bench, robot("r1", { estop: true }), robot("r2", { silent: true })); // the cause is seen only now
+  fleet(bench, robot("r1", { estop: true }), robot("r2"));
+  assert.match(bench.element("refusal").textContent, /its e-stop is latched/);
+  fleet(bench, robot("r1"), robot("r2"));
+  assert.equal(bench.element("refusal").textContent, "");
+});
+
 test("it gets neither goal nor formation", async () => {
   const bench = await unheard();
   bench.tools.use("goal");

@@ -4,7 +4,7 @@ import { Emitter } from "./emitter.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
 /**
- * Emits "refused" {behaviour, reason}, "asked" {behaviour, robots}, "question" {holders, take} and "unsent" {what,
+ * Emits "refused" {behaviour, reason, robots} (robots: those it concerns, none: all or none of them), "asked" {behaviour, robots}, "question" {holders, take} and "unsent" {what,
  * lost, reason}: a stop that the console has not confirmed, and why (see Answer).
  */
 export class Commands extends Emitter {
@@ -32,7 +32,7 @@ export class Commands extends Emitter {
     this.emit("asked", { behaviour, robots });
     const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, take });
     if (answer.request_id) this.#remember(answer.request_id, again);
-    if (!answer.ok) this.#refuse(behaviour, answer.reason ?? "no reason given", again);
+    if (!answer.ok) this.#refuse(behaviour, answer.reason ?? "no reason given", again, robots);
     return answer;
   }
 
@@ -98,12 +98,12 @@ export class Commands extends Emitter {
 
   #onStatus(status) {
     if (!status.mine || status.phase !== "refused") return;
-    this.#refuse(status.behaviour, status.reason, this.#mine.get(status.request_id));
+    this.#refuse(status.behaviour, status.reason, this.#mine.get(status.request_id), status.robots);
   }
 
   /** Tell why; if somebody else holds the robots, ask whether to take them over. */
-  #refuse(behaviour, reason, again) {
-    this.emit("refused", { behaviour, reason: brief(reason) });
+  #refuse(behaviour, reason, again, robots = []) {
+    this.emit("refused", { behaviour, reason: brief(reason), robots });
     const held = / is held by (.+?)(?: \(|[:;,]|$)/.exec(reason);
     if (!held || !again) return;
     const robot = /(\S+) is held by/.exec(reason)?.[1] ?? "";

@@ -44,6 +44,7 @@ export class SwarmMap {
   #sprites = new Sprites();
   #dpr = 1;
   #fitted = false;
+  #fit = ""; // what the last fit showed: until somebody moves the map, it is fitted again to each new size
   #floorStale = true;
   #groundStale = true;
   #trails_ms = 0;
@@ -59,6 +60,7 @@ export class SwarmMap {
   fit() {
     const box = this.store.arena ?? bounds(this.placed.map(({ x, y }) => [x, y]));
     if (box && this.view.width > 1) this.view.fit(box);
+    this.#fit = this.#shown();
     this.touch(true);
   }
 
@@ -82,6 +84,10 @@ export class SwarmMap {
     });
   }
 
+  #shown() {
+    return `${this.view.centre} ${this.view.scale}`;
+  }
+
   #restyle() {
     this.#sprites.clear();
     this.touch(true);
@@ -90,14 +96,14 @@ export class SwarmMap {
   #resize() {
     const { clientWidth, clientHeight } = this.live;
     if (!clientWidth || !clientHeight) return;
-    const first = this.view.width <= 1;
+    const fits = this.view.width <= 1 || this.#fit === this.#shown();
     this.#dpr = Math.min(2, window.devicePixelRatio || 1);
     [this.view.width, this.view.height] = [clientWidth, clientHeight];
     for (const { canvas } of [this.#ground, this.#live, this.#floor]) {
       canvas.width = Math.round(clientWidth * this.#dpr);
       canvas.height = Math.round(clientHeight * this.#dpr);
     }
-    if (first) this.fit();
+    if (fits) this.fit();
     this.#restyle();
   }
 

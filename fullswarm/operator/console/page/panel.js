@@ -31,11 +31,14 @@ export class Panel {
     store.on("world", () => this.#world());
     store.on("robots", () => this.#label());
     selection.on("change", () => this.#label());
-    commands.on("refused", ({ behaviour, reason }) => this.#refuse(`${behaviour}: ${reason}`));
+    commands.on("refused", ({ behaviour, reason, robots }) => this.#refuse(`${behaviour}: ${reason}`, robots));
     commands.on("asked", () => this.#refuse(""));
     store.on("request", (status) => status.mine && this.#progress(status));
+    for (const topic of ["fleet", "leases"]) store.on(topic, () => this.#stillHindered());
   }
 
+  #refused = /** @type {string[]} */ ([]); // the robots that the words on a refusal concern
+  #hindered = /** @type {Set<string>} */ (new Set()); // what kept them from obeying since
   #fields = /** @type {Record<string, import("./field.js").Field>} */ ({});
   #shown = "";
 
@@ -128,12 +131,30 @@ export class Panel {
     const parts = [`${behaviour}: ${phase}`];
     if (phase === "running" || running.length) parts.push(`${running.length} of ${status.robots.length} run it`);
     if (missing.length) parts.push(`not present: ${missing.join(", ")}`);
-    if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}`);
+    if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}${status.reason ? `: ${status.reason}` : ""}`);
     if (behaviour !== "drive_bc") setText(byId("progress"), parts.join(" · "));
+    if (refused_by.length) this.#remember(refused_by);
   }
 
-  #refuse(reason) {
+  #refuse(reason, robots = []) {
     setText(this.refusal, reason ? `Refused. ${reason}` : "");
     if (reason) setText(byId("progress"), "");
+    this.#remember(reason ? robots : null);
+  }
+
+  #remember(robots) {
+    this.#refused = robots ?? [];
+    this.#hindered = robots ? this.store.hindrances(robots) : new Set();
+  }
+
+  /** Words on a refusal go when something that kept the robots from obeying is gone; the log keeps them. */
+  #stillHindered() {
+    if (!this.refusal.textContent && !byId("progress").textContent.includes("refused by")) return;
+    const now = this.store.hindrances(this.#refused);
+    if ([...this.#hindered].every((each) => now.has(each))) this.#hindered = now;
+    else {
+      this.#refuse("");
+      setText(byId("progress"), "");
+    }
   }
 }

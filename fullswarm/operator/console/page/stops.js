@@ -46,7 +46,7 @@ export class Stops {
     this.#order ??= "";
     this.#failed = "";
     this.#upUntil_ms = performance.now() + AFTER_MS;
-    byId("estop-panel").hidden = false;
+    this.#showPanel(true);
     byId("estop-body").hidden = false;
     setText(byId("estop-title"), "E-stop sent to all robots");
     this.commands.estop("pressed on the console");
@@ -97,13 +97,19 @@ export class Stops {
     const latched = this.#latched();
     const unconfirmed = order?.engaged && (order.waiting?.length ?? 0) > 0;
     const up = latched.length > 0 || unconfirmed || performance.now() < this.#upUntil_ms;
-    byId("estop-panel").hidden = !up;
+    this.#showPanel(up);
     if (!up || latched.length === 0) this.#closeClear();
     if (performance.now() >= this.#upUntil_ms) this.#failed = "";
     if (!up) return;
     setText(byId("estop-title"), this.#failed || title(order, latched));
     this.#receipts(order, latched);
     byId("estop-clear").disabled = latched.length === 0;
+  }
+
+  /** The panel has a place beside the map, never over it; the page's layout makes that place. */
+  #showPanel(up) {
+    byId("estop-panel").hidden = !up;
+    document.body.dataset.estop = up ? "up" : "";
   }
 
   #receipts(order, latched) {

@@ -1,6 +1,7 @@
 /** What is known of the swarm, kept up to date from the messages. Everything that is shown is read from here. */
 
 import { Emitter } from "./emitter.js";
+import { OLD_S } from "./linkstate.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
@@ -64,6 +65,23 @@ export class Store extends Emitter {
   heldByOthers(ids) {
     const held = ids.map((id) => this.leases.get(id)).filter((lease) => lease && !lease.mine);
     return new Map(held.map((lease) => [lease.robot, lease.operator]));
+  }
+
+  /** Return what may keep robots (none: all of them) from obeying now, as words that can be compared. */
+  hindrances(ids) {
+    const found = new Set();
+    if (!this.hub) found.add("hub");
+    if (this.core_age_s === null || this.core_age_s > OLD_S) found.add("core");
+    for (const id of ids.length ? ids : this.ids()) {
+      const { estop, silent, fault, stop_reason: stopped, lifecycle } = this.info(id);
+      const lease = this.leases.get(id);
+      if (estop) found.add(`${id} e-stop`);
+      if (silent) found.add(`${id} silent`);
+      if (fault || lifecycle === "FAULT") found.add(`${id} fault`);
+      if (stopped) found.add(`${id} ${stopped}`);
+      if (lease && !lease.mine) found.add(`${id} held`);
+    }
+    return found;
   }
 
   #handlers = {
