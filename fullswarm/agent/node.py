@@ -24,6 +24,7 @@ from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import RobotController
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.tasks import Tasks
 from fullswarm.agent.view import Array
 from fullswarm.agent.wishes import Wishes
@@ -115,6 +116,7 @@ class AgentNode:
         )
         self.gauges = Gauges(self, config.performance.arrive_radius_m)
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
         self._drivers = DriverWatch(fleet, self.controller, self.inbox)
         self.wishes = Wishes(self, settings, self._bounds)
         self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
@@ -160,6 +162,7 @@ class AgentNode:
         self.reading = reading = self._fleet.read()
         self.pose = self._estimate(reading, now_s - self._last_tick_s)
         self.twist = reading.twist
+        self.standstill.look(reading)
         self.reflexes.look(reading, self.pose)
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)

@@ -15,7 +15,6 @@ from fullswarm.drivers.mavlink.vehicle import Vehicle
 STEP_S = 3.0
 TEXT_WAIT_S = 0.5
 BRAKE_S = 1.5
-STANDING_M_S = 0.06  # a rover told zero creeps at up to 0.036 m/s
 SETPOINT_S = 0.05
 
 
@@ -177,4 +176,5 @@ class StandDown:
 
     def _rolling(self, now_s: float) -> bool:
         speed = self._vehicle.speed_m_s(now_s)
-        return speed is not None and speed > STANDING_M_S and now_s < self._brake_until_s
+        stands_m_s = self._controls.autopilot.standstill.speed_m_s
+        return speed is not None and speed > stands_m_s and now_s < self._brake_until_s

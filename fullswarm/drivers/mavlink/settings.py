@@ -69,7 +69,9 @@ def describe(settings: Settings, autopilot: Autopilot) -> Description:
     if told.make == autopilot.make:
         return told
     limits = replace(told.limits, can_reverse=autopilot.can_reverse)
-    return replace(told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s)
+    return replace(
+        told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s, standstill=autopilot.standstill
+    )
 
 
 def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
@@ -102,7 +104,7 @@ def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
     return Settings(
         Description(
             make=first.make, model="Rover", radius_m=_positive(url, "radius", options, RADIUS_M), limits=limits,
-            senses_pose=True, watchdog_s=first.watchdog_s,
+            senses_pose=True, watchdog_s=first.watchdog_s, standstill=first.standstill,
         ),
         Options(
             _whole(url, "sysid", options, 1, range(1, 255)), limits, where,
