@@ -57,7 +57,7 @@ class SessionDriver:
 
     @property
     def fault(self) -> str:
-        return self.session.fault or self.session.unfit
+        return self.session.fault or self.session.unfit or self.session.unaided(self._runtime.now_s())
 
     def open(self) -> None:
         """It is open."""

@@ -45,7 +45,7 @@ class Session:
         self._options, self.signing = options, signing
         signer = None if signing is None else signing.signer()
         self._encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, signer)
-        self._vehicle = Vehicle()
+        self._vehicle = Vehicle(receiver=not options.external, filtered=not options.ekf_ignored)
         self._fly_by(options.autopilot or ArduPilot())
         self._activation: Activation | None = None
         self._stand_down: StandDown | None = None
@@ -82,6 +82,13 @@ class Session:
         """What a person must set before an OPEN vehicle can be READY; empty if nothing."""
         unfit = self._startup.unfit if self.lifecycle is Lifecycle.OPEN else ""
         return f"{self._options.where}: {unfit}" if unfit else ""
+
+    def unaided(self, now_s: float) -> str:
+        """Return what is lost of a vehicle whose position is dead reckoning by now; empty while it is measured."""
+        if self.lifecycle not in (Lifecycle.READY, Lifecycle.ACTIVE):
+            return ""
+        problem = self._vehicle.aiding.problem(now_s)
+        return f"{self._options.where}: {problem}" if problem else ""
 
     def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
         """Return the warnings of the last `age_s`: the vehicle's own texts, then what is odd about its settings."""
