@@ -13,5 +13,6 @@ board and the whole swarm in a lockstep trial, so both run the same laws, filter
 ``neighbours.py``         states heard from others, with age
 ``estimator.py``          where am I; ``track.py``, ``belief.py``, ``ekf.py`` do the sums
 ``fixes.py``              where others see me
+``standstill.py``         whether each robot stands, by its make's noise
 ========================  ==================================================================
 """

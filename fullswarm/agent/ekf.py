@@ -76,12 +76,13 @@ class EkfEstimator:
         del dt_s
         rows = zip(
             self._tracks, reading.stamp_s.tolist(), reading.odometry.tolist(), reading.twist.tolist(),
-            reading.pose.tolist(), breaks_of(reading), strict=True,
+            reading.pose.tolist(), breaks_of(reading), reading.position_sigma_m.tolist(), strict=True,
         )  # fmt: skip
-        for track, stamp_s, odometry, twist, pose, breaks in rows:
+        for track, stamp_s, odometry, twist, pose, breaks, sigma_m in rows:
             if not track.follow(stamp_s, odometry, twist, breaks) or math.isnan(sum(pose)):
                 continue
-            seen = Belief.around(pose, *self._sigma)
+            usual_m, heading_rad = self._sigma
+            seen = Belief.around(pose, usual_m if math.isnan(sigma_m) else sigma_m, heading_rad)
             if track.anchored:
                 self._correct(track.belief, seen)
             else:

@@ -16,12 +16,12 @@ from fullswarm.agent.ekf import EkfEstimator
 from fullswarm.agent.track import Fix, Taken, Track, breaks_of
 from fullswarm.agent.view import Array
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Fleet, FleetReading
+from fullswarm.drivers.base import POSE_SIGMA_M, Fleet, FleetReading
 
 __all__ = ["DirectEstimator", "EkfEstimator", "Estimator", "estimator_for"]
 
-USUAL_SIGMA = 0.05
-"""Standard deviation (m, rad) of the pose that a real driver senses: nothing says better."""
+USUAL_SIGMA = POSE_SIGMA_M
+"""Standard deviation (m, rad) of the pose that a real driver senses, unless its reading states it."""
 
 
 class Estimator(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from fullswarm.agent.latch_folder import LatchFolder
@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 REMEMBERED = 256
 SETTLE_TIMEOUT_S = 5.0
 """A robot that still moves so long after an e-stop is reported as not standing; it is watched on."""
-TWO_TICKS_S = 0.04
-"""The first reading after the order may still show the rest before the motion that was just commanded."""
-STANDING_M_S = 0.005
-STANDING_RAD_S = 0.02
+TICKS = 2.0
+"""For so many periods after the order a reading may still show the rest before a motion that was just commanded."""
 
 Key = tuple[str, bool]
 """An order: its id, engaged or released."""
@@ -32,25 +30,34 @@ Key = tuple[str, bool]
 class Rolling:
     """A robot between an e-stop and standing.
 
-    The way is taken from odometry: a pose that is corrected or noisy adds metres that nobody rolled.
+    The way is taken from odometry: a pose that is corrected or noisy adds metres that nobody rolled. It is summed
+    over legs longer than the make's odometry wanders at standstill, so that noise is no way.
     """
 
     order: EStop
     since_s: float
     place: tuple[float, float]  # odometry, m
     seen_s: float
+    wander_m: float
     rolled_m: float = 0.0
     told: bool = False  # that it does not come to rest
+    leg: tuple[float, float] = field(init=False)  # where the present leg begins
+
+    def __post_init__(self) -> None:
+        self.leg = self.place
 
     def follow(self, place: tuple[float, float], stamp_s: float, fastest_m_s: float) -> None:
         """Add the way to `place`; a jump that no wheel can make is a driver that counts anew."""
         if self.seen_s == -math.inf:  # there was no reading yet when the order came
-            self.place, self.seen_s = place, stamp_s
+            self.place, self.leg, self.seen_s = place, place, stamp_s
         if stamp_s <= self.seen_s:
             return
-        step_m = math.dist(place, self.place)
-        if step_m <= 2.0 * fastest_m_s * (stamp_s - self.seen_s) + 0.05:
-            self.rolled_m += step_m
+        if math.dist(place, self.place) > 2.0 * fastest_m_s * (stamp_s - self.seen_s) + 0.05:
+            self.leg = self.leg[0] + place[0] - self.place[0], self.leg[1] + place[1] - self.place[1]
+        leg_m = math.dist(place, self.leg)
+        if leg_m > self.wander_m:
+            self.rolled_m += leg_m
+            self.leg = place
         self.place, self.seen_s = place, stamp_s
 
 
@@ -61,8 +68,9 @@ class EStops:
     after somebody else's newer one: those must not undo it.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, agent: AgentNode) -> None:
+    def __init__(self, bus: Bus, keys: Keys, agent: AgentNode, control_rate_hz: float) -> None:
         self._bus, self._keys, self._agent = bus, keys, agent
+        self._commanded_s = TICKS / control_rate_hz
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
         self._rolling: dict[tuple[int, Key], Rolling] = {}
@@ -99,7 +107,8 @@ class EStops:
             agent.controller.estop[row] = order.engaged
         for row in rows if order.engaged else ():
             place, stamp_s = self._place(row)
-            self._rolling[row, key] = Rolling(order, now_s, place, stamp_s)
+            wander_m = agent.fleet.descriptions[row].standstill.wander_m
+            self._rolling[row, key] = Rolling(order, now_s, place, stamp_s, wander_m)
         agent.wake()
         for row in rows:
             self._confirm(row, EStopReceipt(id=order.id, robot=agent.fleet.ids[row], engaged=order.engaged))
@@ -111,7 +120,8 @@ class EStops:
             place, stamp_s = self._place(row)
             rolling.follow(place, stamp_s, float(self._agent.controller.speed_limit[row]))
             # An old reading tells nothing: who lost his driver is latched, but nobody has seen him stand.
-            standing = stamp_s > rolling.since_s + TWO_TICKS_S and self._rests(row)
+            rests = rolling.since_s <= self._agent.standstill.since_s[row] < math.inf
+            standing = stamp_s > rolling.since_s + self._commanded_s and bool(rests)
             late = now_s - rolling.since_s > SETTLE_TIMEOUT_S
             if standing:
                 del self._rolling[row, key]
@@ -129,10 +139,6 @@ class EStops:
         if reading is None:
             return (0.0, 0.0), -math.inf
         return (float(reading.odometry[row, 0]), float(reading.odometry[row, 1])), float(reading.stamp_s[row])
-
-    def _rests(self, row: int) -> bool:
-        twist = self._agent.twist
-        return bool(abs(twist[row, 0]) < STANDING_M_S and abs(twist[row, 1]) < STANDING_RAD_S)
 
     def _keep(self, order: EStop, robots: Iterable[str]) -> None:
         if self._folder is None:

@@ -45,7 +45,7 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._freshness = [Freshness() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self.estops = EStops(bus, keys, agent)
+        self.estops = EStops(bus, keys, agent, config.control_rate_hz)
         whose = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
             bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),

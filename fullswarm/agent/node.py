@@ -24,6 +24,7 @@ from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import RobotController
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.tasks import Tasks
 from fullswarm.agent.view import Array
 from fullswarm.agent.wishes import Wishes
@@ -39,6 +40,8 @@ from fullswarm.runtime import LoopStats, Scheduler
 log = structlog.get_logger()
 
 LOOK_PERIOD_S, TELL_PERIOD_S = 0.1, 2.0
+LEAST_SPARE_M = 0.03
+"""By so much a position may always become less certain before motion is barred, however small the filter's margin."""
 FOLLOW_PERIOD_S = 0.5
 """How often the subscriptions to neighbours' cells follow the robot."""
 
@@ -81,7 +84,10 @@ class AgentNode:
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
         self._accel = accel = np.array([each.accel_m_s2 for each in limits])
-        self.reflexes = Reflexes(count, self._bounds, thresholds or _thresholds(settings))
+        # The filter keeps its margin for what it does not know: a position may become less certain by so much.
+        spare_m = max(settings.safety_margin_m, LEAST_SPARE_M)
+        sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
+        self.reflexes = Reflexes(count, self._bounds, thresholds or _thresholds(settings), sigma_limit_m)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
@@ -115,6 +121,7 @@ class AgentNode:
         )
         self.gauges = Gauges(self, config.performance.arrive_radius_m)
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
         self._drivers = DriverWatch(fleet, self.controller, self.inbox)
         self.wishes = Wishes(self, settings, self._bounds)
         self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
@@ -161,6 +168,7 @@ class AgentNode:
         self.reading = reading = self._fleet.read()
         self.pose = self._estimate(reading, now_s - self._last_tick_s)
         self.twist = reading.twist
+        self.standstill.look(reading)
         self.reflexes.look(reading, self.pose)
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)

@@ -38,17 +38,25 @@ class Reflexes:
     ----------
     flat : (n,) the battery is too low to drive
     no_pose : (n,) the estimator knows no finite pose
+    unsure : (n,) the driver states a position that is less certain than `sigma_limit_m`
     slept : this computer stood still a moment ago; nothing that it knows may be taken for new yet
     floor, ceiling : (n,) m/s between which the arena's edge lets a speed be
     """
 
-    def __init__(self, count: int, bounds_m: tuple[float, float, float, float], thresholds: Thresholds) -> None:
+    def __init__(
+        self,
+        count: int,
+        bounds_m: tuple[float, float, float, float],
+        thresholds: Thresholds,
+        sigma_limit_m: Array | None = None,
+    ) -> None:
         margin_m = thresholds.fence_margin_m
         x_min, y_min, x_max, y_max = bounds_m
         self._fence = np.array([x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m])
         self._thresholds = thresholds
         self.flat = np.zeros(count, bool)
-        self.no_pose = np.zeros(count, bool)
+        self.no_pose, self.unsure = np.zeros(count, bool), np.zeros(count, bool)
+        self._sigma_limit_m = np.full(count, math.inf) if sigma_limit_m is None else sigma_limit_m
         self.slept = False
         self.floor, self.ceiling = np.full(count, -math.inf), np.full(count, math.inf)
         self._awake_s = -math.inf
@@ -57,8 +65,9 @@ class Reflexes:
         """Take a reading and the poses (n, 3) made of it."""
         low = self._thresholds.battery_low
         inspect.run(
-            pose, reading.battery, reading.hazards, low, low + self._thresholds.battery_rise, self.no_pose, self.flat
-        )
+            pose, reading.position_sigma_m, self._sigma_limit_m, reading.battery, reading.hazards, low,
+            low + self._thresholds.battery_rise, self.no_pose, self.unsure, self.flat,
+        )  # fmt: skip
 
     def watch_clock(self, now_s: float, before_s: float, patience_s: float) -> None:
         """Compare two ticks: after a leap of the clock (suspend, a paused process) the robot stands for `patience_s`.
@@ -81,11 +90,13 @@ class Reflexes:
 
 @kernel
 def inspect(
-    pose: Array, level: Array, hazards: NDArray[np.uint8], low: float, risen: float, no_pose: Flags, flat: Flags
-) -> None:
-    """Fill `no_pose` and renew `flat` (n,); a level of -1: the robot does not tell."""
+    pose: Array, sigma_m: Array, sigma_limit_m: Array, level: Array, hazards: NDArray[np.uint8], low: float,
+    risen: float, no_pose: Flags, unsure: Flags, flat: Flags,
+) -> None:  # fmt: skip
+    """Fill `no_pose` and `unsure` and renew `flat` (n,); a level of -1, a NaN sigma: the robot does not tell."""
     for i in range(pose.shape[0]):
         no_pose[i] = not math.isfinite(pose[i, 0] + pose[i, 1] + pose[i, 2])
+        unsure[i] = sigma_m[i] > sigma_limit_m[i]
         warned = int(hazards[i]) & BATTERY_LOW != 0
         flat[i] = warned or 0.0 <= level[i] < low or (flat[i] and level[i] < risen)
 

@@ -22,9 +22,6 @@ NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
-MOVING_M_S = 0.005
-MOVING_RAD_S = 0.02
-"""Below both a robot counts as standing: slower than any wheel can be commanded to turn."""
 
 
 def states(
@@ -146,15 +143,17 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
     reading = agent.reading
     battery = reading.battery.tolist() if reading else [-1.0] * count
     contacts = agent.contacts.tolist()
+    stated = reading.position_sigma_m.tolist() if reading else [math.nan] * count
     sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
     reasons, estops = agent.controller.reason.tolist(), agent.controller.estop.tolist()
     collisions = agent.calculators.collisions.tolist()
     deviation_m_s, deviation_m, filter_note = agent.filter.report(agent.tasks.filtered)
-    moving = np.any(np.abs(agent.twist) > np.array([MOVING_M_S, MOVING_RAD_S]), axis=1).tolist()
+    standing = agent.standstill.standing.tolist()
     for row, robot in enumerate(fleet.ids):
         task, description = agent.tasks.of[row], fleet.descriptions[row]
         request = task.request if task else NO_REQUEST
         pose = agent.fixes.health(row, sensed[row])
+        stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
         yield RobotHealth(
             robot=robot,
             driver=fleet.urls[row],
@@ -166,7 +165,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
             request_id=request.request_id,
             core=request.core,
             sequence=request.sequence,
-            moving=moving[row],
+            moving=not standing[row],
             estop=estops[row],
             stop_reason=_why(agent, row, reasons[row]),
             fault=fleet.fault(row),
@@ -174,7 +173,7 @@ def _robots(agent: AgentNode) -> Iterator[RobotHealth]:
             contacts=contacts[row],
             collisions=collisions[row],
             pose_source=pose.source,
-            position_sigma_m=pose.position_sigma_m,
+            position_sigma_m=pose.position_sigma_m if math.isnan(stated_m) else stated_m,
             heading_sigma_rad=pose.heading_sigma_rad,
             pose_note=pose.note,
             deviation_m_s=deviation_m_s[row],

@@ -80,6 +80,26 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Standstill:
+    """What a make's measurements show of a robot that stands: the bounds of its noise.
+
+    The defaults are those of wheel encoders, which show zero at once: the newest velocity alone decides. A make whose
+    velocity is estimated states how long it has to be watched, and how far its position wanders meanwhile.
+    """
+
+    speed_m_s: float = 0.005  # of the mean velocity over the window
+    turn_rad_s: float = 0.02
+    window_s: float = 0.0
+    way_m: float = 0.0  # between any reading of the window and the newest
+    angle_rad: float = 0.0
+    wander_m: float = 0.0  # a way up to this is not told from noise within the seconds of a stop
+
+
+EXACT = Standstill()
+POSE_SIGMA_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
 class Description:
     """What is known of a robot before connecting."""
 
@@ -91,6 +111,8 @@ class Description:
     senses_obstacles: bool = False
     senses_bumps: bool = False
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
+    standstill: Standstill = EXACT
+    pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +124,7 @@ class Reading:
     twist: Twist  # measured
     odometry_breaks: int = 0  # how often since open() motion may have been lost: it goes on from where it was
     pose: Pose | None = None  # world frame, only if `senses_pose`
+    position_sigma_m: float | None = None  # of `pose`, per axis, as known now; None: the make's `pose_sigma_m`
     hazards: Hazard = Hazard.NONE
     contacts: int = 0  # bodies touched now
     battery: float | None = None  # 0 to 1
@@ -193,6 +216,7 @@ class FleetReading:
     contacts: NDArray[np.int64]  # (n,)
     battery: Array  # (n,) 0 to 1, -1 unknown
     obstacles: Array  # (k, 6) as in Reading; of all robots together
+    position_sigma_m: Array  # (n,) as in Reading, NaN where the driver states none
     odometry_breaks: NDArray[np.int64] | None = None  # (n,) as in Reading; None: never any
 
 

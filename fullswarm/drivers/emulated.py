@@ -93,7 +93,9 @@ def _rover(url: str, body: Body) -> Emulator:
     from fullswarm.drivers.mavlink.emulator import RoverEmulator
 
     address = urlsplit(url)
-    return RoverEmulator(f"udp://{address.hostname}:{address.port}", body, boot_s=ROVER_BOOT_S).start()
+    port = address.port or 0
+    # The port differs from rover to rover, so their position filters err differently, and alike in every run.
+    return RoverEmulator(f"udp://{address.hostname}:{port}", body, boot_s=ROVER_BOOT_S, seed=port).start()
 
 
 def _base(url: str, body: Body) -> Emulator:

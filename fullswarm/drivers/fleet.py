@@ -57,6 +57,7 @@ class OneRobot:
             contacts=np.zeros(1, np.int64),
             battery=np.full(1, -1.0),
             obstacles=NO_OBSTACLES,
+            position_sigma_m=np.full(1, math.nan),
             odometry_breaks=self._breaks,
         )
 
@@ -89,6 +90,7 @@ class OneRobot:
         rows.contacts[0] = new.contacts
         rows.battery[0] = -1.0 if new.battery is None else new.battery
         rows.obstacles = new.obstacles
+        rows.position_sigma_m[0] = math.nan if new.position_sigma_m is None else new.position_sigma_m
         return rows
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:

@@ -14,7 +14,7 @@ from fullswarm.runtime import Runtime
 
 STEP_S = 0.02
 STILL = 0.04
-"""Share of its limits below which a robot counts as standing."""
+"""Share of its limits below which a robot counts as standing, unless its make's noise is greater."""
 
 
 @dataclass
@@ -30,7 +30,10 @@ class Bench:
 
     def __post_init__(self) -> None:
         limits = self.driver.description.limits
-        self.still = Twist(STILL * limits.speed_m_s, STILL * limits.turn_rad_s)
+        noise = self.driver.description.standstill
+        self.still = Twist(
+            max(STILL * limits.speed_m_s, noise.speed_m_s), max(STILL * limits.turn_rad_s, noise.turn_rad_s)
+        )
 
     def wait(self, until: Callable[[], bool], limit_s: float, each: Callable[[], object] | None = None) -> bool:
         """Look at 50 Hz, calling `each`, until a condition holds; tell whether it did in time.

@@ -190,7 +190,8 @@ class Trial:
 
     def _is_still(self, twist: Twist) -> bool:
         limits = self.driver.description.limits
-        speed_m_s = max(STILL * limits.speed_m_s, self.rig.rest_m_s)
+        noise = self.driver.description.standstill
+        speed_m_s = max(STILL * limits.speed_m_s, self.rig.rest_m_s, noise.speed_m_s)
         return abs(twist.linear_m_s) <= speed_m_s and abs(twist.angular_rad_s) <= STILL * limits.turn_rad_s
 
     @property

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from fullswarm.drivers.base import Limits, Reading
+from fullswarm.agent.standstill import Standstill
+from fullswarm.drivers.base import NO_OBSTACLES, Description, FleetReading, Limits, Reading
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.autopilot import FILTERED
 from fullswarm.drivers.mavlink.codec import StreamParser, decoded_ids, dialect
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
@@ -159,3 +162,42 @@ def test_modes_texts_and_the_end(replay: Replay) -> None:
     assert order[-3:] == [(p.Mode.GUIDED, True), (p.Mode.HOLD, True), (p.Mode.HOLD, False)]
     assert any("target not received last 3secs" in text for text in replay.session.texts(83.0, 83.0))
     assert dialect().MAVLink_sim_state_message.id == SIM_STATE
+
+
+def test_standstill_of_the_recorded_vehicle_is_recognised_and_nothing_else() -> None:
+    """Its filter showed up to 0.05 m/s at rest. What the simulator says of the speed decides what is true."""
+    session = Session(Options(VEHICLE, Limits(1.0, 2.0, 1.0, 2.0), "replay"), 0.0)
+    make = Description("ArduPilot", "Rover", 0.35, Limits(1.0, 2.0, 1.0, 2.0), standstill=FILTERED)
+    judge, seen = Standstill((make,), 50.0), -math.inf
+    rest_s = motion_s = math.inf  # since when it has truly stood, or moved
+    standing_s = fastest_m_s = 0.0
+    for at_s, packet in packets(lzma.decompress(RECORDING.read_bytes())):
+        for message in StreamParser(decoded_ids() | {SIM_STATE}).feed(packet):
+            session.receive(message, at_s)
+            if message.get_type() == "SIM_STATE":
+                moves = math.hypot(message.vn, message.ve) > 0.03 or abs(message.zgyro) > 0.1
+                motion_s = min(motion_s, at_s) if moves else math.inf
+                rest_s = math.inf if moves else min(rest_s, at_s)
+            reading = session.reading()
+            if reading is None or reading.stamp_s == seen:
+                continue
+            elapsed_s, seen = reading.stamp_s - max(seen, 0.0), reading.stamp_s
+            judge.look(columns(reading))
+            if judge.standing[0]:
+                assert at_s - motion_s < 0.3, "it moves"
+                standing_s += elapsed_s
+                fastest_m_s = max(fastest_m_s, abs(reading.twist.linear_m_s))
+            else:
+                assert at_s - rest_s < 1.0, "it has stood for a second"
+    assert standing_s > 3.0
+    assert fastest_m_s > 0.02
+
+
+def columns(reading: Reading) -> FleetReading:
+    place, twist = reading.odometry, reading.twist
+    return FleetReading(
+        np.array([reading.stamp_s]), np.full((1, 3), math.nan),
+        np.array([[place.x_m, place.y_m, place.heading_rad]]),
+        np.array([[twist.linear_m_s, twist.angular_rad_s]]), np.zeros(1, np.uint8), np.zeros(1, np.int64),
+        np.full(1, -1.0), NO_OBSTACLES, np.full(1, math.nan),
+    )  # fmt: skip

@@ -144,7 +144,10 @@ def test_one_side_forwards_and_back(make: str, tmp_path: Path) -> None:
         begin = (state.x_m, state.y_m, state.heading_rad)
         path_m = _drive_to(driver, 1.0, 0.0, 1.0) + _drive_to(driver, 0.0, 0.0, -1.0)
         error_m = _error_m(driver, body, begin, origin)
-    assert error_m <= SHARE * path_m + 0.005
+        # A rover's odometry is its filter's position: both ends of the way are off by its stated noise, on both axes.
+        filtered = driver.description.standstill.wander_m > 0.0
+        noise_m = 4.0 * driver.description.pose_sigma_m if filtered else 0.0
+    assert error_m <= SHARE * path_m + 0.005 + noise_m
 
 
 @pytest.mark.sim

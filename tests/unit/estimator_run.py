@@ -33,7 +33,7 @@ steps = st.tuples(*[st.floats(-0.5, 0.5)] * 3)
 def reading(stamp_s: float, odometry: list[float], twist: tuple[float, float] = (0.0, 0.0)) -> FleetReading:
     return FleetReading(
         np.array([stamp_s]), np.full((1, 3), math.nan), np.array([odometry]), np.array([twist]),
-        np.zeros(1, np.uint8), np.zeros(1, np.int64), np.full(1, -1.0), NO_OBSTACLES,
+        np.zeros(1, np.uint8), np.zeros(1, np.int64), np.full(1, -1.0), NO_OBSTACLES, np.full(1, math.nan),
     )  # fmt: skip
 
 

@@ -250,7 +250,7 @@ def test_a_row_of_its_own_for_every_robot() -> None:
     reading = FleetReading(
         stamp_s=np.zeros(2), pose=np.zeros((2, 3)), odometry=np.zeros((2, 3)), twist=np.zeros((2, 2)),
         hazards=np.zeros(2, np.uint8), contacts=np.zeros(2, np.int64), battery=np.array([0.19, 0.5]),
-        obstacles=NO_OBSTACLES,
+        obstacles=NO_OBSTACLES, position_sigma_m=np.full(2, math.nan),
     )  # fmt: skip
     reflexes.look(reading, np.array([[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]]))
     assert reflexes.flat.tolist() == [True, False]

@@ -25,7 +25,7 @@ KEYS = Keys("s")
 def reading(stamp_s: float, odometry: list[float], pose: list[float]) -> FleetReading:
     return FleetReading(
         np.array([stamp_s]), np.array([pose]), np.array([odometry]), np.zeros((1, 2)), np.zeros(1, np.uint8),
-        np.zeros(1, np.int64), np.full(1, -1.0), NO_OBSTACLES,
+        np.zeros(1, np.int64), np.full(1, -1.0), NO_OBSTACLES, np.full(1, math.nan),
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import pytest
 
@@ -83,6 +84,16 @@ def test_acceleration_and_steady_speed(speed: float, t90_s: float) -> None:
     assert wire.state.speed_m_s == pytest.approx(speed, rel=0.02)
 
 
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, -1.0])
+def test_it_overshoots_by_four_to_ten_percent(speed: float) -> None:
+    wire, peak = Wire().guided(), 0.0
+    for _ in range(200):
+        wire.drive(speed)
+        wire.step()
+        peak = max(peak, abs(wire.state.speed_m_s))
+    assert 1.04 <= peak / abs(speed) <= 1.10
+
+
 @pytest.mark.parametrize(
     ("asked", "got", "t90_s"), [(0.5, 0.5, 0.26), (-1.0, -1.0, 0.48), (2.0, 2.0, 0.9), (3.0, 2.095, 0.9)]
 )
@@ -113,3 +124,40 @@ def test_a_speed_that_the_rover_may_not_reach_is_capped_without_a_word() -> None
     wire = Wire().moving(6.0)
     assert wire.state.speed_m_s == pytest.approx(3.0, rel=0.02)
     assert not any("speed" in text.lower() for text in wire.texts)
+
+
+# ---------------------------------------------------------------- what its filter makes of the truth
+def errors(wire: Wire, duration_s: float) -> list[tuple[float, float, float]]:
+    """Go on; return the errors of position, east and north, and of the speed, at 50 Hz."""
+    found = []
+
+    def look() -> None:
+        told, truth = wire.rover.state(), wire.rover.truth()
+        found.append((told.x_m - truth.x_m, told.y_m - truth.y_m, told.speed_m_s - truth.speed_m_s))
+
+    wire.run(duration_s, look, every_s=LOOP_S)
+    return found
+
+
+def test_its_filter_errs_as_the_recorded_one_does() -> None:
+    """Recorded: 0.02 to 0.05 m, 0.02 m/s, up to 0.05 m/s at rest; slow, and the position moves less than 12 mm/s."""
+    for seed in range(6):
+        found = errors(Wire(seed=seed), 100.0)
+        assert 0.01 < spread(error[0] for error in found) < 0.05
+        assert 0.01 < spread(error[2] for error in found) < 0.035
+        assert 0.02 < max(abs(error[2]) for error in found) < 0.06
+        for now, later in zip(found, found[25:], strict=False):  # 0.5 s
+            assert math.hypot(later[0] - now[0], later[1] - now[1]) < 0.008
+            assert abs(later[2] - now[2]) < 0.015
+
+
+def test_two_rovers_err_differently_and_each_alike_every_time() -> None:
+    one, again, other = (errors(Wire(seed=seed), 2.0) for seed in (1, 1, 2))
+    assert one == again
+    assert one != other
+
+
+def spread(values: Iterable[float]) -> float:
+    each = list(values)
+    mean = sum(each) / len(each)
+    return math.sqrt(sum((value - mean) ** 2 for value in each) / len(each))

@@ -12,6 +12,7 @@
         arming.py    into motion (driving mode, armed) and out of it (zero, hold, disarmed), confirmed by state
         external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
+        aiding.py    whether its position is still measured, and how uncertain it is
         vehicle.py   what the vehicle has told so far, and the reading made of it
       signing.py     MAVLink 2 signing: key, timestamps over restarts, whom to believe
       codec.py       frames ↔ messages (pymavlink's dialect)

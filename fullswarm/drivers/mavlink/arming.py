@@ -16,7 +16,6 @@ from fullswarm.drivers.mavlink.vehicle import Vehicle
 STEP_S = 3.0
 TEXT_WAIT_S = 0.5
 BRAKE_S = 1.5
-STANDING_M_S = 0.06  # a rover told zero creeps at up to 0.036 m/s
 SETPOINT_S = 0.05
 HOLD_AT_S = (0.0, 0.05, 0.1, 0.2, 0.4)
 """When a guardian asks for the holding mode: often enough for a bad link, not so long that it fights a pilot."""
@@ -193,4 +192,5 @@ class StandDown:
 
     def _rolling(self, now_s: float) -> bool:
         speed = self._vehicle.speed_m_s(now_s)
-        return speed is not None and speed > STANDING_M_S and now_s < self._brake_until_s
+        stands_m_s = self._controls.autopilot.standstill.speed_m_s
+        return speed is not None and speed > stands_m_s and now_s < self._brake_until_s

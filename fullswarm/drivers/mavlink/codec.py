@@ -43,11 +43,20 @@ def _attitude(m: Any) -> p.Body | None:
 
 
 def _ekf(m: Any) -> p.Body:
-    return p.EkfStatus(m.flags)
+    return p.EkfStatus(m.flags, strain=_worst(m.velocity_variance, m.pos_horiz_variance))
 
 
 def _estimator(m: Any) -> p.Body:
-    return p.EkfStatus(m.flags, p.ESTIMATOR_NEEDED, p.ESTIMATOR_BAD)
+    return p.EkfStatus(m.flags, p.ESTIMATOR_NEEDED, p.ESTIMATOR_BAD, _worst(m.vel_ratio, m.pos_horiz_ratio))
+
+
+def _worst(*ratios: float) -> float:
+    """Return the greatest test ratio; one that is no number is of a filter that has failed."""
+    return max(ratios) if _finite(*ratios) else math.inf
+
+
+def _satellites(m: Any) -> p.Body:
+    return p.SatelliteFix(m.time_usec, m.fix_type)
 
 
 def _origin(m: Any) -> p.Body:
@@ -112,6 +121,7 @@ _DECODERS: dict[str, Callable[[Any], p.Body | None]] = {
     "ATTITUDE": _attitude,
     "EKF_STATUS_REPORT": _ekf,
     "ESTIMATOR_STATUS": _estimator,
+    "GPS_RAW_INT": _satellites,
     "GPS_GLOBAL_ORIGIN": _origin,
     "BATTERY_STATUS": _battery,
     "SYS_STATUS": _sys_status,

@@ -91,9 +91,9 @@ class MavlinkDriver:
 
     @property
     def fault(self) -> str:
-        """Why it is in FAULT, why it is no longer or not yet ACTIVE, or what a person must set; empty otherwise."""
+        """Why it is in FAULT, why it is no longer or not yet ACTIVE, what a person must set, or what aid is lost."""
         session = self._session
-        return "" if session is None else session.fault or session.unfit
+        return "" if session is None else session.fault or session.unfit or session.unaided(self._clock.now_s())
 
     @property
     def why(self) -> str:

@@ -59,6 +59,8 @@ class RoverEmulator:
         Its system id.
     boot_s
         Power-on to armable (real: 42.4 s).
+    seed
+        Of its position filter's noise.
     traps_floats
         Die of NaN in a set-point, as the firmware's own simulator does.
 
@@ -85,6 +87,7 @@ class RoverEmulator:
         system: int = 1,
         boot_s: float = 0.2,
         traps_floats: bool = False,
+        seed: int = 0,
         faults: LinkFaults | None = None,
         clock: Clock | None = None,
     ) -> None:
@@ -92,7 +95,7 @@ class RoverEmulator:
         self._clock = clock or MonotonicClock()
         self.body: Body = body or FreeBody(clock=self._clock)
         self.firmware = Firmware(
-            self.body, system=system, boot_s=boot_s, ports=1 + len(more), traps_floats=traps_floats
+            self.body, system=system, boot_s=boot_s, ports=1 + len(more), traps_floats=traps_floats, seed=seed
         )
         self._links: list[_Link] = []
         try:

@@ -5,7 +5,7 @@ set-points stored while disarmed, frames and masks silently ignored, a rate cap,
 a 3 s set-point timeout, a ground-station failsafe that is off by default and latches HOLD, a pilot
 whose throttle wins.
 
-Other than the real one: its map begins at the world's (0, 0), not where it was switched on; a standing rover stands.
+Other than the real one: its map begins at the world's (0, 0), not where it was switched on.
 Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; LOITER stands still, and SMART_RTL goes
 straight home as RTL does: to where it was armed.
 """
@@ -24,6 +24,7 @@ from fullswarm.drivers.mavlink.rover import inbox, parameters, setpoints
 from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
 from fullswarm.drivers.mavlink.rover.dynamics import STAND, Motors
 from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
+from fullswarm.drivers.mavlink.rover.noise import FilterNoise
 from fullswarm.drivers.mavlink.rover.pilot import FULL_M_S, Sticks
 from fullswarm.drivers.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
 from fullswarm.drivers.mavlink.rover.setpoints import Limits, Target
@@ -71,6 +72,10 @@ class Firmware:
         How many ports it has; the first one (SERIAL0) believes unsigned frames even if signing is set up.
     traps_floats
         Die of numbers that are none, as the firmware's simulator does by default and boards do not.
+    seed
+        Of its position filter's noise; rovers of one world have different ones.
+    creep_m_s
+        Speed that comes on top of what its motors do: a slope, or a zero that is badly set.
     """
 
     body: Body
@@ -80,6 +85,8 @@ class Firmware:
     loop_hz: float = LOOP_HZ
     ports: int = 1
     traps_floats: bool = False
+    seed: int = 0
+    creep_m_s: float = 0.0
     parameters: dict[str, float] = field(default_factory=parameters.fresh)
     setpoints: deque[SetpointRecord] = field(default_factory=lambda: deque(maxlen=RECORDS))
     located: bool = True  # False: the position estimate is gone, at once; see also set_gps
@@ -97,6 +104,7 @@ class Firmware:
     keys: KeyRing = field(default_factory=KeyRing)
     channels: list[Channel] = field(init=False)
     position: Position = field(init=False)
+    noise: FilterNoise = field(init=False)
     _booted_s: float = 0.0
     _talks_s: float = TALKS_S
     _stepped_s: float = 0.0
@@ -111,6 +119,7 @@ class Firmware:
         self.channels = [Channel(number, self.system, self.keys) for number in range(self.ports)]
         self.parameters["SYSID_THISMAV"] = float(self.system)
         self.position = Position(self.parameters)
+        self.noise = FilterNoise(self.seed)
 
     # ------------------------------------------------------------ power and time
     def power_on(self, now_s: float, *, again: bool = False) -> None:
@@ -154,6 +163,8 @@ class Firmware:
     def _step(self, now_s: float) -> None:
         self._announce(now_s)
         self.position.step(now_s)
+        up_s, by_satellites = now_s - self._booted_s, self.position.by_gps
+        self.noise.step(up_s, self.unaided_s(now_s), LOOP_S, by_satellites=by_satellites)
         self._watch_position(now_s)
         self._watch_station(now_s)
         self.sticks.step(now_s, self.parameters.get("RC_OVERRIDE_TIME", 3.0))
@@ -203,7 +214,7 @@ class Firmware:
             motors.push(sticks.throttle * FULL_M_S, -sticks.steering * limits.turn_rad_s, LOOP_S)
         else:
             motors.push(0.0, 0.0, LOOP_S)
-        self.body.drive(motors.speed_m_s, motors.turn_rad_s)
+        self.body.drive(motors.speed_m_s + self.creep_m_s, motors.turn_rad_s)
 
     def _guided(self, now_s: float, limits: Limits) -> tuple[float, float]:
         target = self.target
@@ -308,6 +319,10 @@ class Firmware:
         """Switch the GPS; without it the position is lost 7 s later, and 8.2 s later the mode is HOLD."""
         self.position.gps = on
 
+    def cover_antenna(self, on: bool) -> None:
+        """Cover the GPS antenna: the receiver goes on and says that it has no fix."""
+        self.position.covered = on
+
     def stick_sensors(self, on: bool) -> None:
         """Repeat the present measurements for ever, with new time stamps; or stop that."""
         self._stuck = self.state() if on else None
@@ -353,10 +368,15 @@ class Firmware:
         for channel in self.channels:
             channel.send(message, self._stepped_s)
 
-    @property
-    def gps(self) -> bool:
-        """Whether there is a GPS fix."""
-        return self.position.gps
+    def fix(self, now_s: float) -> tuple[int, int]:
+        """Return the type of the satellite fix, and when the last one was: milliseconds since power-on."""
+        position = self.position
+        stamp_ms = self.boot_ms(position.fix_s) if math.isfinite(position.fix_s) else 0
+        return position.fix_type(now_s), stamp_ms
+
+    def unaided_s(self, now_s: float) -> float:
+        """Return for how long nothing has measured the position."""
+        return self.position.silent_s(now_s)
 
     def truth(self) -> BodyState:
         """Return where the body is."""
@@ -364,7 +384,7 @@ class Firmware:
 
     def state(self) -> BodyState:
         """Return where the rover believes the body to be."""
-        return self._stuck or self.position.believed(self.body.state())
+        return self._stuck or self.noise.seen(self.position.believed(self.body.state()))
 
     def boot_ms(self, now_s: float) -> int:
         """Return milliseconds since power-on."""

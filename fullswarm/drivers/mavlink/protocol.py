@@ -16,6 +16,7 @@ from fullswarm.geometry import wrap
 
 MESSAGE_HEARTBEAT: Final = 0
 MESSAGE_SYS_STATUS: Final = 1
+MESSAGE_GPS: Final = 24
 MESSAGE_ATTITUDE: Final = 30
 MESSAGE_LOCAL_POSITION: Final = 32
 MESSAGE_ORIGIN: Final = 49
@@ -185,11 +186,20 @@ class EkfStatus:
     flags: int
     needed: int = EKF_NEEDED
     bad: int = EKF_BAD
+    strain: float = 0.0  # the worse innovation test ratio of velocity and horizontal position; from 1 on rejected
 
     @property
     def good(self) -> bool:
         """Whether the vehicle knows where it is."""
         return self.flags & self.needed == self.needed and not self.flags & self.bad
+
+
+@dataclass(frozen=True, slots=True)
+class SatelliteFix:
+    """What the satellite receiver says of itself."""
+
+    stamp_us: int  # of its last fix, on a clock of the vehicle: it stands still while nothing new comes
+    fix_type: int  # 3 and above: a position in space
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +276,19 @@ class Version:
         return f"{self.major}.{self.minor}.{self.patch}"
 
 
-Body = Heartbeat | LocalPosition | Attitude | EkfStatus | Battery | StatusText | Ack | Parameter | Origin | Version
+Body = (
+    Heartbeat
+    | LocalPosition
+    | Attitude
+    | EkfStatus
+    | SatelliteFix
+    | Battery
+    | StatusText
+    | Ack
+    | Parameter
+    | Origin
+    | Version
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from fullswarm.drivers.base import STAND, Limits, Twist
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot, Check, Guard, Known, clip
+from fullswarm.drivers.mavlink.autopilot import FILTERED, ArduPilot, Autopilot, Check, Guard, Known, clip
 from fullswarm.drivers.mavlink.codec import StationEncoder
 from fullswarm.geometry import clamp
 
@@ -110,6 +110,7 @@ class Px4:
     drive_mode, hold_mode = OFFBOARD, HOLD
     estimator, bytewise = p.MESSAGE_ESTIMATOR, True
     stream_s, stores_s, watchdog_s = 1.2, 0.0, 1.0
+    standstill = FILTERED
     slow_heartbeat, tells_safety, can_reverse = True, False, False
     blank_velocity = math.nan
     guards: tuple[Guard, ...] = (

@@ -21,6 +21,7 @@ from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, dialect
 from fullswarm.drivers.mavlink.px4_telemetry import INTERVALS_S, MAKERS
+from fullswarm.drivers.mavlink.rover.noise import FilterNoise
 from fullswarm.geometry import clamp, wrap
 
 STEP_S = 0.01
@@ -30,6 +31,9 @@ COAST_S = 0.3
 SIGNAL_S = 0.5
 """Set-points count as a stream when none is further from the next than this."""
 FIX_S = 0.3
+NOAID_S = 5.0
+"""EKF2_NOAID_TOUT: dead reckoning counts as a position for so long."""
+SATELLITES_S = 0.2
 INT32, REAL32 = p.PARAM_INT32, p.PARAM_REAL32
 FRESH_PARAMETERS: dict[str, tuple[float, int]] = {
     "COM_OF_LOSS_T": (1.0, REAL32), "COM_OBL_RC_ACT": (0, INT32), "RO_SPEED_LIM": (2.0, REAL32),
@@ -66,6 +70,8 @@ class Px4Firmware:
         Text with which arming is refused; empty: it is not.
     gps
         Whether it has GPS; without, it knows its position only from ODOMETRY.
+    seed
+        Of its position filter's noise, which is that of ArduRover here.
     """
 
     body: Body
@@ -73,6 +79,7 @@ class Px4Firmware:
     boot_s: float = 0.2
     refuse_arm: str = ""
     gps: bool = True
+    seed: int = 0
     signer: FrameSigner | None = None
     parameters: dict[str, tuple[float, int]] = field(default_factory=lambda: dict(FRESH_PARAMETERS))
     setpoints: deque[Px4Setpoint] = field(default_factory=lambda: deque(maxlen=RECORDS))
@@ -90,6 +97,7 @@ class Px4Firmware:
     _target_s: float = -math.inf
     _streaming_s: float = math.inf  # since when there is a stream
     _fix_s: float = -math.inf
+    _satellites_s: float = -math.inf
     _stuck: BodyState | None = None
     _spot: bool = False
     _speed: float = 0.0
@@ -97,8 +105,10 @@ class Px4Firmware:
     _due_s: dict[int, float] = field(default_factory=dict)
     _interval_s: dict[int, float] = field(default_factory=dict)
     _encoder: Encoder = field(init=False)
+    noise: FilterNoise = field(init=False)
 
     def __post_init__(self) -> None:
+        self.noise = FilterNoise(self.seed)
         self._encoder = Encoder(self.system, 1, self.signer)
 
     # ------------------------------------------------------------ power and time
@@ -107,6 +117,7 @@ class Px4Firmware:
         self._booted_s = self._stepped_s = now_s
         self.mode, self.armed, self.failsafe, self.origin = px4.HOLD, False, False, None
         self._target, self._target_s, self._streaming_s, self._fix_s = None, -math.inf, math.inf, -math.inf
+        self._satellites_s = -math.inf
         self._interval_s = dict(INTERVALS_S)
         self._due_s = dict.fromkeys(INTERVALS_S, now_s + 0.1 * self.boot_s)
         self._out = []
@@ -129,6 +140,11 @@ class Px4Firmware:
         return out
 
     def _step(self, now_s: float) -> None:
+        if self.gps and now_s - self._satellites_s >= SATELLITES_S - 1e-6:
+            self._satellites_s = now_s
+        by_satellites = math.isfinite(self._satellites_s)
+        unaided_s = now_s - max(self._satellites_s, self._fix_s)
+        self.noise.step(now_s - self._booted_s, unaided_s, STEP_S, by_satellites=by_satellites)
         offboard = self.mode == px4.OFFBOARD
         if offboard and now_s - self._target_s > self.parameters["COM_OF_LOSS_T"][0]:
             self._lose_offboard()
@@ -324,7 +340,13 @@ class Px4Firmware:
 
     def state(self) -> BodyState:
         """Return where it believes to be."""
-        return self._stuck or self.body.state()
+        return self._stuck or self.noise.seen(self.body.state())
+
+    def fix(self, now_s: float) -> tuple[int, int]:
+        """Return the type of the satellite fix, and when the last one was: milliseconds since power-on."""
+        del now_s
+        known = math.isfinite(self._satellites_s)
+        return (3 if self.gps else 0), self.boot_ms(self._satellites_s) if known else 0
 
     def boot_ms(self, now_s: float) -> int:
         """Return milliseconds since power-on."""
@@ -333,7 +355,8 @@ class Px4Firmware:
     def positioned(self, now_s: float) -> bool:
         """Whether the position filter has a position."""
         vision = int(self.parameters["EKF2_EV_CTRL"][0]) & 0b1001 == 0b1001 and now_s - self._fix_s < FIX_S
-        return self.located and self.booted(now_s) and (self.gps or vision)
+        satellites = now_s - self._satellites_s < NOAID_S
+        return self.located and self.booted(now_s) and (satellites or vision)
 
 
 _HANDLERS: dict[str, Callable[[Px4Firmware, Any, float], None]] = {

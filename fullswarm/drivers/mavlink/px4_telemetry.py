@@ -32,6 +32,10 @@ class Subject(Protocol):
         """Whether the position filter has a position."""
         ...
 
+    def fix(self, now_s: float) -> tuple[int, int]:
+        """Return the type of the satellite fix, and when the last one was: milliseconds since power-on."""
+        ...
+
     def boot_ms(self, now_s: float) -> int:
         """Return milliseconds since power-on."""
         ...
@@ -44,6 +48,7 @@ INTERVALS_S = {
     p.MESSAGE_LOCAL_POSITION: 0.1,
     p.MESSAGE_BATTERY: 2.0,
     p.MESSAGE_ESTIMATOR: 1.0,
+    p.MESSAGE_GPS: 1.0,
 }
 
 
@@ -79,6 +84,11 @@ def _estimator(subject: Subject, now_s: float) -> Any:
     )
 
 
+def _satellites(subject: Subject, now_s: float) -> Any:
+    fix, stamp_ms = subject.fix(now_s)
+    return dialect().MAVLink_gps_raw_int_message(1000 * stamp_ms, fix, 0, 0, 0, 121, 200, 0, 0, 10 if fix > 1 else 0)
+
+
 def _battery(subject: Subject, _: float) -> Any:
     cells = [12600] + [65535] * 9
     return dialect().MAVLink_battery_status_message(0, 0, 0, 32767, cells, 250, 0, 0, round(subject.battery * 100))
@@ -105,6 +115,7 @@ MAKERS: dict[int, Callable[[Subject, float], Any]] = {
     p.MESSAGE_LOCAL_POSITION: _position,
     p.MESSAGE_BATTERY: _battery,
     p.MESSAGE_ESTIMATOR: _estimator,
+    p.MESSAGE_GPS: _satellites,
     p.MESSAGE_VERSION: _version,
     p.MESSAGE_ORIGIN: _origin,
 }

@@ -49,7 +49,7 @@ class Session:
         guardian = None if signing is None else signing.signer(guardian=True)
         self._guardian_encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, guardian)
         self.unguarded = ""  # why nothing would stop the vehicle if this process died: bars motion
-        self._vehicle = Vehicle()
+        self._vehicle = Vehicle(receiver=not options.external, filtered=not options.ekf_ignored)
         self._fly_by(options.autopilot or ArduPilot())
         self._activation: Activation | None = None
         self._stand_down: StandDown | None = None
@@ -86,6 +86,13 @@ class Session:
         """What keeps an OPEN vehicle from READY and does not pass by itself, or not soon; empty if nothing."""
         unfit = (self._startup.unfit or self.unguarded) if self.lifecycle is Lifecycle.OPEN else ""
         return f"{self._options.where}: {unfit}" if unfit else ""
+
+    def unaided(self, now_s: float) -> str:
+        """Return what is lost of a vehicle whose position is dead reckoning by now; empty while it is measured."""
+        if self.lifecycle not in (Lifecycle.READY, Lifecycle.ACTIVE):
+            return ""
+        problem = self._vehicle.aiding.problem(now_s)
+        return f"{self._options.where}: {problem}" if problem else ""
 
     def texts(self, now_s: float, age_s: float = 30.0) -> list[str]:
         """Return the warnings of the last `age_s`: the vehicle's own texts, then what is odd about its settings."""

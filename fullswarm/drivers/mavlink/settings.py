@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.aiding import SIGMA_M
 from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot
 from fullswarm.drivers.mavlink.external import parse_origin
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
@@ -71,7 +72,9 @@ def describe(settings: Settings, autopilot: Autopilot) -> Description:
     if told.make == autopilot.make:
         return told
     limits = replace(told.limits, can_reverse=autopilot.can_reverse)
-    return replace(told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s)
+    return replace(
+        told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s, standstill=autopilot.standstill
+    )
 
 
 def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
@@ -104,7 +107,7 @@ def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
     return Settings(
         Description(
             make=first.make, model="Rover", radius_m=_positive(url, "radius", options, RADIUS_M), limits=limits,
-            senses_pose=True, watchdog_s=first.watchdog_s,
+            senses_pose=True, watchdog_s=first.watchdog_s, standstill=first.standstill, pose_sigma_m=SIGMA_M,
         ),
         Options(
             _whole(url, "sysid", options, 1, range(1, 255)), limits, where,

@@ -16,9 +16,12 @@ RATES_HZ: dict[int, float] = {
     p.MESSAGE_ATTITUDE: 20.0,
     p.MESSAGE_BATTERY: 1.0,
     p.MESSAGE_SYS_STATUS: 4.0,  # the safety switch
+    p.MESSAGE_GPS: 10.0,  # receivers fix at 5 Hz: a lost fix is seen 0.1 s later at most
 }
-ESTIMATOR_HZ = 2.0
-WATCHED = {p.LocalPosition: p.MESSAGE_LOCAL_POSITION, p.Attitude: p.MESSAGE_ATTITUDE}
+ESTIMATOR_HZ = 5.0
+WATCHED = {
+    p.LocalPosition: p.MESSAGE_LOCAL_POSITION, p.Attitude: p.MESSAGE_ATTITUDE, p.SatelliteFix: p.MESSAGE_GPS,
+}  # fmt: skip
 WATCH_S = 2.0
 LOWEST_HZ = 5.0
 
@@ -101,7 +104,9 @@ class Startup:
         """Ask again for what does not come: the request was lost, or the vehicle forgot it in a restart."""
         located = vehicle.ekf is not None and vehicle.ekf.good
         for message, count in self._counts.items():
-            expected = located or message != p.MESSAGE_LOCAL_POSITION  # no position is sent before there is one
+            # No position is sent before there is one, and nothing of a receiver by a vehicle that has none.
+            needs = {p.MESSAGE_LOCAL_POSITION: located, p.MESSAGE_GPS: vehicle.aiding.has_receiver}
+            expected = needs.get(message, True)
             if expected and self._queue.idle and count < 0.5 * self._rates[message] * WATCH_S:
                 self._ask_rate(message)
         if vehicle.ekf is None and self._queue.idle:

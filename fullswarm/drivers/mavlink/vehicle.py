@@ -7,6 +7,7 @@ from collections import deque
 
 from fullswarm.drivers.base import Hazard, Pose, Reading, Twist
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.aiding import Aiding
 from fullswarm.geometry import wrap
 
 LINK_SILENCE_S = 3.0
@@ -52,9 +53,18 @@ def _compose(frame: Pose, local: Pose) -> Pose:
 
 
 class Vehicle:
-    """The newest of everything that one vehicle has sent, with arrival times (s, monotonic)."""
+    """The newest of everything that one vehicle has sent, with arrival times (s, monotonic).
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    receiver
+        Whether satellites are what aids its position; False: poses from outside do.
+    filtered
+        Whether what its EKF says of itself counts.
+    """
+
+    def __init__(self, *, receiver: bool = True, filtered: bool = True) -> None:
+        self._aids = receiver, filtered
         self.odometer = Odometer()
         self.reading: Reading | None = None
         self.version: p.Version | None = None
@@ -65,6 +75,7 @@ class Vehicle:
         self.heartbeat: p.Heartbeat | None = None
         self.heartbeat_s = -math.inf
         self.ekf: p.EkfStatus | None = None
+        self.aiding = Aiding(receiver=self._aids[0], filtered=self._aids[1])
         self.signs = False
         self.rebooted = False
         self._position_s = self._attitude_s = -math.inf
@@ -117,6 +128,9 @@ class Vehicle:
                 self._make_reading(body, now_s)
             case p.EkfStatus():
                 self.ekf = body
+                self.aiding.receive(body, now_s)
+            case p.SatelliteFix():
+                self.aiding.receive(body, now_s)
             case p.Battery():
                 self._merge(body)
             case p.Version():
@@ -154,6 +168,7 @@ class Vehicle:
             odometry=self.odometer.pose,
             twist=Twist(p.forward_speed(position.vx_m_s, position.vy_m_s, heading), attitude.turn_rad_s),
             pose=pose,
+            position_sigma_m=self.aiding.sigma_m(now_s),
             hazards=Hazard.BATTERY_LOW if battery is not None and battery < BATTERY_LOW else Hazard.NONE,
             battery=battery,
         )

@@ -52,6 +52,7 @@ class SimFleet:
             contacts=world.contacts[rows],
             battery=np.full(n, -1.0),
             obstacles=world.obstacles[self._seen],
+            position_sigma_m=np.full(n, np.nan),
         )
 
     def open(self) -> None:

@@ -8,6 +8,7 @@
     commands.py    COMMAND_LONG and COMMAND_INT, and how each is answered
     pilot.py       sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE
     position.py    whether it knows where it is: GPS, or poses from outside
+    noise.py       how far its position filter is off: noise as recorded, drift without GPS
     parameters.py  names and values
     streams.py     which message is due when, and the rate cap
     messages.py    the messages themselves; NED on the wire

@@ -11,6 +11,7 @@ from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.rover.pilot import CENTRE_US, FULL_M_S, SPAN_US, Sticks
+from fullswarm.drivers.mavlink.rover.position import FAILSAFE_S
 from fullswarm.drivers.mavlink.rover.setpoints import ORIGIN_DEG, to_degrees
 
 ALTITUDE_M, GRAVITY_MG, GRAVITY_M_S2 = 584.0, 1000, 9.80665
@@ -23,6 +24,7 @@ AUTOPILOT_MODES = frozenset(
     {p.Mode.AUTO, p.Mode.GUIDED, p.Mode.RTL, p.Mode.SMART_RTL, p.Mode.LOITER, p.Mode.CIRCLE, p.Mode.DOCK}
 )
 BLIND, LOCATED = 1 | 4 | 32 | 128, 831
+CALM = 0.007  # test ratios of velocity and position, as recorded
 
 
 class Subject(Protocol):
@@ -35,9 +37,12 @@ class Subject(Protocol):
     safety: bool
     sticks: Sticks
 
-    @property
-    def gps(self) -> bool:
-        """Whether there is a GPS fix."""
+    def fix(self, now_s: float) -> tuple[int, int]:
+        """Return the type of the satellite fix, and when the last one was: milliseconds since power-on."""
+        ...
+
+    def unaided_s(self, now_s: float) -> float:
+        """Return for how long nothing has measured the position."""
         ...
 
     def state(self) -> BodyState:
@@ -214,18 +219,21 @@ def _highres_imu(subject: Subject, now_s: float) -> Any:
 
 
 def _gps(subject: Subject, now_s: float) -> Any:
-    state, fix = subject.state(), 6 if subject.gps else 1
+    state, (fix, stamp_ms) = subject.state(), subject.fix(now_s)
     course = round(100 * _bearing_deg(state)) % 36000
     speed = round(100 * abs(state.speed_m_s))
-    place = (*_degrees(state), round(ALTITUDE_M * 1000)) if subject.gps else (0, 0, 0)
+    place = (*_degrees(state), round(ALTITUDE_M * 1000)) if fix > 1 else (0, 0, 0)
     return dialect().MAVLink_gps_raw_int_message(
-        1000 * subject.boot_ms(now_s), fix, *place, 121, 200, speed, course, 10 if subject.gps else 0
+        1000 * stamp_ms, fix, *place, 121, 200, speed, course, 10 if fix > 1 else 0
     )
 
 
 def _ekf(subject: Subject, now_s: float) -> Any:
-    flags, variance = (LOCATED, 0.1) if subject.positioned(now_s) else (BLIND, 1.0)
-    return dialect().MAVLink_ekf_status_report_message(flags, variance, variance, 0.1, 0.1, 0.0, 0.0)
+    """Tell the filter's state: its test ratios rise while nothing aids it, and its flags stay good for 7 s."""
+    flags, variance = BLIND, 1.0
+    if subject.positioned(now_s):
+        flags, variance = LOCATED, max(CALM, min(1.0, (subject.unaided_s(now_s) / FAILSAFE_S) ** 2))
+    return dialect().MAVLink_ekf_status_report_message(flags, variance, variance, 0.02, 0.006, 0.0, 0.0)
 
 
 def _simstate(subject: Subject, _: float) -> Any:

@@ -18,6 +18,10 @@ LOST_S = 7.0  # a filter without a source gives up the position this much later
 FAILSAFE_S = 8.2  # and the failsafe acts
 LOCAL_FRD, BODY_FRD = 20, 12
 BY_GPS, BY_OTHERS = 3.0, 6.0
+FIX_PERIOD_S = 0.2
+SILENT_S = 4.0
+"""A receiver that says nothing keeps its last fix for so long; only the time of that fix stands still."""
+NO_RECEIVER, NO_FIX, FIXED = 0, 1, 6
 
 
 @dataclass(slots=True)
@@ -25,7 +29,9 @@ class Position:
     """What the position filter is fed with."""
 
     parameters: dict[str, float]
-    gps: bool = True
+    gps: bool = True  # the receiver is on
+    covered: bool = False  # its antenna: it is on, and has no fix
+    fix_s: float = -math.inf  # when it had the last one
     origin: bool = False
     _fed_s: float = -math.inf
     _shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # from the truth to what it is told
@@ -33,7 +39,8 @@ class Position:
     def restart(self, now_s: float) -> None:
         """Forget the origin and the poses from outside; GPS is taken to be fine until now."""
         self.origin, self._shift = False, (0.0, 0.0, 0.0)
-        self._fed_s = now_s if self.gps and self.by_gps else -math.inf
+        self._fed_s = now_s if self.receiving and self.by_gps else -math.inf
+        self.fix_s = -math.inf
 
     @property
     def by_gps(self) -> bool:
@@ -42,8 +49,25 @@ class Position:
 
     def step(self, now_s: float) -> None:
         """Let GPS, if there is any, say where the rover is."""
-        if self.gps and self.by_gps:
+        if not self.receiving:
+            return
+        if now_s - self.fix_s >= FIX_PERIOD_S - 1e-6:
+            self.fix_s = now_s
+        if self.by_gps:
             self._fed_s = now_s
+
+    @property
+    def receiving(self) -> bool:
+        """Whether there is a receiver, switched on, with a signal."""
+        return self.gps and not self.covered and not self.parameters.get("SIM_GPS_DISABLE")
+
+    def fix_type(self, now_s: float) -> int:
+        """Return what GPS_RAW_INT calls the fix."""
+        if self.receiving:
+            return FIXED
+        if self.covered and self.gps:
+            return NO_FIX
+        return FIXED if now_s - self.fix_s < SILENT_S else NO_RECEIVER
 
     def silent_s(self, now_s: float) -> float:
         """Return how long nothing has been heard of where the rover is."""
