@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from fullswarm.bus import Bus
 from fullswarm.core.centralised import missing_packages
 from fullswarm.core.desired import Order
 from fullswarm.core.groups import Groups
 from fullswarm.core.leases import Authority
+from fullswarm.core.newest import Line, Newest
 from fullswarm.core.records import Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
@@ -23,25 +23,9 @@ from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
-from fullswarm.runtime import Scheduler
 
 STOP = "stop"
 UNNAMED = "somebody without a name"
-OVERTAKEN_S = 5.0
-"""So long after a request an older one of the same operator is a straggler; later, his clock was started anew."""
-
-
-class Asked(NamedTuple):
-    """The newest request for a robot."""
-
-    request: BehaviourRequest
-    arrived_s: float
-
-    def overtakes(self, other: BehaviourRequest, now_s: float) -> bool:
-        """Tell whether the same operator had asked for `other` before, and it comes only now."""
-        mine = self.request
-        older = mine.source == other.source != "" and other.stamp_s < mine.stamp_s
-        return older and now_s - self.arrived_s < OVERTAKEN_S
 
 
 class MainController:
@@ -51,7 +35,6 @@ class MainController:
         self,
         bus: Bus,
         keys: Keys,
-        scheduler: Scheduler,
         library: Library,
         roster: Roster,
         board: StatusBoard,
@@ -59,11 +42,11 @@ class MainController:
         remapper: Remapper,
         groups: Groups,
         authority: Authority,
+        newest: Newest,
     ) -> None:
-        self._scheduler, self._groups, self._authority = scheduler, groups, authority
+        self._groups, self._authority, self._newest = groups, authority, newest
         self._library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
-        self._newest: dict[str, Asked] = {}
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         handler.watch_holders(remapper.narrow)
         self._subscriptions = [
@@ -109,7 +92,9 @@ class MainController:
             )
             self._board.publish(status)
             return
-        orders = {robot: _order(request.id, record, parameters[robot]) for robot in robots}
+        orders = {
+            robot: _order(request.id, record, parameters[robot], _line(request), request.stamp_s) for robot in robots
+        }
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -127,14 +112,9 @@ class MainController:
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Leave out robots that were asked for something newer by the same operator; return why, and the others."""
-        now_s = self._scheduler.now_s()
-        this, newer = Asked(request, now_s), {}
-        for robot in robots:
-            asked = self._newest.get(robot)
-            if asked is not None and asked.overtakes(request, now_s):
-                newer[robot] = asked.request.id
-            else:
-                self._newest[robot] = this
+        line = _line(request)
+        found = {robot: self._newest.note(robot, request.id, line, request.stamp_s) for robot in robots}
+        newer = {robot: request_id for robot, request_id in found.items() if request_id}
         if not newer:
             return "", robots
         left = tuple(robot for robot in robots if robot not in newer)
@@ -210,7 +190,14 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
 
 
-def _order(request_id: str, record: Record, parameters: dict[str, Value]) -> Order:
+def _line(request: BehaviourRequest) -> Line:
+    """Return whose stamps on which clock order this request."""
+    return request.operator or request.source, request.clock or request.source
+
+
+def _order(
+    request_id: str, record: Record, parameters: dict[str, Value], line: Line = ("", ""), stamp_s: float = 0.0
+) -> Order:
     # The robots need no parameters of a law that is computed elsewhere.
     given = {} if record.centralised else parameters
     return Order(
@@ -222,4 +209,7 @@ def _order(request_id: str, record: Record, parameters: dict[str, Value]) -> Ord
         centralised=record.centralised,
         survives_core=record.survives_core,
         expires_s=record.expires_s,
+        operator=line[0],
+        clock=line[1],
+        stamp_s=stamp_s,
     )
