@@ -99,7 +99,7 @@ class Chaos:
         self.runtime = Runtime(MonotonicClock(), Mailbox())
         names = tuple(f"r{number + 1}" for number in range(self.robots))
         self.faults = plan(names, self.seconds, self.every_s, self.seed)
-        self.warm_s = 15.0 + 2.0 * self.robots
+        self.warm_s = 20.0 + 2.0 * self.robots
         self.zero_s = self.runtime.now_s() + self.warm_s
         side_m = 4.0 * math.ceil(math.sqrt(self.robots)) + 4.0
         columns = math.ceil(math.sqrt(self.robots))
@@ -127,6 +127,7 @@ class Chaos:
         self.people: dict[str, subprocess.Popen[bytes]] = {}
         self.starts: dict[str, int] = defaultdict(int)
         self.accepted: set[str] = set()
+        self.hub_killed = False
         self.dead_processes: dict[str, float] = {}
         for key, kind, handler in (
             (self.keys.behaviour_request, BehaviourRequest, self._requested),
@@ -155,8 +156,8 @@ class Chaos:
         self.last[request.source] = request
 
     def _stopped(self, stop: StopRequest) -> None:
-        robots = stop.robots or self.config.robots
-        self.record.asks.setdefault(stop.id, Ask(self.runtime.now_s(), stop.source, stop.id, "", robots))
+        robots, person = stop.robots or self.config.robots, stop.source.partition("-")[0]
+        self.record.asks.setdefault(stop.id, Ask(self.runtime.now_s(), person, stop.id, "", robots))
         self._note(stop)
 
     def _told(self, status: RequestStatus) -> None:
@@ -170,6 +171,9 @@ class Chaos:
             self.accepted.add(status.request_id)
             for robot in status.robots:
                 self.seen[robot].wanted = "" if idle else status.request_id
+        for robot in status.refused_by:
+            if self.seen[robot].wanted == status.request_id:
+                self.seen[robot].wanted = ""
         if idle:
             self.record.standing += [(now_s, robot, status.request_id) for robot in status.running]
 
@@ -212,7 +216,8 @@ class Chaos:
             speed_m_s, turn_rad_s = abs(world.twist[row]).tolist()
             if speed_m_s > MOVES_M_S or turn_rad_s > MOVES_RAD_S:
                 self.record.moved.append((now_s, robot))
-        if "hub" in self.down and self.supervisor.alive("hub") and self.bus.connected():
+        if self.hub_killed and self.supervisor.alive("hub") and self.bus.connected():
+            self.hub_killed = False
             self._up("hub")
         for watch in self.watches:
             if watch.took_s == math.inf and now_s - watch.began_s < FORGET_S:
@@ -247,6 +252,7 @@ class Chaos:
             name = fault.robots[0] if what == "agent" else what
             self._go_down(name)
             self.supervisor.kill(name)
+            self.hub_killed |= name == "hub"
             self._wait_for(fault, self._affected(fault))
         else:
             name = fault.robots[0] if what == "agent" else what
@@ -296,7 +302,7 @@ class Chaos:
             stamp_s=self.runtime.now_s(),
         )  # fmt: skip
         self.record.asks[late.id] = Ask(late.stamp_s, late.operator, late.id, late.behaviour, late.robots)
-        self.record.late.add(late.id)
+        self.record.late[late.id] = late.stamp_s + fault.lasts_s
         self.runtime.after(fault.lasts_s, lambda: self.bus.publish(self.keys.behaviour_request, late))
 
     def _press(self, fault: Fault) -> None:
@@ -329,7 +335,7 @@ class Chaos:
         with (self.folder / "operators.log").open("ab") as log:
             self.people[role] = subprocess.Popen(
                 [sys.executable, "-m", "benchmarks.chaos_operator", *arguments, str(self.folder / "asked.jsonl")],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=Path(__file__).parents[1],
             )  # fmt: skip
         return process
 

@@ -6,6 +6,7 @@ It shares no code with the core. Times are seconds of this machine's monotonic c
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from dataclasses import dataclass, field
 
@@ -113,7 +114,7 @@ class Record:
     standing: list[tuple[float, str, str]] = field(default_factory=list)  # (when, robot, stop) confirmed
     downs: list[Down] = field(default_factory=list)
     killed: dict[str, float] = field(default_factory=dict)  # operator's request that died with its process → when
-    late: set[str] = field(default_factory=set)  # requests that were held up on purpose
+    late: dict[str, float] = field(default_factory=dict)  # request that was held up on purpose → when it was let go
     called_off: set[str] = field(default_factory=set)  # by the operator, before the core had them
     doing: dict[str, Doing] = field(default_factory=dict)
     end_s: float = 0.0
@@ -166,29 +167,40 @@ class Record:
         return found
 
     def _uncommanded(self) -> list[str]:
+        asked: dict[str, list[float]] = defaultdict(list)
+        for ask in sorted(self.asks.values(), key=lambda each: each.t):
+            for robot in () if ask.idle else ask.robots:
+                asked[robot].append(self._counts_from_s(ask, robot))
+        for times in asked.values():
+            times.sort()
+        stands: dict[str, list[tuple[float, float, str]]] = defaultdict(list)
+        for confirmed_s, robot, stop_id in sorted(self.standing):
+            stop = self.asks.get(stop_id)
+            if stop is not None and (not stands[robot] or stop.t > stands[robot][-1][1]):
+                stands[robot].append((confirmed_s + STOPPED_S, stop.t, stop_id))
         incidents: dict[tuple[str, str], list[float]] = defaultdict(list)
         for t, robot in self.moved:
-            why = self._why_not(t, robot)
+            why = self._dead(t, robot) or _unasked(t, asked[robot], stands[robot])
             if why:
                 incidents[robot, why].append(t)
         return [f"{robot} moved at {times[0]:.2f} ({len(times)} samples) although {why}"
                 for (robot, why), times in incidents.items()]  # fmt: skip
 
-    def _why_not(self, t: float, robot: str) -> str:
+    def _counts_from_s(self, ask: Ask, robot: str) -> float:
+        """Return since when a request may move a robot: since it came, unless its operator has stopped it meanwhile."""
+        arrived_s = self.late.get(ask.id, ask.t)
+        own = (each for each in self.asks.values() if each.idle and each.operator == ask.operator)
+        beaten = any(ask.t < each.t < arrived_s and robot in each.robots for each in own)
+        return ask.t if beaten else arrived_s
+
+    def _dead(self, t: float, robot: str) -> str:
         links = ("hub", "core", f"link of {robot}")
         for down in self.downs:
             patience_s = LINK_DEAD_S if down.name in links else AGENT_DEAD_S
             concerns = down.name in (*links, robot, f"e-stop of {robot}")
             if concerns and down.from_s + patience_s < t < down.to_s:
                 return f"{down.name} was down since {down.from_s:.2f}"
-        since_s, stop = -math.inf, ""
-        for confirmed_s, who, stop_id in self.standing:
-            ask = self.asks.get(stop_id)
-            if who == robot and confirmed_s + STOPPED_S < t and ask is not None and ask.t > since_s:
-                since_s, stop = ask.t, stop_id
-        if any(not ask.idle and robot in ask.robots and since_s - RACE_S <= ask.t <= t for ask in self.asks.values()):
-            return ""
-        return f"nothing was asked of it since {stop}" if stop else "nothing had been asked of it"
+        return ""
 
     def _trouble_s(self, robot: str, from_s: float, to_s: float) -> float:
         """Return for how long somebody on the way to `robot` was down, and a while after, between two moments."""
@@ -214,7 +226,7 @@ class Record:
         return found
 
     def _unanswered(self) -> list[str]:
-        answered = {each.id for each in self.told} | set(self.killed) | self.late | self.called_off
+        answered = {each.id for each in self.told} | set(self.killed) | set(self.late) | self.called_off
         return [f"nobody answered {ask.behaviour} {ask.id}, asked at {ask.t:.2f}" for ask in self.asks.values()
                 if ask.behaviour and ask.id not in answered
                 and self.end_s - ask.t - self._trouble_s("", ask.t, self.end_s) > LOST_S]  # fmt: skip
@@ -234,3 +246,13 @@ class Record:
                 does = f"{doing.behaviour} {doing.request_id}" if doing.behaviour else f"nothing ({doing.note})"
                 found.append(f"{robot} does {does}, was last asked for {asked}")
         return found
+
+
+def _unasked(t: float, asked: list[float], stands: list[tuple[float, float, str]]) -> str:
+    """Return why a robot may not move at `t`; empty: something was asked of it since the last stop in force."""
+    number = bisect_left(stands, (t,)) - 1
+    since_s, stop = (stands[number][1], stands[number][2]) if number >= 0 else (-math.inf, "")
+    newest = bisect_right(asked, t) - 1
+    if newest >= 0 and asked[newest] >= since_s - RACE_S:
+        return ""
+    return f"nothing was asked of it since {stop}" if stop else "nothing had been asked of it"

@@ -48,6 +48,16 @@ def test_a_motion_after_a_stop_or_without_an_agent_or_before_anything_was_asked(
         assert record.judge().clean, "it takes a moment to notice"
 
 
+def test_a_late_request_moves_a_robot_after_a_stop_of_somebody_else_but_not_of_its_own_operator() -> None:
+    for operator, wrong in (("ann", 0), ("bob", 1)):
+        record = good()
+        record.moved = [(35.0, "r1")]
+        stopped(record, 30.0)
+        record.asks["late"] = Ask(25.0, operator, "late", "rendezvous", ("r1",))
+        record.late["late"] = 32.0
+        assert len(record.judge().uncommanded) == wrong
+
+
 def test_a_request_that_is_executed_twice() -> None:
     record = good()
     record.ran.append(ran(20.4, "b", 20))
