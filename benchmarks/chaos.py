@@ -124,6 +124,7 @@ class Chaos:
         self.beats: dict[str, tuple[float, str]] = {}
         self.last: dict[str, BehaviourRequest] = {}  # by the process that asked
         self.down: dict[str, float] = {}
+        self.up_s: dict[str, float] = {}
         self.people: dict[str, subprocess.Popen[bytes]] = {}
         self.starts: dict[str, int] = defaultdict(int)
         self.accepted: set[str] = set()
@@ -230,7 +231,7 @@ class Chaos:
         self.down.setdefault(name, self.runtime.now_s())
 
     def _up(self, name: str) -> None:
-        since_s = self.down.pop(name, None)
+        since_s, self.up_s[name] = self.down.pop(name, None), self.runtime.now_s()
         if since_s is not None:
             self.record.downs.append(Down(name, since_s, self.runtime.now_s()))
 
@@ -253,7 +254,7 @@ class Chaos:
             self._go_down(name)
             self.supervisor.kill(name)
             self.hub_killed |= name == "hub"
-            self._wait_for(fault, self._affected(fault))
+            self._wait_for(fault, self._affected(fault), name)
         else:
             name = fault.robots[0] if what == "agent" else what
             self._go_down(name)
@@ -265,18 +266,23 @@ class Chaos:
         if process is not None:
             process.send_signal(signal.SIGCONT)
         self._up(name)
-        self._wait_for(fault, self._affected(fault))
+        self._wait_for(fault, self._affected(fault), name)
 
     def _joined(self, fault: Fault) -> None:
         for robot in fault.robots:
             self._up(f"link of {robot}")
-        self._wait_for(fault, set(fault.robots))
+        self._wait_for(fault, set(fault.robots), "link")
 
     def _affected(self, fault: Fault) -> set[str]:
         return set(fault.robots or self.config.robots)
 
-    def _wait_for(self, fault: Fault, robots: set[str]) -> None:
-        self.watches.append(Watch(fault, self.runtime.now_s(), robots, self._well))
+    def _wait_for(self, fault: Fault, robots: set[str], name: str) -> None:
+        self.watches.append(Watch(fault, self.runtime.now_s(), robots, partial(self._well_again, name)))
+
+    def _well_again(self, name: str, robot: str) -> bool:
+        """Tell whether a robot is well, as it has said itself since `name` is back."""
+        since_s = self.up_s.get(name, -math.inf)
+        return name not in self.down and self.seen[robot].t >= since_s and self._well(robot)
 
     def _well(self, robot: str) -> bool:
         """Tell whether a robot does what was last asked of it, heard just now from a core and an agent that live."""
