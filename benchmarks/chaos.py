@@ -158,7 +158,10 @@ class Chaos:
 
     def _stopped(self, stop: StopRequest) -> None:
         robots, person = stop.robots or self.config.robots, stop.source.partition("-")[0]
-        self.record.asks.setdefault(stop.id, Ask(self.runtime.now_s(), person, stop.id, "", robots))
+        # A robot tells a new core of a stop that still holds: "<id>@<robot>" was asked for when <id> was.
+        first = self.record.asks.get(stop.id.partition("@")[0])
+        asked_s = first.t if first is not None else self.runtime.now_s()
+        self.record.asks.setdefault(stop.id, Ask(asked_s, person, stop.id, "", robots))
         self._note(stop)
 
     def _told(self, status: RequestStatus) -> None:

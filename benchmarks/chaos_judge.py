@@ -17,7 +17,7 @@ LINK_DEAD_S = 2.5
 STOPPED_S = 1.5
 """And after it confirmed a stop."""
 RACE_S = 0.5
-"""Of a stop and a request of two people that come within this time either may win."""
+"""Of two things that come within this time either may be first: a robot hears of a new core before the judge does."""
 LOST_S = 10.0
 """A request that was accepted is executed within this time, not counting faults of those on its way."""
 MEND_S = 5.0
@@ -198,7 +198,7 @@ class Record:
         for down in self.downs:
             patience_s = LINK_DEAD_S if down.name in links else AGENT_DEAD_S
             concerns = down.name in (*links, robot, f"e-stop of {robot}")
-            if concerns and down.from_s + patience_s < t < down.to_s:
+            if concerns and down.from_s + patience_s < t < down.to_s - RACE_S:
                 return f"{down.name} was down since {down.from_s:.2f}"
         return ""
 
