@@ -21,6 +21,7 @@ ALL = (
     ("benchmarks.agent_start",),
     ("benchmarks.release",),
     ("benchmarks.fault_matrix", "--check"),
+    ("benchmarks.chaos", "--seconds", "60"),
     ("benchmarks.fleet",),
 )
 

@@ -76,17 +76,18 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 # ---------------------------------------------------------------- operator <-> core
-class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/2"):
+class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/3"):
     """An operator asks for a behaviour (paper II.B). Sent again until answered; `id` makes it exactly-once."""
 
     id: str
     behaviour: str
     robots: Names = ()  # empty: the whole swarm; "@name": a group of the core's database
     parameters: Parameters = {}
-    source: str = ""  # which process asks: "cli@host:pid"; its stamps order its requests
+    source: str = ""  # which process asks: "cli@host:pid"
     operator: str = ""  # in whose name, for leases: "anna@lab1"
     take: bool = False  # take the robots over from who holds them
-    stamp_s: Stamp = 0.0
+    clock: str = ""  # which clock `stamp_s` was read off, see `clock_id`; empty: one that only `source` reads
+    stamp_s: Stamp = 0.0  # orders the requests of one operator on one clock; others count as they arrive
 
 
 class RequestStatus(Message, frozen=True, kw_only=True):

@@ -84,7 +84,7 @@ class HubConfig(Section):
 class CoreConfig(Section):
     """The base station's core."""
 
-    store: Path | None = None  # SQLite file of the local database; None: in memory
+    store: Path | None = None  # SQLite file of the local database; None: in memory, `up` keeps one until it ends
     schedule_interval_s: float = Field(0.05, ge=0.0, le=10.0)  # rapid requests are spread over this
     heartbeat_hz: float = Field(10.0, ge=0.5, le=1000.0)
     results: Path | None = None  # where the performance node writes JSON; None: nowhere

@@ -8,6 +8,7 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to ever
 ``records.py``         records in the local database; a request's parameters checked and completed
 ``shapes.py``          circle, line, grid: targets of a formation
 ``main_controller.py`` looks a request up, refuses or accepts it, hands it on
+``newest.py``          which of an operator's requests is the newest for each robot
 ``request_handler.py`` makes every robot run what is wanted of it, whatever gets lost or restarts
 ``desired.py``         one robot: what is wanted, what it confirmed, what is on the way
 ``progress.py``        one request: from the states of its robots to its status

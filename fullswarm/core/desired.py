@@ -41,6 +41,9 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     survives_core: bool = False
     expires_s: float = 0.0
     adopted: bool = False  # read off the robot after a restart of the core: parameters unknown
+    operator: str = ""  # who asked for it; with `clock` and `stamp_s` as in the request
+    clock: str = ""
+    stamp_s: float = 0.0
 
     @property
     def intent(self) -> bool:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import itertools
 import zlib
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from fullswarm.bus import Bus
 from fullswarm.core.centralised import missing_packages
 from fullswarm.core.desired import Order
 from fullswarm.core.groups import Groups
 from fullswarm.core.leases import Authority
+from fullswarm.core.newest import Line, Newest
 from fullswarm.core.records import Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
@@ -24,25 +24,9 @@ from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
-from fullswarm.runtime import Scheduler
 
 STOP = "stop"
 UNNAMED = "somebody without a name"
-OVERTAKEN_S = 5.0
-"""So long after a request an older one of the same operator is a straggler; later, his clock was started anew."""
-
-
-class Asked(NamedTuple):
-    """The newest request for a robot."""
-
-    request: BehaviourRequest
-    arrived_s: float
-
-    def overtakes(self, other: BehaviourRequest, now_s: float) -> bool:
-        """Tell whether the same operator had asked for `other` before, and it comes only now."""
-        mine = self.request
-        older = mine.source == other.source != "" and other.stamp_s < mine.stamp_s
-        return older and now_s - self.arrived_s < OVERTAKEN_S
 
 
 class MainController:
@@ -52,7 +36,6 @@ class MainController:
         self,
         bus: Bus,
         keys: Keys,
-        scheduler: Scheduler,
         library: Library,
         roster: Roster,
         board: StatusBoard,
@@ -60,11 +43,11 @@ class MainController:
         remapper: Remapper,
         groups: Groups,
         authority: Authority,
+        newest: Newest,
     ) -> None:
-        self._scheduler, self._groups, self._authority = scheduler, groups, authority
+        self._groups, self._authority, self._newest = groups, authority, newest
         self._library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
-        self._newest: dict[str, Asked] = {}
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         handler.watch_holders(remapper.narrow)
         self._subscriptions = [
@@ -110,8 +93,8 @@ class MainController:
             )
             self._board.publish(status)
             return
-        team = _team(request, record)
-        orders = {robot: _order(request.id, record, parameters[robot], team) for robot in robots}
+        team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
+        orders = {robot: _order(request.id, record, parameters[robot], line, stamp_s, team) for robot in robots}
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -129,14 +112,9 @@ class MainController:
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Leave out robots that were asked for something newer by the same operator; return why, and the others."""
-        now_s = self._scheduler.now_s()
-        this, newer = Asked(request, now_s), {}
-        for robot in robots:
-            asked = self._newest.get(robot)
-            if asked is not None and asked.overtakes(request, now_s):
-                newer[robot] = asked.request.id
-            else:
-                self._newest[robot] = this
+        line = _line(request)
+        found = {robot: self._newest.note(robot, request.id, line, request.stamp_s) for robot in robots}
+        newer = {robot: request_id for robot, request_id in found.items() if request_id}
         if not newer:
             return "", robots
         left = tuple(robot for robot in robots if robot not in newer)
@@ -223,7 +201,19 @@ def _team(request: BehaviourRequest, record: Record) -> int:
     return zlib.crc32(" ".join(whose).encode()) or 1
 
 
-def _order(request_id: str, record: Record, parameters: dict[str, Value], team: int = 0) -> Order:
+def _line(request: BehaviourRequest) -> Line:
+    """Return whose stamps on which clock order this request."""
+    return request.operator or request.source, request.clock or request.source
+
+
+def _order(
+    request_id: str,
+    record: Record,
+    parameters: dict[str, Value],
+    line: Line = ("", ""),
+    stamp_s: float = 0.0,
+    team: int = 0,
+) -> Order:
     # The robots need no parameters of a law that is computed elsewhere.
     given = {} if record.centralised else parameters
     return Order(
@@ -236,4 +226,7 @@ def _order(request_id: str, record: Record, parameters: dict[str, Value], team: 
         centralised=record.centralised,
         survives_core=record.survives_core,
         expires_s=record.expires_s,
+        operator=line[0],
+        clock=line[1],
+        stamp_s=stamp_s,
     )

@@ -11,6 +11,7 @@ from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
 from fullswarm.core.leases import Authority
 from fullswarm.core.main_controller import MainController, adopted_order
+from fullswarm.core.newest import Newest
 from fullswarm.core.params import ParamServer
 from fullswarm.core.records import PREFIX, Library
 from fullswarm.core.remap import Remapper
@@ -63,7 +64,7 @@ class CoreNode:
         self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
         self.remapper = Remapper(bus, keys, scheduler, store, process)
         latches = Latches(bus, keys, scheduler, store, self.roster, process)
-        board = StatusBoard(bus, keys, scheduler)
+        board, newest = StatusBoard(bus, keys, scheduler), Newest()
         self.handler = RequestHandler(
             bus,
             keys,
@@ -75,12 +76,13 @@ class CoreNode:
             interval_s=lambda: self.settings.schedule_interval_s,
             command_ttl_s=config.agent.command_ttl_s,
             adopted=lambda request_id, behaviour: adopted_order(self.library, self.remapper, request_id, behaviour),
+            newest=newest,
         )
         self.remapper.restore(self.handler.holders)
         groups, roster = Groups(store), self.roster
         authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
         controller = MainController(
-            bus, keys, scheduler, self.library, roster, board, self.handler, self.remapper, groups, authority
+            bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, newest
         )
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}

@@ -18,6 +18,7 @@ import msgspec
 from fullswarm.bus import Bus
 from fullswarm.core.desired import Desired, Order
 from fullswarm.core.keep import keep
+from fullswarm.core.newest import Newest
 from fullswarm.core.progress import Progress
 from fullswarm.core.roster import Member, Roster
 from fullswarm.core.status import StatusBoard
@@ -45,6 +46,8 @@ class RequestHandler:
         How long a robot may follow one command of a centralised behaviour.
     adopted
         Makes the order for a (request id, behaviour) found running after a restart; None: leave it alone.
+    newest
+        Is told what had been asked for before a restart, as far as the database knows.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class RequestHandler:
         interval_s: Callable[[], float],
         command_ttl_s: float,
         adopted: Callable[[str, str], Order | None],
+        newest: Newest,
     ) -> None:
         self._bus, self._keys, self._scheduler, self._store = bus, keys, scheduler, store
         self._roster, self._board, self._process = roster, board, process
@@ -78,7 +82,7 @@ class RequestHandler:
             bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._hand_out),
         ]
         self._timer = scheduler.every(TICK_S, self._tick)
-        self._restore()
+        self._restore(newest)
 
     # ------------------------------------------------------------ asked by the main controller
     def submit(self, orders: Mapping[str, Order], reason: str = "", *, at_once: bool = False) -> None:
@@ -318,10 +322,13 @@ class RequestHandler:
         if values:
             keep(self._store, values, f"core {self._process}")
 
-    def _restore(self) -> None:
+    def _restore(self, newest: Newest) -> None:
         """Want again what was wanted before a restart, and remember which requests were done by then."""
-        past = self._store.history(WANTED + "*")
-        for order in filter(None, map(_order, past)):
+        for entry in self._store.history(WANTED + "*"):
+            order = _order(entry)
+            if order is None:
+                continue
+            newest.note(entry.key.removeprefix(WANTED), order.request_id, (order.operator, order.clock), order.stamp_s)
             reason = "before the core was started again"
             self._board.remember(
                 RequestStatus(request_id=order.request_id, behaviour=order.behaviour, phase="ended", reason=reason)

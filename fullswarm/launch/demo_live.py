@@ -12,7 +12,7 @@ from rich.text import Text
 
 from fullswarm.bus.senders import OPERATOR
 from fullswarm.bus.zenoh_bus import ZenohBus
-from fullswarm.clock import MonotonicClock
+from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
@@ -81,7 +81,7 @@ class LiveDemo:
             self._add_console()
         bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
         self._bus = on_network(bus, self.runtime, self.supervisor.config, OPERATOR)
-        self._operator = Operator(self._bus, Keys(config.swarm), self.runtime, "demo")
+        self._operator = Operator(self._bus, Keys(config.swarm), self.runtime, "demo", clock=clock_id())
         acts, watched = acts_for(config), manner.console or not manner.headless
         self.show = Show(self._bus, self.runtime, config, self._operator, manner.seconds, acts, yields=watched)
         self._note = HOW_TO

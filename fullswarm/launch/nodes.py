@@ -1,26 +1,25 @@
-"""Builds the nodes of each layer. Live processes and lockstep call the same functions: they cannot differ."""
+"""Builds the nodes of each layer. Live processes and lockstep call the same functions: they cannot differ.
+
+Each imports its own layer when it is called: an agent that is started again must be back soon, and needs no core.
+"""
 
 from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fullswarm.agent.node import AgentNode, Identity
 from fullswarm.bus.base import Bus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import SwarmConfig
-from fullswarm.core.centralised.node import CentralisedNode
-from fullswarm.core.node import CoreNode
-from fullswarm.core.settings import Settings
 from fullswarm.drivers.base import Fleet
 from fullswarm.keys import Keys
-from fullswarm.perf.performance_node import PerformanceNode
-from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer, robot_summarizer
 from fullswarm.runtime import LoopStats, Scheduler
-from fullswarm.store import Store
+
+if TYPE_CHECKING:
+    from fullswarm.agent.node import AgentNode, Identity
 
 
 class Node(Protocol):
@@ -40,6 +39,12 @@ def core(
     bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, wall_s: Callable[[], float] = wall_time_s
 ) -> list[Node]:
     """Build the core: main controller, request handler, database, summarizers, performance node."""
+    from fullswarm.core.node import CoreNode
+    from fullswarm.core.settings import Settings
+    from fullswarm.perf.performance_node import PerformanceNode
+    from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer, robot_summarizer
+    from fullswarm.store import Store
+
     keys = Keys(config.swarm)
     store = Store(config.core.store, wall_s)
     settings = Settings(store, config)
@@ -55,6 +60,8 @@ def core(
 
 def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> list[Node]:
     """Build the centralised behaviours' node."""
+    from fullswarm.core.centralised.node import CentralisedNode
+
     return [CentralisedNode(bus, scheduler, config, process)]
 
 
@@ -67,6 +74,8 @@ def agent(
     loop: Callable[[], LoopStats],
 ) -> AgentNode:
     """Build the agent that carries the robots of `fleet`."""
+    from fullswarm.agent.node import AgentNode
+
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
     return AgentNode(bus, scheduler, config, fleet, identity, start, loop)

@@ -30,6 +30,8 @@ STEADY_S = 10.0
 END_S = 2.0
 """How long a process may take to end before it is killed; ours take well under a second."""
 CONSOLE = "console"
+STORE = "core.db"
+"""The core's local database, where the fleet file names none: it lasts as long as the supervisor."""
 USAGE = 2
 """Exit code of a process that will not come up however often it is started: its settings are wrong."""
 
@@ -82,7 +84,7 @@ class Supervisor:
     def start(self) -> None:
         """Write the fleet file for the children and start them all."""
         fleet = self.folder / "fleet.toml"
-        write_swarm(self.config, fleet)
+        write_swarm(self._with_memory(), fleet)
         network = ("--insecure-network",) if self.insecure_network else ()
         file = ("--fleet", str(fleet))
         self.add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
@@ -146,6 +148,13 @@ class Supervisor:
                     child.process.terminate()
             for child in group:
                 _reap(child)
+
+    def _with_memory(self) -> SwarmConfig:
+        """Return the settings for the children: a core that is started again must know what it had accepted."""
+        core = self.config.core
+        if core.store is not None:
+            return self.config
+        return self.config.model_copy(update={"core": core.model_copy(update={"store": self.folder / STORE})})
 
     def _spawn(self, child: Child) -> None:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}

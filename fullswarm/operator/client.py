@@ -75,6 +75,8 @@ class Operator:
         Which process asks; unlike any other's.
     name
         In whose name it asks, for leases; none: `source`.
+    clock
+        Which clock `scheduler` reads, see :func:`~fullswarm.clock.clock_id`; empty: one that only `source` reads.
     """
 
     def __init__(
@@ -85,10 +87,11 @@ class Operator:
         source: str,
         *,
         name: str = "",
+        clock: str = "",
         new_id: Callable[[], str] = short_id,
     ) -> None:
         self._bus, self._keys, self._scheduler, self.source = bus, keys, scheduler, source
-        self.name = name or source
+        self.name, self._clock = name or source, clock
         self._new_id = new_id
         self._asked: dict[str, Asked] = {}
         self._orders: dict[str, EStopOrder] = {}
@@ -121,6 +124,7 @@ class Operator:
             source=self.source,
             operator=self.name,
             take=take,
+            clock=self._clock,
             stamp_s=self._scheduler.now_s(),
         )
         asked = Asked(request, on_status)

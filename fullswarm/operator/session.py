@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from fullswarm.bus.base import Bus
-from fullswarm.clock import MonotonicClock
+from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
@@ -68,7 +68,7 @@ class Session:
     def __init__(self, bus: Bus, keys: Keys, runtime: Runtime, hub: str, name: str = "") -> None:
         self.bus, self.keys, self.runtime, self.hub = bus, keys, runtime, hub
         self.source = f"cli@{socket.gethostname()}:{os.getpid()}"
-        self.operator = Operator(bus, keys, runtime, self.source, name=name or usual_name())
+        self.operator = Operator(bus, keys, runtime, self.source, name=name or usual_name(), clock=clock_id())
         self.on_interrupt: Callable[[], None] | None = None
         """What Ctrl-C does; None: end the command with code 130. It must lead to :meth:`finish`."""
 

@@ -22,6 +22,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import PoseFix
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.testing.jumps import JumpClock
 
 CONFIG = WorldConfig(engine="kinematic", address="127.0.0.1:0", bounds_m=(0.0, 0.0, 8.0, 8.0), speed_limit_m_s=0.4)
 
@@ -238,3 +239,21 @@ def test_the_world_listens_on_loopback_only() -> None:
         WorldServer(world, server.address)
     server.close()
     world.close()
+
+
+def test_a_pause_of_the_drivers_own_process_is_no_silence_of_the_world(bench: Bench) -> None:
+    """SIGSTOP, a suspended computer: the body stands, but what the robot was asked for is not over."""
+    clock = JumpClock()
+    driver = SimDriver(f"sim://{bench.address}/r1", clock)
+    bench.drivers.append(driver)
+    driver.open()
+    bench.until(lambda: driver.state is Lifecycle.READY)
+    driver.activate()
+    bench.until(lambda: bench.world.twist[0, 0] > 0.29, lambda: driver.command(Twist(0.3, 0.0)))
+    clock.jump(3.0)
+    states = {driver.state}
+    bench.until(lambda: not bench.world.twist.any(), lambda: states.add(driver.state))
+    assert states == {Lifecycle.ACTIVE}
+    bench.stop_world()
+    took_s = bench.until(lambda: driver.state is Lifecycle.FAULT)
+    assert took_s < 3.0, "and a silence that comes then is one"

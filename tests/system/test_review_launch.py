@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from fullswarm.clock import SimClock
-from fullswarm.config import SwarmConfig
+from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import FIRST_BACKOFF_S, STEADY_S, Supervisor
@@ -207,6 +207,20 @@ def test_no_agent_is_started_for_a_robot_with_a_computer_of_its_own(monkeypatch:
     made.start()
     made.close()
     assert set(made.children) == {"hub", "core", "centralised", "world", "r2", "r3", "r4"}
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_core_that_is_started_again_knows_what_it_had_accepted(
+    named: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Without a database of its own it would answer for requests that it has forgotten."""
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    mine = tmp_path / "mine.db"
+    made = Supervisor(SwarmConfig.model_validate({"core": {"store": mine} if named else {}}), Runtime(SimClock()))
+    made.start()
+    made.close()
+    assert load_swarm(made.folder / "fleet.toml").core.store == (mine if named else made.folder / "core.db")
 
 
 def end(supervisor: Supervisor, code: int) -> None:

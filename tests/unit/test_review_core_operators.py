@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
+from fullswarm.core.newest import REMEMBERED, Newest
 from fullswarm.messages import BehaviourRequest, Message, RequestStatus, StopRequest
 from fullswarm.operator.client import Operator
 from fullswarm.operator.teleop import Teleop
+from fullswarm.store import Store
+from tests.unit.core_restart import restart_core
 from tests.unit.core_swarm import KEYS, Swarm
 
 
@@ -123,30 +129,78 @@ def test_an_operator_who_dies_while_driving_and_one_who_asks_meanwhile() -> None
     swarm.close()
 
 
-def test_an_older_request_of_the_same_operator_that_comes_later_does_not_win() -> None:
-    swarm = Swarm()
-    swarm.run(10.0)
-    new = BehaviourRequest(id="new", behaviour="rendezvous", robots=("r0", "r1"), source="o", stamp_s=100.0)
-    swarm.bus.publish(KEYS.behaviour_request, new)
-    swarm.run(0.1)
-    for name, robots in (("old", ("r1",)), ("wide", ("r1", "r2"))):
-        old = BehaviourRequest(id=name, behaviour="flocking", robots=robots, source="o", stamp_s=99.9)
-        swarm.bus.publish(KEYS.behaviour_request, old)
-        swarm.run(0.2)
-    assert swarm.behaviours() == ["rendezvous", "rendezvous", "flocking"]
-    assert (swarm.status("old").phase, swarm.status("old").reason) == (
-        "superseded", "r1: superseded by new, which came first"
-    )  # fmt: skip
-    assert (swarm.status("wide").phase, swarm.status("wide").running) == ("running", ("r2",))
-    assert "r1: superseded by new" in swarm.status("wide").reason
-    other = BehaviourRequest(id="other", behaviour="flocking", robots=("r1",), source="p", stamp_s=1.0)
-    swarm.bus.publish(KEYS.behaviour_request, other)
+def send(swarm: Swarm, request_id: str, behaviour: str, *robots: str, **fields: Any) -> RequestStatus:
+    """Have a request arrive at the core now, whenever it was asked; return what became of it."""
+    request = BehaviourRequest(id=request_id, behaviour=behaviour, robots=robots, **{"source": "o", **fields})
+    swarm.bus.publish(KEYS.behaviour_request, request)
     swarm.run(0.2)
-    assert swarm.behaviours() == ["rendezvous", "flocking", "flocking"], "another operator's clock tells nothing"
-    swarm.run(5.0)
-    for number in range(2):  # the operator's machine was started again: its clock begins anew
-        again = BehaviourRequest(id=f"n{number}", behaviour="rendezvous", source="o", stamp_s=2.0 + number)
-        swarm.bus.publish(KEYS.behaviour_request, again)
-        swarm.run(0.2)
-        assert swarm.status(f"n{number}").phase == "running"
+    return swarm.status(request_id)
+
+
+@pytest.mark.parametrize("later_s", [0.1, 6.0, 3600.0])
+def test_an_older_request_of_the_same_operator_does_not_win_however_late_it_comes(later_s: float) -> None:
+    swarm = Swarm()
+    send(swarm, "new", "rendezvous", "r0", "r1", stamp_s=100.0)
+    swarm.run(later_s)
+    old = send(swarm, "old", "flocking", "r1", stamp_s=99.9)
+    assert (old.phase, old.reason) == ("superseded", "r1: superseded by new, which came first")
+    wide = send(swarm, "wide", "flocking", "r1", "r2", stamp_s=99.9)
+    assert (wide.phase, wide.running) == ("running", ("r2",))
+    assert "r1: superseded by new" in wide.reason
+    assert swarm.behaviours() == ["rendezvous", "rendezvous", "flocking"]
     swarm.close()
+
+
+def test_requests_of_one_operator_on_one_clock_are_ordered_whichever_process_sends_them() -> None:
+    """A shell that was killed, and what it had sent comes when its successor has asked for something newer."""
+    swarm = Swarm()
+    ann = {"operator": "ann", "clock": "boot-1"}
+    send(swarm, "new", "rendezvous", "r0", source="cli@lab:2", stamp_s=100.0, **ann)
+    assert send(swarm, "old", "flocking", "r0", source="cli@lab:1", stamp_s=99.0, **ann).phase == "superseded"
+    assert send(swarm, "newer", "flocking", "r0", source="cli@lab:1", stamp_s=101.0, **ann).phase == "running"
+    swarm.close()
+
+
+def test_an_order_of_another_operator_between_does_not_let_an_older_one_win() -> None:
+    swarm = Swarm()
+    send(swarm, "new", "rendezvous", "r0", operator="ann", clock="boot-1", stamp_s=100.0)
+    send(swarm, "bobs", "voronoi_coverage", "r0", operator="bob", clock="boot-1", stamp_s=100.5)
+    assert send(swarm, "old", "flocking", "r0", operator="ann", clock="boot-1", stamp_s=99.0).phase == "superseded"
+    assert swarm.robots["r0"].behaviour == "voronoi_coverage"
+    swarm.close()
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"operator": "bob", "clock": "boot-1"},  # another person's
+        {"operator": "ann", "clock": "boot-2"},  # another computer's, or of this one before it was started again
+        {"operator": "ann", "clock": "", "source": "p"},
+    ],
+)
+def test_stamps_that_do_not_compare_count_as_they_arrive(fields: dict[str, str]) -> None:
+    swarm = Swarm()
+    send(swarm, "first", "rendezvous", "r0", operator="ann", clock="boot-1", stamp_s=100.0)
+    assert send(swarm, "second", "flocking", "r0", stamp_s=1.0, **fields).phase == "running"
+    swarm.close()
+
+
+def test_an_older_request_does_not_win_after_a_restart_of_the_core_either(tmp_path: Path) -> None:
+    swarm = Swarm(store=Store(tmp_path / "core.db"))
+    send(swarm, "new", "rendezvous", "r0", operator="ann", clock="boot-1", stamp_s=100.0)
+    send(swarm, "bobs", "voronoi_coverage", "r0", operator="bob", clock="boot-9", stamp_s=7.0)
+    restart_core(swarm, tmp_path / "core.db")
+    swarm.run(10.0)
+    assert send(swarm, "old", "flocking", "r0", operator="ann", clock="boot-1", stamp_s=99.0).phase == "superseded"
+    assert swarm.robots["r0"].behaviour == "voronoi_coverage"
+    assert send(swarm, "newer", "flocking", "r0", operator="ann", clock="boot-1", stamp_s=101.0).phase == "running"
+    swarm.close()
+
+
+def test_invented_operators_do_not_fill_the_memory() -> None:
+    newest = Newest()
+    for number in range(1000):
+        newest.note("r0", f"q{number}", (f"operator-{number}", "boot-1"), 1.0)
+    assert newest.note("r0", "old", ("operator-999", "boot-1"), 0.5) == "q999"
+    assert newest.note("r0", "forgotten", ("operator-1", "boot-1"), 0.5) == ""
+    assert sum(len(each) for each in newest._of.values()) == REMEMBERED

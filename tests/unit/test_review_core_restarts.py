@@ -47,6 +47,25 @@ def test_a_scheduled_request_survives_the_core(tmp_path: Path) -> None:
     swarm.close()
 
 
+def test_what_was_accepted_is_executed_by_robots_that_start_after_a_restart_of_the_core(tmp_path: Path) -> None:
+    """One was away when it was asked for, another one dies after the core did: neither may stay idle."""
+    swarm = Swarm(store=Store(tmp_path / "core.db"), late=1)
+    swarm.ask("a", "move_to_goal", goal=[3.0, 4.0])
+    swarm.run(0.2)
+    assert swarm.status("a").missing == ("r2",)
+    restart_core(swarm, tmp_path / "core.db")
+    swarm.run(0.2)
+    swarm.robots["r2"].start()
+    swarm.robots["r0"].kill()
+    swarm.run(0.2)
+    swarm.robots["r0"].start()
+    swarm.run(1.0)
+    tasks = [robot.task for robot in swarm.robots.values()]
+    assert [task.request_id if task else "" for task in tasks] == ["a"] * 3
+    assert all(task is not None and task.parameters["goal"] == [3.0, 4.0] for task in tasks)
+    swarm.close()
+
+
 def test_core_restart_with_a_switch_half_done(tmp_path: Path) -> None:
     swarm = Swarm(store=Store(tmp_path / "core.db"))
     swarm.ask("a", "flocking")

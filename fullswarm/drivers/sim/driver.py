@@ -18,6 +18,8 @@ from fullswarm.errors import DriverError, LinkLost, MessageError
 SILENCE_S = 0.5
 COMMAND_TTL_S = 0.3
 POLL_S = 0.05
+PAUSED_S = 0.2
+"""When the link's thread has not run for so long, this process stood still: the world was not silent meanwhile."""
 
 
 class SimDriver:
@@ -50,7 +52,7 @@ class SimDriver:
         self._unread = False
         self._origin: Pose | None = None
         self._time_s = -math.inf
-        self._heard_s = -math.inf
+        self._heard_s = self._looked_s = -math.inf
 
     @property
     def state(self) -> Lifecycle:
@@ -83,7 +85,7 @@ class SimDriver:
         self._reset()
         self._session = secrets.token_hex(8)
         self._socket, self._state = link, Lifecycle.OPEN
-        self._heard_s = self._clock.now_s()
+        self._heard_s = self._looked_s = self._clock.now_s()
         self._closing.clear()
         self._thread = threading.Thread(target=self._serve, args=(link,), name=f"sim-{self._robot}", daemon=True)
         self._thread.start()
@@ -107,7 +109,14 @@ class SimDriver:
                 continue  # nobody listens there yet, or not our bytes: the silence is what counts
 
     def _judge(self, now_s: float) -> None:
-        """Go to FAULT once the world has been silent for too long."""
+        """Go to FAULT once the world has been silent for too long.
+
+        A pause of this process is no silence of the world: it ends the motion (`_expire`, and the world's own
+        watchdog), not what the robot was asked for.
+        """
+        paused_s, self._looked_s = now_s - self._looked_s, now_s
+        if paused_s > PAUSED_S:
+            self._heard_s += paused_s
         if now_s - self._heard_s <= SILENCE_S:
             return
         with self._lock:
@@ -131,7 +140,7 @@ class SimDriver:
         elif isinstance(datagram, protocol.Welcome):
             self._welcome(datagram)
         elif isinstance(datagram, protocol.BodyReading) and datagram.time_s > self._time_s:
-            self._judge(now_s)  # a gap that nobody looked at must not leave the robot ACTIVE
+            self._judge(now_s)  # a silence that nobody looked at must not leave the robot ACTIVE
             reading = self._convert(datagram, now_s)
             with self._lock:
                 if self._unread and self._reading is not None:  # a contact must not be over before anybody has read it

@@ -9,7 +9,7 @@ from types import TracebackType
 
 from fullswarm.bus.senders import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
-from fullswarm.clock import MonotonicClock
+from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
@@ -63,7 +63,11 @@ class LiveSwarm:
         self.keys = Keys(config.swarm)
         self.bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
         self.operator = Operator(
-            on_network(self.bus, self.runtime, config, OPERATOR), self.keys, self.runtime, "experiment"
+            on_network(self.bus, self.runtime, config, OPERATOR),
+            self.keys,
+            self.runtime,
+            "experiment",
+            clock=clock_id(),
         )
         self.view = FleetView(self.bus, self.keys, self.runtime, config.robots)
         self.summaries = LiveSummaries(self.bus, self.keys)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from fullswarm.bus.base import Bus
+from fullswarm.clock import clock_id
 from fullswarm.errors import did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import RequestStatus
@@ -64,7 +65,7 @@ class Desk:
         self.session, self.source, self.name = session, source, name
         self.listeners: list[Listener] = []
         self._place = place
-        self._operator = Operator(place.bus, place.keys, place.scheduler, source, name=name)
+        self._operator = Operator(place.bus, place.keys, place.scheduler, source, name=name, clock=clock_id())
         self._leases = LeaseHolder(place.bus, place.keys, place.scheduler, name, on_lost=self._lost)
         self._teleop = self._new_teleop()
         self._driver: Listener | None = None

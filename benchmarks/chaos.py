@@ -1,0 +1,504 @@
+"""A live swarm under faults: what was asked happens once, in order, and nothing else does.
+
+``python -m benchmarks.chaos [--robots 16] [--seconds 300] [--every 5] [--seed 1]``. Hub, core, centralised behaviours
+and one agent per robot are processes of a supervisor, as `fullswarm up` starts them; three operator processes (two of
+one person) ask for one thing after the other; every `--every` seconds something is killed, paused or cut off. A judge
+that shares no code with the core counts; the world lives here, where its bodies can be watched. Exit code 1: something
+was not as it has to be; the folder with all logs and events stays then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from benchmarks.chaos_faults import Fault, conditions, plan
+from benchmarks.chaos_judge import Ask, Doing, Down, Ran, Record, Told
+from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.clock import MonotonicClock, clock_id
+from fullswarm.config import SwarmConfig
+from fullswarm.keys import Keys
+from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.supervisor import Supervisor
+from fullswarm.launch.world import WorldNode
+from fullswarm.messages import (
+    BehaviourRequest,
+    ControlAck,
+    ControlRequest,
+    EStop,
+    EStopReceipt,
+    HealthReport,
+    Heartbeat,
+    Message,
+    RequestStatus,
+    RobotHealth,
+    StopRequest,
+)
+from fullswarm.operator.client import Operator
+from fullswarm.runtime import Mailbox, Runtime
+
+OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
+LOOK_S = 0.1
+FRESH_S = 1.2
+SETTLE_S = 12.0
+FORGET_S = 30.0
+BACK_S = 5.0
+"""A killed agent is READY and runs what was last asked of its robot within this time."""
+MOVES_M_S, MOVES_RAD_S = 0.03, 0.1
+STANDS = ("the hub", "heartbeat", "fresh command", "driver", "stood still", "told nothing")
+"""Words of the reasons for which a robot stands that come of a fault; at the edge of the arena it stands by right."""
+
+
+@dataclass(slots=True)
+class Watch:
+    """Waits for the end of one fault's effects."""
+
+    fault: Fault
+    began_s: float
+    left: set[str]
+    ready: Callable[[str], bool]
+    took_s: float = math.inf
+
+
+@dataclass(slots=True)
+class Seen:
+    """The newest of one robot."""
+
+    t: float = -math.inf
+    process: str = ""
+    health: RobotHealth | None = None
+    wanted: str = ""  # the request it shall run, as the core accepted it last; empty: none
+
+
+@dataclass
+class Chaos:
+    """The swarm, its operators and its faults."""
+
+    robots: int
+    seconds: float
+    every_s: float
+    seed: int
+    loss: float
+    record: Record = field(default_factory=Record)
+    watches: list[Watch] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.runtime = Runtime(MonotonicClock(), Mailbox())
+        names = tuple(f"r{number + 1}" for number in range(self.robots))
+        self.faults = plan(names, self.seconds, self.every_s, self.seed)
+        self.warm_s = 20.0 + 2.0 * self.robots
+        self.zero_s = self.runtime.now_s() + self.warm_s
+        side_m = 4.0 * math.ceil(math.sqrt(self.robots)) + 4.0
+        columns = math.ceil(math.sqrt(self.robots))
+        settings: dict[str, Any] = {
+            "swarm": "chaos",
+            "world": {"engine": "kinematic", "bounds_m": [0, 0, side_m, side_m]},
+            "network": {"conditions": conditions(self.faults, self.loss), "seed": self.seed, "since_s": self.zero_s},
+            "robot": [
+                {"id": name, "pose": [4.0 + 4.0 * (row % columns), 4.0 + 4.0 * (row // columns), 0.0]}
+                for row, name in enumerate(names)
+            ],
+        }
+        self.config = on_free_ports(SwarmConfig.model_validate(settings))
+        self.keys = Keys(self.config.swarm)
+        self.supervisor = Supervisor(self.config, self.runtime, world=False)
+        self.folder = self.supervisor.folder
+        self.events = (self.folder / "events.jsonl").open("w", encoding="utf-8")
+        self.bus = ZenohBus(self.runtime.mailbox, hub=self.config.hub.endpoint)
+        self.world = WorldNode(self.bus, self.runtime, self.config, "world-here")
+        self.me = Operator(self.bus, self.keys, self.runtime, "chaos", name="eve", clock=clock_id())
+        self.seen = {name: Seen() for name in names}
+        self.beats: dict[str, tuple[float, str]] = {}
+        self.last: dict[str, BehaviourRequest] = {}  # by the process that asked
+        self.down: dict[str, float] = {}
+        self.up_s: dict[str, float] = {}
+        self.people: dict[str, subprocess.Popen[bytes]] = {}
+        self.starts: dict[str, int] = defaultdict(int)
+        self.accepted: set[str] = set()
+        self.hub_killed = False
+        self.dead_processes: dict[str, float] = {}
+        for key, kind, handler in (
+            (self.keys.behaviour_request, BehaviourRequest, self._requested),
+            (self.keys.behaviour_status, RequestStatus, self._told),
+            (self.keys.stop, StopRequest, self._stopped),
+            (self.keys.estop, EStop, self._note),
+            (self.keys.estop_receipt(), EStopReceipt, self._receipt),
+            (self.keys.control_requests("*"), ControlRequest, self._note),
+            (self.keys.ack(), ControlAck, self._acknowledged),
+            (self.keys.health(), HealthReport, self._reported),
+            (self.keys.heartbeat("core"), Heartbeat, self._beat),
+            (self.keys.heartbeat("centralised"), Heartbeat, self._beat),
+        ):
+            self.bus.subscribe(key, kind, handler)  # type: ignore[arg-type]  # each pair fits
+
+    # ------------------------------------------------------------------ what is seen
+    def _write(self, kind: str, **fields: object) -> None:
+        line = {"t": round(self.runtime.now_s() - self.zero_s, 3), "kind": kind, **fields}
+        self.events.write(json.dumps(line) + "\n")
+
+    def _note(self, message: Message) -> None:
+        self._write(type(message).__name__, message=msgspec.to_builtins(message))
+
+    def _requested(self, request: BehaviourRequest) -> None:
+        self._note(request)
+        self.last[request.source] = request
+
+    def _stopped(self, stop: StopRequest) -> None:
+        robots, person = stop.robots or self.config.robots, stop.source.partition("-")[0]
+        # A robot tells a new core of a stop that still holds: "<id>@<robot>" was asked for when <id> was.
+        first = self.record.asks.get(stop.id.partition("@")[0])
+        asked_s = first.t if first is not None else self.runtime.now_s()
+        self.record.asks.setdefault(stop.id, Ask(asked_s, person, stop.id, "", robots))
+        self._note(stop)
+
+    def _told(self, status: RequestStatus) -> None:
+        now_s = self.runtime.now_s()
+        told = Told(now_s, status.request_id, status.phase, status.robots, status.running, status.refused_by)
+        known = status.request_id in self.accepted
+        self.record.told.append(told)
+        self._note(status)
+        idle = status.behaviour == "stop"
+        if not known and status.phase not in ("refused", "superseded", "ended"):
+            self.accepted.add(status.request_id)
+            for robot in status.robots:
+                self.seen[robot].wanted = "" if idle else status.request_id
+        for robot in status.refused_by:
+            if self.seen[robot].wanted == status.request_id:
+                self.seen[robot].wanted = ""
+        if idle:
+            self.record.standing += [(now_s, robot, status.request_id) for robot in status.running]
+
+    def _receipt(self, receipt: EStopReceipt) -> None:
+        self._note(receipt)
+        if receipt.engaged and receipt.standing:
+            self.record.standing.append((self.runtime.now_s(), receipt.robot, receipt.id))
+
+    def _acknowledged(self, ack: ControlAck) -> None:
+        self._note(ack)
+        if ack.accepted and ack.enabled:
+            process, central = self.seen[ack.robot].process, "assigned" in ack.behaviour
+            now_s = self.runtime.now_s()
+            self.record.ran.append(Ran(now_s, ack.robot, ack.request_id, process, ack.core, ack.sequence, central))
+
+    def _reported(self, report: HealthReport) -> None:
+        now_s = self.runtime.now_s()
+        for health in report.robots:
+            seen = self.seen[health.robot]
+            if seen.process and seen.process != report.process:
+                self._up(health.robot)
+            words = _words(health)
+            if seen.health is None or seen.process != report.process or _words(seen.health) != words:
+                self._write("Health", robot=health.robot, process=report.process, **words)
+            if health.behaviour:
+                self.record.seen.add((health.robot, health.request_id))
+            seen.t, seen.process, seen.health = now_s, report.process, health
+
+    def _beat(self, beat: Heartbeat) -> None:
+        before = self.beats.get(beat.node)
+        if before is not None and before[1] != beat.process:
+            self._up(beat.node)
+            self._write("Started", node=beat.node, process=beat.process)
+        self.beats[beat.node] = self.runtime.now_s(), beat.process
+
+    def _look(self) -> None:
+        """Ten times a second: which bodies move, and who is well again."""
+        now_s, world = self.runtime.now_s(), self.world.world
+        for row, robot in enumerate(self.config.robots):
+            speed_m_s, turn_rad_s = abs(world.twist[row]).tolist()
+            if speed_m_s > MOVES_M_S or turn_rad_s > MOVES_RAD_S:
+                self.record.moved.append((now_s, robot))
+        if self.hub_killed and self.supervisor.alive("hub") and self.bus.connected():
+            self.hub_killed = False
+            self._up("hub")
+        for watch in self.watches:
+            if watch.took_s == math.inf and now_s - watch.began_s < FORGET_S:
+                watch.left = {name for name in watch.left if not watch.ready(name)}
+                if not watch.left:
+                    watch.took_s = now_s - watch.began_s
+
+    # ------------------------------------------------------------------ what goes wrong
+    def _go_down(self, name: str) -> None:
+        self.down.setdefault(name, self.runtime.now_s())
+
+    def _up(self, name: str) -> None:
+        since_s, self.up_s[name] = self.down.pop(name, None), self.runtime.now_s()
+        if since_s is not None:
+            self.record.downs.append(Down(name, since_s, self.runtime.now_s()))
+
+    def inject(self, fault: Fault) -> None:
+        """Let one fault happen."""
+        self._write("Fault", number=fault.number, fault=fault.kind, robots=fault.robots, lasts_s=fault.lasts_s)
+        what = fault.kind.partition(" ")[0]
+        if fault.kind == "robots cut off":
+            for robot in fault.robots:
+                self._go_down(f"link of {robot}")
+            self.runtime.after(fault.lasts_s, lambda: self._joined(fault))
+        elif fault.kind == "late request":
+            self._send_late(fault)
+        elif fault.kind == "e-stop":
+            self._press(fault)
+        elif what == "operator":
+            self._replace_operator(fault)
+        elif fault.kind.endswith("killed"):
+            name = fault.robots[0] if what == "agent" else what
+            self._go_down(name)
+            self.supervisor.kill(name)
+            self.hub_killed |= name == "hub"
+            self._wait_for(fault, self._affected(fault), name)
+        else:
+            name = fault.robots[0] if what == "agent" else what
+            self._go_down(name)
+            process = self.supervisor.children[name].process
+            self.supervisor.kill(name, signal.SIGSTOP)
+            self.runtime.after(fault.lasts_s, lambda: self._go_on(fault, name, process))
+
+    def _go_on(self, fault: Fault, name: str, process: subprocess.Popen[bytes] | None) -> None:
+        if process is not None:
+            process.send_signal(signal.SIGCONT)
+        self._up(name)
+        self._wait_for(fault, self._affected(fault), name)
+
+    def _joined(self, fault: Fault) -> None:
+        for robot in fault.robots:
+            self._up(f"link of {robot}")
+        self._wait_for(fault, set(fault.robots), "link")
+
+    def _affected(self, fault: Fault) -> set[str]:
+        return set(fault.robots or self.config.robots)
+
+    def _wait_for(self, fault: Fault, robots: set[str], name: str) -> None:
+        self.watches.append(Watch(fault, self.runtime.now_s(), robots, partial(self._well_again, name)))
+
+    def _well_again(self, name: str, robot: str) -> bool:
+        """Tell whether a robot is well, as it has said itself since `name` is back."""
+        since_s = self.up_s.get(name, -math.inf)
+        return name not in self.down and self.seen[robot].t >= since_s and self._well(robot)
+
+    def _well(self, robot: str) -> bool:
+        """Tell whether a robot does what was last asked of it, heard just now from a core and an agent that live."""
+        seen, now_s = self.seen[robot], self.runtime.now_s()
+        core_s = self.beats.get("core", (-math.inf, ""))[0]
+        if robot in self.down or seen.health is None or now_s - seen.t > FRESH_S or now_s - core_s > FRESH_S:
+            return False
+        health = seen.health
+        if health.lifecycle not in ("READY", "ACTIVE") or any(word in health.stop_reason for word in STANDS):
+            return False
+        return health.estop or (health.request_id if health.behaviour else "") == seen.wanted
+
+    def _send_late(self, fault: Fault) -> None:
+        """Hold a request of somebody up for so long that he has asked for other things."""
+        if not self.last:
+            return
+        like = self.last[sorted(self.last)[fault.number % len(self.last)]]
+        x_low, y_low, x_high, y_high = self.config.bounds_m
+        middle: list[float | list[float]] = [0.5 * (x_low + x_high), 0.5 * (y_low + y_high)]
+        late = BehaviourRequest(
+            id=f"late-{fault.number}", behaviour="move_to_goal_bc", robots=fault.robots,
+            parameters={"goal": middle}, source=like.source, operator=like.operator, clock=like.clock,
+            stamp_s=self.runtime.now_s(),
+        )  # fmt: skip
+        self.record.asks[late.id] = Ask(late.stamp_s, late.operator, late.id, late.behaviour, late.robots)
+        self.record.late[late.id] = late.stamp_s + fault.lasts_s
+        self.runtime.after(fault.lasts_s, lambda: self.bus.publish(self.keys.behaviour_request, late))
+
+    def _press(self, fault: Fault) -> None:
+        order = self.me.estop(True, fault.robots, "chaos", deadline_s=fault.lasts_s)
+        now_s = self.runtime.now_s()
+        self.record.asks[order.message.id] = Ask(now_s, "eve", order.message.id, "", fault.robots)
+
+        def latched() -> None:
+            for robot in fault.robots:
+                health = self.seen[robot].health
+                if health is not None and health.estop:
+                    self._go_down(f"e-stop of {robot}")
+
+        self.runtime.after(0.5 * fault.lasts_s, latched)
+
+        def release() -> None:
+            for robot in fault.robots:
+                self._up(f"e-stop of {robot}")
+            self.me.estop(False, fault.robots, deadline_s=20.0)
+            free = lambda robot: (health := self.seen[robot].health) is not None and not health.estop  # noqa: E731
+            self.watches.append(Watch(fault, self.runtime.now_s(), set(fault.robots), free))
+
+        self.runtime.after(fault.lasts_s, release)
+
+    # ------------------------------------------------------------------ operators
+    def _start_operator(self, name: str, role: str) -> str:
+        self.starts[role] += 1
+        process = f"{role}:{self.starts[role]}"
+        arguments = (str(self.folder / "fleet.toml"), name, process, str(hash_of(self.seed, process)))
+        with (self.folder / "operators.log").open("ab") as log:
+            self.people[role] = subprocess.Popen(
+                [sys.executable, "-m", "benchmarks.chaos_operator", *arguments, str(self.folder / "asked.jsonl")],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=Path(__file__).parents[1],
+            )  # fmt: skip
+        return process
+
+    def _replace_operator(self, fault: Fault) -> None:
+        name, role = OPERATORS[fault.number % len(OPERATORS)]
+        self.people[role].kill()
+        self.people[role].wait()
+        self.dead_processes[f"{role}:{self.starts[role]}"] = self.runtime.now_s()
+        process = self._start_operator(name, role)
+        self.watches.append(Watch(fault, self.runtime.now_s(), {process}, lambda each: each in self.last))
+
+    def _read_asked(self) -> None:
+        """Take over what the operators wrote down themselves."""
+        told = {each.id for each in self.record.told}
+        for line in (self.folder / "asked.jsonl").read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+            except ValueError:  # the end of what a killed operator wrote
+                continue
+            if "behaviour" in entry:
+                robots = tuple(entry["robots"])
+                ask = Ask(entry["t"], entry["operator"], entry["id"], entry["behaviour"], robots)
+                self.record.asks[ask.id] = ask
+                if entry["process"] in self.dead_processes:
+                    self.record.killed[ask.id] = self.dead_processes[entry["process"]]
+            elif entry.get("phase") == "superseded" and entry["id"] not in told:
+                self.record.called_off.add(entry["id"])
+
+    # ------------------------------------------------------------------ the run
+    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Serve until the condition holds; False: it did not in time."""
+        deadline_s = self.runtime.now_s() + timeout_s
+
+        def check() -> None:
+            if condition() or self.runtime.now_s() > deadline_s:
+                timer.cancel()
+                self.runtime.pause()
+
+        timer = self.runtime.every(0.02, check)
+        self.runtime.run()
+        return condition()
+
+    def run(self) -> None:
+        """Start all, let it all happen, wait until it has calmed down."""
+        self.supervisor.start()
+        if not self.until(lambda: all(map(self._well, self.seen)), self.warm_s - 5.0):
+            missing = [name for name in self.seen if not self._well(name)]
+            raise SystemExit(f"not ready after {self.warm_s - 5.0:.0f} s: {', '.join(missing)}; logs in {self.folder}")
+        self.runtime.every(LOOK_S, self._look)
+        for name, role in OPERATORS:
+            self._start_operator(name, role)
+        self.until(lambda: self.runtime.now_s() >= self.zero_s, self.warm_s)
+        for fault in self.faults:
+            self.runtime.after(self.zero_s + fault.at_s - self.runtime.now_s(), partial(self.inject, fault))
+        self.until(lambda: False, self.zero_s + self.seconds - self.runtime.now_s())
+        for process in self.people.values():
+            process.terminate()
+        self.until(lambda: False, SETTLE_S)
+        now_s = self.record.end_s = self.runtime.now_s()
+        self._read_asked()
+        self.record.downs += [Down(name, since_s) for name, since_s in self.down.items()]
+        for robot, seen in self.seen.items():
+            health = seen.health
+            if health is not None:
+                self.record.doing[robot] = Doing(
+                    health.behaviour, health.request_id, now_s - seen.t < FRESH_S, health.estop, health.stop_reason
+                )
+
+    def close(self) -> None:
+        """End all processes."""
+        for process in self.people.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+        for name in self.supervisor.children:
+            if self.supervisor.alive(name):
+                self.supervisor.kill(name, signal.SIGCONT)
+        self.me.close()
+        self.supervisor.close()
+        self.world.close()
+        self.bus.close()
+        self.events.close()
+
+
+def _words(health: RobotHealth) -> dict[str, object]:
+    return {name: getattr(health, name) for name in (
+        "lifecycle", "behaviour", "request_id", "core", "estop", "stop_reason", "fault")}  # fmt: skip
+
+
+def hash_of(seed: int, process: str) -> int:
+    """Return a seed of its own for each start of an operator, the same in every run."""
+    return seed * 1_000_003 + sum((place + 1) * ord(each) for place, each in enumerate(process))
+
+
+def report(chaos: Chaos) -> bool:
+    """Print counts and times; return whether all was well."""
+    record = chaos.record
+    verdict = record.judge()
+    zero_s = chaos.zero_s
+    asked = sum(len(each.robots) for each in record.asks.values() if each.behaviour)
+    accepted = record.accepted()
+    print(f"chaos: {chaos.robots} robots, {chaos.seconds:g} s, {len(chaos.faults)} faults, seed {chaos.seed}, "
+          f"{100 * chaos.loss:g} % loss; {len(record.asks)} requests and stops, {asked} robot-requests, "
+          f"{len(accepted)} accepted, {len(record.ran)} executions")  # fmt: skip
+    counts = {
+        "uncommanded motions": verdict.uncommanded, "doubled": verdict.doubled, "older after newer": verdict.older,
+        "lost": verdict.lost, "not doing what was last asked": verdict.wrong,
+    }  # fmt: skip
+    print(f"\n{'fault':22}{'count':>6}{'p50 s':>8}{'max s':>8}{'not back':>10}   (until all robots do what was asked)")
+    slow = []
+    for kind in dict.fromkeys(each.kind for each in chaos.faults):
+        took = sorted(each.took_s for each in chaos.watches if each.fault.kind == kind)
+        count = sum(each.kind == kind for each in chaos.faults)
+        back = [each for each in took if each < math.inf]
+        middle, worst = (f"{took[len(took) // 2]:.2f}", f"{max(back):.2f}") if back else ("-", "-")
+        print(f"{kind:22}{count:6}{middle:>8}{worst:>8}{len(took) - len(back):10}")
+        if kind == "agent killed":
+            slow = [f"{each.fault.robots[0]}, killed at {each.began_s - zero_s:.2f}, took {each.took_s:.2f} s"
+                    for each in chaos.watches if each.fault.kind == kind and each.took_s > BACK_S]  # fmt: skip
+    counts[f"killed agents not back within {BACK_S:g} s"] = slow
+    print()
+    for name, found in counts.items():
+        print(f"{name:38}{len(found):5}")
+        for each in found[:20]:
+            print(f"    {each}")
+    print(f"(times in these lines: monotonic clock; the chaos began at {zero_s:.2f})")
+    return not any(counts.values())
+
+
+def main() -> int:
+    """Run once; return 1 when something was not as it has to be."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--robots", type=int, default=16)
+    parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--every", type=float, default=5.0, help="seconds from one fault to the next")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--loss", type=float, default=0.01, help="share of all messages that is lost, all the time")
+    parser.add_argument("--keep", type=Path, help="folder for logs and events; default: kept only after a failure")
+    options = parser.parse_args()
+    chaos = Chaos(options.robots, options.seconds, options.every, options.seed, options.loss)
+    well = False
+    try:
+        chaos.run()
+        well = report(chaos)
+    finally:
+        chaos.close()
+        if options.keep is not None:
+            shutil.copytree(chaos.folder, options.keep, dirs_exist_ok=True)
+        if well:
+            shutil.rmtree(chaos.folder, ignore_errors=True)
+        else:
+            print(f"logs, and all that was seen as events.jsonl and asked.jsonl: {chaos.folder}")
+    return 0 if well else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

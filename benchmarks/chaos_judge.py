@@ -1,0 +1,258 @@
+"""Judges a swarm under faults from what was asked, what the robots say and how their bodies move.
+
+It shares no code with the core. Times are seconds of this machine's monotonic clock. Pure: events in, a verdict out.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+AGENT_DEAD_S = 1.5
+"""So long after its agent's end a body may move: the world's own watchdog takes 0.3 s, and it has to brake."""
+LINK_DEAD_S = 2.5
+"""The same after the hub or the core fell silent: the robots notice after 1 s."""
+STOPPED_S = 1.5
+"""And after it confirmed a stop."""
+RACE_S = 0.5
+"""Of two things that come within this time either may be first: a robot hears of a new core before the judge does."""
+LOST_S = 10.0
+"""A request that was accepted is executed within this time, not counting faults of those on its way."""
+MEND_S = 5.0
+"""A fault counts for so much longer than it lasted."""
+IDLE = ("", "stop")
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Something that an operator asked of robots; an empty behaviour: stop or e-stop."""
+
+    t: float
+    operator: str
+    id: str
+    behaviour: str
+    robots: tuple[str, ...]
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is to be enabled."""
+        return self.behaviour in IDLE
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """A robot acknowledged that it enabled a request."""
+
+    t: float
+    robot: str
+    id: str
+    agent: str  # process
+    core: str
+    sequence: int
+    centralised: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A status of a request, as the core published it."""
+
+    t: float
+    id: str
+    phase: str
+    robots: tuple[str, ...] = ()
+    running: tuple[str, ...] = ()
+    refused_by: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Down:
+    """A process did not work, or could not be reached: a robot's agent, "core", "hub"."""
+
+    name: str
+    from_s: float
+    to_s: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Doing:
+    """What a robot does at the end."""
+
+    behaviour: str
+    request_id: str
+    fresh: bool = True
+    estop: bool = False
+    note: str = ""
+
+
+@dataclass(slots=True)
+class Verdict:
+    """What was wrong; each entry names it."""
+
+    uncommanded: list[str] = field(default_factory=list)
+    doubled: list[str] = field(default_factory=list)
+    older: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+    @property
+    def clean(self) -> bool:
+        """Nothing was."""
+        return not (self.uncommanded or self.doubled or self.older or self.lost or self.wrong)
+
+
+@dataclass(slots=True)
+class Record:
+    """All that was seen. `moved` are moments at which a body moved, ten a second; `quiet_s` when the last was asked."""
+
+    asks: dict[str, Ask] = field(default_factory=dict)
+    ran: list[Ran] = field(default_factory=list)
+    told: list[Told] = field(default_factory=list)
+    seen: set[tuple[str, str]] = field(default_factory=set)  # (robot, request) that a report named
+    moved: list[tuple[float, str]] = field(default_factory=list)
+    standing: list[tuple[float, str, str]] = field(default_factory=list)  # (when, robot, stop) confirmed
+    downs: list[Down] = field(default_factory=list)
+    killed: dict[str, float] = field(default_factory=dict)  # operator's request that died with its process → when
+    late: dict[str, float] = field(default_factory=dict)  # request that was held up on purpose → when it was let go
+    called_off: set[str] = field(default_factory=set)  # by the operator, before the core had them
+    doing: dict[str, Doing] = field(default_factory=dict)
+    end_s: float = 0.0
+
+    def accepted(self) -> dict[str, tuple[float, tuple[str, ...]]]:
+        """Return when the core first said that it has a request, and for which robots."""
+        refused = {(each.id, robot) for each in self.told for robot in each.refused_by}
+        first: dict[str, tuple[float, tuple[str, ...]]] = {}
+        for told in self.told:
+            if told.phase not in ("refused", "superseded", "ended") and told.id not in first:
+                first[told.id] = told.t, tuple(robot for robot in told.robots if (told.id, robot) not in refused)
+        return first
+
+    def judge(self) -> Verdict:
+        """Return what was wrong."""
+        accepted = self.accepted()
+        of_robot: dict[str, list[tuple[float, Ask]]] = defaultdict(list)
+        for request_id, (t, robots) in accepted.items():
+            ask = self.asks.get(request_id)
+            for robot in robots if ask else ():
+                of_robot[robot].append((t, ask))  # type: ignore[arg-type]  # seen one line above
+        for each in of_robot.values():
+            each.sort(key=lambda pair: pair[0])
+        verdict = Verdict(doubled=self._doubled(), older=self._older(), uncommanded=self._uncommanded())
+        verdict.lost = [*self._lost(of_robot), *self._unanswered()]
+        verdict.wrong = self._wrong(of_robot)
+        return verdict
+
+    def _doubled(self) -> list[str]:
+        numbers: dict[tuple[str, str, str, str], set[tuple[str, int]]] = defaultdict(set)
+        for ran in self.ran:
+            # A new core enables a centralised request anew, for its commands bear its own numbers.
+            core = ran.core if ran.centralised else ""
+            numbers[ran.robot, ran.id, ran.agent, core].add((ran.core, ran.sequence))
+        return [f"{key[0]} executed {key[1]} {len(each)} times" for key, each in numbers.items() if len(each) > 1]
+
+    def _older(self) -> list[str]:
+        newest: dict[tuple[str, str], Ask] = {}
+        found = []
+        for ran in sorted(self.ran, key=lambda each: each.t):
+            ask = self.asks.get(ran.id)
+            if ask is None:
+                continue
+            before = newest.get((ran.robot, ask.operator))
+            if before is not None and ask.t < before.t:
+                found.append(f"{ran.robot} executed {ask.id} of {ask.operator} at {ran.t:.2f}, "
+                             f"asked {before.t - ask.t:.2f} s before {before.id}")  # fmt: skip
+            else:
+                newest[ran.robot, ask.operator] = ask
+        return found
+
+    def _uncommanded(self) -> list[str]:
+        asked: dict[str, list[float]] = defaultdict(list)
+        for ask in sorted(self.asks.values(), key=lambda each: each.t):
+            for robot in () if ask.idle else ask.robots:
+                asked[robot].append(self._counts_from_s(ask, robot))
+        for times in asked.values():
+            times.sort()
+        stands: dict[str, list[tuple[float, float, str]]] = defaultdict(list)
+        for confirmed_s, robot, stop_id in sorted(self.standing):
+            stop = self.asks.get(stop_id)
+            if stop is not None and (not stands[robot] or stop.t > stands[robot][-1][1]):
+                stands[robot].append((confirmed_s + STOPPED_S, stop.t, stop_id))
+        incidents: dict[tuple[str, str], list[float]] = defaultdict(list)
+        for t, robot in self.moved:
+            why = self._dead(t, robot) or _unasked(t, asked[robot], stands[robot])
+            if why:
+                incidents[robot, why].append(t)
+        return [f"{robot} moved at {times[0]:.2f} ({len(times)} samples) although {why}"
+                for (robot, why), times in incidents.items()]  # fmt: skip
+
+    def _counts_from_s(self, ask: Ask, robot: str) -> float:
+        """Return since when a request may move a robot: since it came, unless its operator has stopped it meanwhile."""
+        arrived_s = self.late.get(ask.id, ask.t)
+        own = (each for each in self.asks.values() if each.idle and each.operator == ask.operator)
+        beaten = any(ask.t < each.t < arrived_s and robot in each.robots for each in own)
+        return ask.t if beaten else arrived_s
+
+    def _dead(self, t: float, robot: str) -> str:
+        links = ("hub", "core", f"link of {robot}")
+        for down in self.downs:
+            patience_s = LINK_DEAD_S if down.name in links else AGENT_DEAD_S
+            concerns = down.name in (*links, robot, f"e-stop of {robot}")
+            if concerns and down.from_s + patience_s < t < down.to_s - RACE_S:
+                return f"{down.name} was down since {down.from_s:.2f}"
+        return ""
+
+    def _trouble_s(self, robot: str, from_s: float, to_s: float) -> float:
+        """Return for how long somebody on the way to `robot` was down, and a while after, between two moments."""
+        names = (robot, "hub", "core", f"link of {robot}", f"e-stop of {robot}")
+        spans = sorted((max(each.from_s, from_s), min(each.to_s + MEND_S, to_s)) for each in self.downs
+                       if each.name in names and each.from_s < to_s and each.to_s + MEND_S > from_s)  # fmt: skip
+        total_s, end_s = 0.0, from_s
+        for begin_s, until_s in spans:
+            total_s += max(0.0, until_s - max(begin_s, end_s))
+            end_s = max(end_s, until_s)
+        return total_s
+
+    def _lost(self, of_robot: dict[str, list[tuple[float, Ask]]]) -> list[str]:
+        executed = {(each.robot, each.id) for each in self.ran} | self.seen
+        found = []
+        for robot, asks in of_robot.items():
+            for number, (accepted_s, ask) in enumerate(asks):
+                if ask.idle or (robot, ask.id) in executed:
+                    continue
+                next_s = asks[number + 1][0] if number + 1 < len(asks) else self.end_s
+                if next_s - accepted_s - self._trouble_s(robot, accepted_s, next_s) > LOST_S:
+                    found.append(f"{robot} never executed {ask.behaviour} {ask.id}, accepted at {accepted_s:.2f}")
+        return found
+
+    def _unanswered(self) -> list[str]:
+        answered = {each.id for each in self.told} | set(self.killed) | set(self.late) | self.called_off
+        return [f"nobody answered {ask.behaviour} {ask.id}, asked at {ask.t:.2f}" for ask in self.asks.values()
+                if ask.behaviour and ask.id not in answered
+                and self.end_s - ask.t - self._trouble_s("", ask.t, self.end_s) > LOST_S]  # fmt: skip
+
+    def _wrong(self, of_robot: dict[str, list[tuple[float, Ask]]]) -> list[str]:
+        found = []
+        for robot, doing in self.doing.items():
+            last = of_robot[robot][-1][1] if of_robot.get(robot) else None
+            wanted = "" if last is None or last.idle else last.id
+            does = doing.request_id if doing.behaviour else ""
+            if not doing.fresh:
+                found.append(f"{robot} is silent")
+            elif doing.estop:
+                found.append(f"{robot} is still in e-stop")
+            elif does != wanted:
+                asked = f"{last.behaviour or 'stop'} {last.id}" if last else "nothing"
+                does = f"{doing.behaviour} {doing.request_id}" if doing.behaviour else f"nothing ({doing.note})"
+                found.append(f"{robot} does {does}, was last asked for {asked}")
+        return found
+
+
+def _unasked(t: float, asked: list[float], stands: list[tuple[float, float, str]]) -> str:
+    """Return why a robot may not move at `t`; empty: something was asked of it since the last stop in force."""
+    number = bisect_left(stands, (t,)) - 1
+    since_s, stop = (stands[number][1], stands[number][2]) if number >= 0 else (-math.inf, "")
+    newest = bisect_right(asked, t) - 1
+    if newest >= 0 and asked[newest] >= since_s - RACE_S:
+        return ""
+    return f"nothing was asked of it since {stop}" if stop else "nothing had been asked of it"
