@@ -211,7 +211,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- agents -> everybody
-class RobotStates(Message, frozen=True, kw_only=True):
+class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
 
     Columns of equal length. World frame; `speed_m_s` along the heading, negative when reversing.
@@ -227,6 +227,7 @@ class RobotStates(Message, frozen=True, kw_only=True):
     speed_m_s: tuple[float, ...]
     turn_rad_s: tuple[float, ...]
     radius_m: tuple[float, ...]
+    own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
 
 
 class Interventions(Message, frozen=True, kw_only=True):

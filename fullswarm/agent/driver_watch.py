@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from fullswarm.agent.company import Company
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController
 from fullswarm.drivers.base import Fleet, Lifecycle
+
+ENDING = [Reason.DRIVER, Reason.HAZARD, Reason.BATTERY, Reason.OVERLAP, Reason.FRAME]
 
 
 class DriverWatch:
@@ -17,8 +20,8 @@ class DriverWatch:
     ready : which drivers were READY or ACTIVE at the last look, (n,)
     """
 
-    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox) -> None:
-        self._fleet, self._controller, self._inbox = fleet, controller, inbox
+    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox, company: Company) -> None:
+        self._fleet, self._controller, self._inbox, self._company = fleet, controller, inbox, company
         self.ready = np.zeros(len(fleet.ids), bool)
         self._state = Lifecycle.CLOSED
         self._been_ready = self._engaged = False
@@ -46,11 +49,12 @@ class DriverWatch:
         self._state = state
 
     def end_unsafe_tasks(self) -> None:
-        """After a fault, a hazard or with an empty battery nobody drives on by himself: that takes a new request."""
+        """After any of `ENDING` nobody drives on by himself: that takes a new request."""
         reasons = self._controller.reason
-        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
-        for row in np.flatnonzero(ending).tolist():
-            if reasons[row] != Reason.DRIVER:
+        for row in np.flatnonzero(np.isin(reasons, ENDING)).tolist():
+            if reasons[row] in (Reason.OVERLAP, Reason.FRAME):
+                self._inbox.spend(row, self._company.why(row))
+            elif reasons[row] != Reason.DRIVER:
                 self._inbox.spend(row, EXPLAIN[reasons[row]])
             elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
                 # Before it was ever ready it has not stopped from anything: a base may be switched on late.

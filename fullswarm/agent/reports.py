@@ -67,6 +67,7 @@ def states(
                 speed_m_s=tuple(speed),
                 turn_rad_s=tuple(turn),
                 radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
+                own_frame=agent.company.own_frame,
             ),
         )
 
@@ -111,6 +112,7 @@ def _state_of_one(
             speed_m_s=(speed_m_s,),
             turn_rad_s=(turn_rad_s,),
             radius_m=(float(agent.radius[0]),),
+            own_frame=agent.company.own_frame,
         ),
     )
 
@@ -133,6 +135,8 @@ def health(agent: AgentNode, loop: LoopStats, version: str, now_s: float) -> Hea
 def _why(agent: AgentNode, row: int, reason: int) -> str:
     if reason == Reason.LAW:
         return agent.wishes.law_error[row]
+    if reason in (Reason.OVERLAP, Reason.FRAME):
+        return agent.company.why(row)
     return agent.ended[row] if reason == Reason.IDLE else EXPLAIN[reason]
 
 

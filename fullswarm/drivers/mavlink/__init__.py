@@ -10,6 +10,8 @@
         px4.py       PX4's: velocity vectors that lead the heading
         startup.py   version, message rates, failsafe, position: what READY needs
         arming.py    into motion (driving mode, armed) and out of it (zero, hold, disarmed), confirmed by state
+        frame.py     from the vehicle's own map to the swarm's frame
+          maps.py    how each autopilot makes metres of degrees
         external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
         vehicle.py   what the vehicle has told so far, and the reading made of it

@@ -23,8 +23,10 @@ from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.firmware import Firmware
+from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
 from fullswarm.drivers.mavlink.rover.ports import Port, open_port, reopen
+from fullswarm.earth import SITL_ORIGIN_DEG
 
 __all__ = ["Port", "RoverEmulator", "open_port"]
 
@@ -61,6 +63,8 @@ class RoverEmulator:
         Power-on to armable (real: 42.4 s).
     traps_floats
         Die of NaN in a set-point, as the firmware's own simulator does.
+    origin
+        Latitude and longitude of the body's (0, 0).
 
     Attributes
     ----------
@@ -86,13 +90,19 @@ class RoverEmulator:
         boot_s: float = 0.2,
         traps_floats: bool = False,
         faults: LinkFaults | None = None,
+        origin: tuple[float, float] = SITL_ORIGIN_DEG,
         clock: Clock | None = None,
     ) -> None:
         self.faults = faults or LinkFaults()
         self._clock = clock or MonotonicClock()
         self.body: Body = body or FreeBody(clock=self._clock)
         self.firmware = Firmware(
-            self.body, system=system, boot_s=boot_s, ports=1 + len(more), traps_floats=traps_floats
+            self.body,
+            system=system,
+            boot_s=boot_s,
+            ports=1 + len(more),
+            traps_floats=traps_floats,
+            chart=Chart(origin),
         )
         self._links: list[_Link] = []
         try:

@@ -7,6 +7,7 @@ from collections import deque
 
 from fullswarm.drivers.base import Hazard, Pose, Reading, Twist
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.frame import SwarmFrame
 from fullswarm.geometry import wrap
 
 LINK_SILENCE_S = 3.0
@@ -56,6 +57,7 @@ class Vehicle:
 
     def __init__(self) -> None:
         self.odometer = Odometer()
+        self.frame: SwarmFrame | None = None  # None: its own map is all there is
         self.reading: Reading | None = None
         self.version: p.Version | None = None
         self.forget()
@@ -147,13 +149,16 @@ class Vehicle:
             return
         heading = attitude.heading_rad
         pose = Pose(position.x_m, position.y_m, heading)
+        frame = self.frame
+        if frame is not None and frame.leaps(position, now_s):
+            self.odometer.rebase()
         self.odometer.update(pose)
         battery = None if self._battery is None else self._battery.remaining
         self.reading = Reading(
             stamp_s=now_s,
             odometry=self.odometer.pose,
             twist=Twist(p.forward_speed(position.vx_m_s, position.vy_m_s, heading), attitude.turn_rad_s),
-            pose=pose,
+            pose=pose if frame is None else frame.pose(position, heading),
             hazards=Hazard.BATTERY_LOW if battery is not None and battery < BATTERY_LOW else Hazard.NONE,
             battery=battery,
         )
