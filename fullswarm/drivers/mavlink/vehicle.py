@@ -148,17 +148,20 @@ class Vehicle:
         if attitude is None or self.rebooted or now_s - self._attitude_s > TELEMETRY_SILENCE_S:
             return
         heading = attitude.heading_rad
-        pose = Pose(position.x_m, position.y_m, heading)
+        world: Pose | None = Pose(position.x_m, position.y_m, heading)
         frame = self.frame
-        if frame is not None and frame.leaps(position, now_s):
-            self.odometer.rebase()
-        self.odometer.update(pose)
+        if frame is not None:
+            if frame.leaps(position, now_s):
+                self.odometer.rebase()
+            world = frame.pose(position, heading)
+        if world is not None:
+            self.odometer.update(world)  # metres of the ground where they are known, not of the vehicle's map
         battery = None if self._battery is None else self._battery.remaining
         self.reading = Reading(
             stamp_s=now_s,
             odometry=self.odometer.pose,
             twist=Twist(p.forward_speed(position.vx_m_s, position.vy_m_s, heading), attitude.turn_rad_s),
-            pose=pose if frame is None else frame.pose(position, heading),
+            pose=world,
             hazards=Hazard.BATTERY_LOW if battery is not None and battery < BATTERY_LOW else Hazard.NONE,
             battery=battery,
         )
