@@ -281,6 +281,7 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     turn_rad_s: Turns
     radius_m: Radii
     teams: Teams = ()  # of which each is; 0: of none, and empty: none is of any
+    own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
 
 
 class Interventions(Message, frozen=True, kw_only=True):

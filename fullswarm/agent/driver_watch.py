@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.company import Company
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
 from fullswarm.drivers.base import Fleet, Lifecycle
+
+ENDING = [Reason.DRIVER, Reason.HAZARD, Reason.BATTERY, Reason.OVERLAP, Reason.FRAME]
 
 
 class DriverWatch:
@@ -18,8 +21,8 @@ class DriverWatch:
     ready : which drivers were READY or ACTIVE at the last look, (n,)
     """
 
-    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox) -> None:
-        self._fleet, self._controller, self._inbox = fleet, controller, inbox
+    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox, company: Company) -> None:
+        self._fleet, self._controller, self._inbox, self._company = fleet, controller, inbox, company
         self.ready = np.zeros(len(fleet.ids), bool)
         self._state = Lifecycle.CLOSED
         self._been_ready = self._engaged = False
@@ -47,11 +50,12 @@ class DriverWatch:
         self._state = state
 
     def end_unsafe_tasks(self, hazards: NDArray[np.uint8]) -> None:
-        """End the tasks of robots with a fault, a hazard (n,) or an empty battery: going on takes a new request."""
+        """After any of `ENDING` nobody drives on by himself: that takes a new request. `hazards` (n,) names which."""
         reasons = self._controller.reason
-        ending = (reasons == Reason.DRIVER) | (reasons == Reason.HAZARD) | (reasons == Reason.BATTERY)
-        for row in np.flatnonzero(ending).tolist():
-            if reasons[row] == Reason.HAZARD:
+        for row in np.flatnonzero(np.isin(reasons, ENDING)).tolist():
+            if reasons[row] in (Reason.OVERLAP, Reason.FRAME):
+                self._inbox.spend(row, self._company.why(row))
+            elif reasons[row] == Reason.HAZARD:
                 self._inbox.spend(row, explain_hazards(int(hazards[row]), self._fleet.fault(row))[0])
             elif reasons[row] == Reason.BATTERY:
                 self._inbox.spend(row, EXPLAIN[Reason.BATTERY])

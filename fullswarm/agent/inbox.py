@@ -134,6 +134,8 @@ class Inbox:
             return False, f"{words}; {remedy}, then ask for it again"
         if agent.reflexes.flat[row] and request.expires_s <= 0.0:
             return False, EXPLAIN[Reason.BATTERY]
+        if agent.company.bars(row) and request.expires_s <= 0.0:
+            return False, agent.company.why(row)
         try:
             agent.tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:

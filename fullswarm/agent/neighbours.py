@@ -41,6 +41,7 @@ class Neighbours:
     names : (m,) whose row it is
     accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
     halt_s : after how long a silent robot stands, at the latest
+    strays : hosts whose robots' poses count from a place of their own, and when they were heard last
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
@@ -62,6 +63,7 @@ class Neighbours:
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
         self.silent = 0
+        self.strays: dict[str, float] = {}
         self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
         self.halt_s = timeout_s
         self._grow(max(16, len(ids)))
@@ -83,6 +85,8 @@ class Neighbours:
         if not _fits(states):
             return
         self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
+        if states.own_frame:
+            self.strays[states.host] = now_s
         if len(states.robots) == 1:
             self._hear_one(states, now_s)
             return

@@ -65,6 +65,7 @@ def states(
                 turn_rad_s=tuple(turn),
                 radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
                 teams=tuple((agent.tasks.team if everyone else agent.tasks.team[rows]).tolist()),
+                own_frame=agent.company.own_frame,
             ),
         )
 
@@ -110,6 +111,7 @@ def _state_of_one(
             turn_rad_s=(turn_rad_s,),
             radius_m=(float(agent.radius[0]),),
             teams=(int(agent.tasks.team[0]),),
+            own_frame=agent.company.own_frame,
         ),
     )
 
@@ -134,6 +136,8 @@ def _why(agent: AgentNode, row: int, reason: int) -> str:
         return agent.wishes.law_error[row]
     if reason == Reason.HAZARD and agent.reading is not None:
         return explain_hazards(int(agent.reading.hazards[row]), agent.fleet.fault(row))[0]
+    if reason in (Reason.OVERLAP, Reason.FRAME):
+        return agent.company.why(row)
     return agent.ended[row] if reason == Reason.IDLE else EXPLAIN.get(reason, "")
 
 

@@ -143,6 +143,9 @@ class _Document:
         data = dict(self._data)
         fleet_table = data.pop("fleet", None)
         config = self._validate(SwarmConfig, data, ())
+        if config is not None and config.world is not None and data["world"].keys() == {"origin"}:
+            # Real robots have a place on earth, and by that alone no simulated world with its bounds and limits.
+            config = config.model_copy(update={"origin": config.world.origin, "world": None})
         fleet = None if fleet_table is None else self._validate(FleetShorthand, fleet_table, ("fleet",))
         shorthand = () if fleet is None else fleet.robots()
         if fleet and fleet.count > 1 and "://" in fleet.driver and not re.search(r"\{(id|n)\}", fleet.driver):

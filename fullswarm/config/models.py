@@ -18,6 +18,8 @@ from fullswarm.words import ROBOT_ID, TRUTH
 
 DEFAULT_WORLD = "127.0.0.1:7450"
 ALL_TO_ALL_ROBOTS = 16
+STEEPEST_DEG = 89.0
+"""At the poles north is no direction."""
 
 
 def _robot_id(text: str) -> str:
@@ -49,6 +51,16 @@ def _bounds(bounds: tuple[float, float, float, float]) -> tuple[float, float, fl
     return bounds
 
 
+def _on_earth(origin: tuple[float, float]) -> tuple[float, float]:
+    latitude, longitude = origin
+    if not (abs(latitude) <= STEEPEST_DEG and abs(longitude) <= 180.0):
+        raise ValueError(
+            f"{latitude:g}, {longitude:g} is no place on earth: latitude (-{STEEPEST_DEG:g} to {STEEPEST_DEG:g}), then "
+            "longitude (-180 to 180), in degrees"
+        )
+    return origin
+
+
 def _conditions(text: str) -> str:
     try:
         parse_network(text, where="")
@@ -67,6 +79,7 @@ Box = tuple[Coordinate, Coordinate, Size, Size, float]
 Conditions = Annotated[str, AfterValidator(_conditions)]
 Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]
+Origin = Annotated[tuple[float, float], AfterValidator(_on_earth)]
 
 
 class Section(BaseModel):
@@ -138,8 +151,9 @@ class NoiseConfig(Section):
 
 
 class WorldConfig(Section):
-    """The simulated world."""
+    """The simulated world; a table with nothing but `origin` is none."""
 
+    origin: Origin | None = None  # latitude, longitude (degrees): where on earth the swarm's (0, 0) is
     engine: Literal["pybullet", "pybullet-wheels", "kinematic"] = "pybullet"
     address: str = DEFAULT_WORLD  # UDP host:port of the world process
     bounds_m: Bounds = (0.0, 0.0, 20.0, 20.0)  # x_min, y_min, x_max, y_max
@@ -209,6 +223,7 @@ class SwarmConfig(Section):
     """A fleet file."""
 
     swarm: SwarmName = "swarm"
+    origin: Origin | None = None  # as in [world]; where a [world] with nothing but an origin ends up
     hub: HubConfig = HubConfig()
     core: CoreConfig = CoreConfig()
     agent: AgentConfig = AgentConfig()
@@ -234,6 +249,11 @@ class SwarmConfig(Section):
         if self.agent.state_cell_m is not None:
             return self.agent.state_cell_m
         return self.agent.sensing_radius_m if len(self.robot) > ALL_TO_ALL_ROBOTS else 0.0
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the swarm's (0, 0); None: nobody said."""
+        return self.origin or (self.world.origin if self.world else None)
 
     @property
     def world_or_default(self) -> WorldConfig:

@@ -108,6 +108,7 @@ class Description:
     radius_m: float  # of the disc that holds the footprint
     limits: Limits
     senses_pose: bool = False  # world pose, not just odometry
+    own_frame: bool = False  # that pose counts from a place of its own; ``origin=lat,lon`` in the URL mends it
     senses_obstacles: bool = False
     senses_bumps: bool = False
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none

@@ -16,6 +16,8 @@ from urllib.parse import urlsplit
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.config.models import Emulated
 from fullswarm.drivers.body import Body
+from fullswarm.drivers.frames import in_frame, origin_of
+from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import ConfigError
 
 FIRST_ROVER_PORT, ROVER_PORT_STEP = 14550, 10  # as ArduPilot's own simulator numbers its instances
@@ -45,7 +47,7 @@ def port_folder(config: SwarmConfig) -> Path:
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
     """Return the URL with which an emulated robot's agent opens its driver; the fleet file's own `driver` wins."""
     if robot.driver:
-        return robot.driver
+        return in_frame(robot.driver, config.origin_deg or SITL_ORIGIN_DEG)
     port = port_folder(config) / robot.id
     make = robot.emulate
     if make in CREATES:
@@ -53,7 +55,8 @@ def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
     if make == "rover":
         rovers = [each.id for each in config.robot if each.emulate == "rover"]
         number = FIRST_ROVER_PORT + ROVER_PORT_STEP * rovers.index(robot.id)
-        return f"mavlink+udp://127.0.0.1:{number}?speed=0.5&turn=2.0&radius=0.17"
+        url = f"mavlink+udp://127.0.0.1:{number}?speed=0.5&turn=2.0&radius=0.17"
+        return in_frame(url, config.origin_deg or SITL_ORIGIN_DEG)  # a simulated world always lies somewhere
     options = f"{CAN_OPTIONS}&{ODRIVE_OPTIONS if make == 'odrive' else VESC_OPTIONS}"
     return f"can+{make}://{port}?{options}"
 
@@ -95,7 +98,13 @@ def _rover(url: str, body: Body) -> Emulator:
     address = urlsplit(url)
     port = address.port or 0
     # The port differs from rover to rover, so their position filters err differently, and alike in every run.
-    return RoverEmulator(f"udp://{address.hostname}:{port}", body, boot_s=ROVER_BOOT_S, seed=port).start()
+    return RoverEmulator(
+        f"udp://{address.hostname}:{port}",
+        body,
+        boot_s=ROVER_BOOT_S,
+        seed=port,
+        origin=origin_of(url) or SITL_ORIGIN_DEG,
+    ).start()
 
 
 def _base(url: str, body: Body) -> Emulator:

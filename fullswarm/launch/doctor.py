@@ -15,6 +15,7 @@ import typer
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import load_fleet
+from fullswarm.drivers.frames import check_frames
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 from fullswarm.launch import gamepad, machine
 from fullswarm.operator import checks
@@ -75,6 +76,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     yield from machine.resources()
     yield machine.network_time()
     if config is not None:
+        yield from _frame(config)
         yield _hub(config)
         for robot in config.robot:
             yield from _robot(config, robot)
@@ -140,6 +142,14 @@ def _robot(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
             yield from _answer(name, url)
     except FullswarmError as error:
         yield Check(name, "failure", error.what, error.hint)
+
+
+def _frame(config: SwarmConfig) -> Iterator[Check]:
+    """Check that robots which know their own position know it in the swarm's frame."""
+    try:
+        check_frames(config)
+    except ConfigError as error:
+        yield Check("frame", "failure", error.what, error.hint)
 
 
 def _device(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:

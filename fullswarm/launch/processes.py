@@ -14,6 +14,7 @@ from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.bus.senders import CENTRALISED, CORE, OPERATOR, WORLD
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.drivers.frames import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.runtime import Mailbox, Runtime
@@ -68,6 +69,7 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
+    check_frames(config, (entry,))
     url = driver_url(config, entry)
     fleet = OneRobot(robot, guarded(registry.driver_class(url)(url)))
 
@@ -103,7 +105,7 @@ def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
         return emulated.driver_url(config, robot)
     url = urlsplit(robot.url)
     if url.scheme != "sim" or url.path.strip("/"):
-        return robot.url
+        return in_frame(robot.url, config.origin_deg)
     from fullswarm.drivers.sim.url import url_for
 
     return url_for(config.world_or_default, url.netloc or robot.id, config.agent.sensing_radius_m)

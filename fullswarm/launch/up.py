@@ -7,6 +7,7 @@ from pathlib import Path
 from fullswarm.bus.endpoint import check_endpoint
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
+from fullswarm.drivers.frames import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor
@@ -46,6 +47,7 @@ def run(config: SwarmConfig, insecure_network: bool, network: str | None = None,
         raise MissingExtra(problem, hint=INSTALL)
     if not config.robot:
         raise ConfigError("names no robot", where="the fleet file", hint="add [[robot]] tables or a [fleet] count")
+    check_frames(config)
     check_endpoint(config.hub.endpoint, insecure_network)
     config = with_network(config, network)
     runtime = Runtime(MonotonicClock())

@@ -9,8 +9,11 @@ from collections.abc import Callable
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
+from fullswarm.earth import SITL_ORIGIN_DEG
 
 CLOCK = MonotonicClock()
+IN_THE_WORLD = f"origin={SITL_ORIGIN_DEG[0]},{SITL_ORIGIN_DEG[1]}"
+"""Option of a driver that tells poses of the emulated world: the rover's own map begins where it was switched on."""
 PAUSE = threading.Event()  # never set: waiting on it is a short pause
 
 

@@ -28,6 +28,7 @@ from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.drivers.sim.emulator import WorldServer
 from fullswarm.drivers.sim.world import World
 from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
+from tests.emulated.rover_link import IN_THE_WORLD
 
 START = Pose(2.0, -1.0, 2.5)
 """No axis is the robot's heading, and it does not stand at the origin."""
@@ -168,8 +169,8 @@ RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
     "odrive": can("can+odrive", "watchdog=0.5"),
     "vesc": can("can+vesc", "gear=10&pole_pairs=7"),
     # Slow, because a rover takes its time to brake, and it is braked a dozen times.
-    "ardupilot": mavlink(RoverEmulator, "speed=0.3&turn=0.8"),
-    "px4": mavlink(Px4Emulator, "speed=0.3&turn=0.8"),
+    "ardupilot": mavlink(RoverEmulator, f"speed=0.3&turn=0.8&{IN_THE_WORLD}"),
+    "px4": mavlink(Px4Emulator, f"speed=0.3&turn=0.8&{IN_THE_WORLD}"),
 }
 
 MOTORS = "motors off unless ACTIVE"

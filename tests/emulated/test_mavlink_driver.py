@@ -20,7 +20,7 @@ from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.errors import DriverError
-from tests.emulated.rover_link import CLOCK, PAUSE, active, free_port, ready, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, PAUSE, active, free_port, ready, until
 
 
 def hold(duration_s: float, each: Callable[[], object], never: Callable[[], bool] = lambda: False) -> None:
@@ -39,7 +39,7 @@ ADDRESSES: dict[str, Callable[[], str]] = {"udp": lambda: f"udp://127.0.0.1:{fre
 @contextmanager
 def pair(address: str = "", body: Body | None = None) -> Iterator[tuple[MavlinkDriver, RoverEmulator]]:
     with RoverEmulator(address or ADDRESSES["udp"](), body) as emulator:
-        driver = MavlinkDriver(emulator.url)
+        driver = MavlinkDriver(f"{emulator.url}?{IN_THE_WORLD}")
         try:
             driver.open()
             yield driver, emulator

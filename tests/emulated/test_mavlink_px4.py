@@ -17,14 +17,14 @@ from fullswarm.drivers.mavlink.px4 import HOLD, OFFBOARD
 from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps
 from fullswarm.errors import ConfigError
-from tests.emulated.rover_link import CLOCK, active, free_port, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port, until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 
 
 @contextmanager
 def pair(
-    address: str, options: str = "autopilot=px4", signing: Signing | None = None
+    address: str, options: str = f"autopilot=px4&{IN_THE_WORLD}", signing: Signing | None = None
 ) -> Iterator[tuple[MavlinkDriver, Px4Emulator]]:
     with Px4Emulator(address, FreeBody(Pose(2.0, -1.0, 2.5)), signing=signing) as emulator:
         driver = MavlinkDriver(f"{emulator.url}?{options}")

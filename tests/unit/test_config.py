@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.config.write import write_swarm
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
 
@@ -404,3 +405,24 @@ def test_start_poses_that_cannot_be_are_refused_with_their_line(tmp_path: Path) 
         "fleet.toml:8: robot[1].pose: r1 at (5.00, 5.00) overlaps box 0",
         "fleet.toml:11: robot[2].pose: r2 and r3 overlap, 0.20 m apart",
     ]
+
+
+def test_an_origin_alone_is_no_simulated_world(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text('[world]\norigin = [52.5163, 13.3777]\n[[robot]]\nid = "r1"\ndriver = "null://r1"\n')
+    config = load_swarm(path)
+    assert config.origin_deg == (52.5163, 13.3777)
+    assert (config.world, config.bounds_m) == (None, SwarmConfig().bounds_m)
+    write_swarm(config, path)
+    assert load_swarm(path) == config
+    path.write_text("[world]\norigin = [52.5163, 13.3777]\nbounds_m = [0, 0, 5, 5]\n")
+    config = load_swarm(path)
+    assert (config.origin_deg, config.bounds_m) == ((52.5163, 13.3777), (0.0, 0.0, 5.0, 5.0))
+
+
+@pytest.mark.parametrize("origin", ["[91.0, 13.0]", "[52.0, 181.0]", "[90.0, 0.0]", "[52.0]", '"Berlin"'])
+def test_an_origin_that_is_no_place_on_earth_is_refused_where_it_stands(tmp_path: Path, origin: str) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(f"[world]\norigin = {origin}\n")
+    with pytest.raises(ConfigError, match=r"fleet\.toml:2: world\.origin"):
+        load_swarm(path)

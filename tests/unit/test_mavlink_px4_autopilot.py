@@ -38,7 +38,8 @@ def test_the_url_makes_the_description() -> None:
     assert (driver.description.make, driver.description.watchdog_s) == ("PX4", 1.0)
     assert driver.description.limits == Limits(0.4, 2.0, 0.7, 2.0, can_reverse=False)
     assert MavlinkDriver("mavlink+tcp://127.0.0.1:5760").description.limits.can_reverse
-    for query in ("autopilot=pix4", "pose=gps", "origin=1,2,3", "pose=external&origin=91,0,0", "key=00", "sign_link=1"):
+    origins = ("origin=1", "origin=91,0", "pose=external&origin=1,2", "pose=external&origin=91,0,0")
+    for query in ("autopilot=pix4", "pose=gps", *origins, "key=00", "sign_link=1"):
         with pytest.raises(ConfigError):
             MavlinkDriver(f"mavlink+tcp://127.0.0.1:5760?{query}")
     assert read_settings("u", "w", {"autopilot": "px4"}).options.autopilot is PX4

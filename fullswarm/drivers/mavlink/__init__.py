@@ -10,6 +10,8 @@
         px4.py       PX4's: velocity vectors that lead the heading
         startup.py   version, message rates, failsafe, position: what READY needs
         arming.py    into motion (driving mode, armed) and out of it (zero, hold, disarmed), confirmed by state
+        frame.py     from the vehicle's own map to the swarm's frame
+          maps.py    how each autopilot makes metres of degrees
         external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
         aiding.py    whether its position is still measured, and how uncertain it is

@@ -9,6 +9,7 @@ from typing import Final, Protocol
 from fullswarm.drivers.base import STAND, Limits, Standstill, Twist
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StationEncoder
+from fullswarm.drivers.mavlink.maps import FlatMap, Map
 from fullswarm.geometry import clamp
 
 STATION: Final = 255
@@ -69,6 +70,7 @@ class Autopilot(Protocol):
     slow_heartbeat: bool  # it keeps to 1 Hz: what confirms a command has to be asked for
     tells_safety: bool  # SYS_STATUS shows the safety switch
     can_reverse: bool
+    chart: Map  # how it makes metres of degrees
     blank_velocity: float  # stands for "not measured" in ODOMETRY
     guards: tuple[Guard, ...]  # each is asked for once those before it are as they must be
     reads: tuple[str, ...]
@@ -125,6 +127,7 @@ class ArduPilot:
     stream_s, stores_s, watchdog_s = 0.0, 3.2, 3.0
     standstill = FILTERED
     slow_heartbeat, tells_safety, can_reverse = False, True, True
+    chart: Map = FlatMap()
     blank_velocity = 0.0  # NaN would go into its filter; EK3_SRC1_VELXY keeps zeros out
     guards: tuple[Guard, ...] = (
         # Other failsafes use it too, so it stays a person's choice; but first of all: the next one sets it free.

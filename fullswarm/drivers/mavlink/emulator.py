@@ -23,8 +23,10 @@ from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.firmware import Firmware
+from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
 from fullswarm.drivers.mavlink.rover.ports import Port, open_port, reopen
+from fullswarm.earth import SITL_ORIGIN_DEG
 
 __all__ = ["Port", "RoverEmulator", "open_port"]
 
@@ -63,6 +65,8 @@ class RoverEmulator:
         Of its position filter's noise.
     traps_floats
         Die of NaN in a set-point, as the firmware's own simulator does.
+    origin
+        Latitude and longitude of the body's (0, 0).
 
     Attributes
     ----------
@@ -89,13 +93,20 @@ class RoverEmulator:
         traps_floats: bool = False,
         seed: int = 0,
         faults: LinkFaults | None = None,
+        origin: tuple[float, float] = SITL_ORIGIN_DEG,
         clock: Clock | None = None,
     ) -> None:
         self.faults = faults or LinkFaults()
         self._clock = clock or MonotonicClock()
         self.body: Body = body or FreeBody(clock=self._clock)
         self.firmware = Firmware(
-            self.body, system=system, boot_s=boot_s, ports=1 + len(more), traps_floats=traps_floats, seed=seed
+            self.body,
+            system=system,
+            boot_s=boot_s,
+            ports=1 + len(more),
+            traps_floats=traps_floats,
+            seed=seed,
+            chart=Chart(origin),
         )
         self._links: list[_Link] = []
         try:

@@ -151,8 +151,10 @@ class ExternalPose:
         return [f"its origin was set to {where} before; it stays until a reboot"] if apart > FAR_DEG else []
 
 
-def parse_origin(text: str, url: str) -> p.Origin:
+def parse_origin(text: str, url: str, *, altitude: bool = True) -> p.Origin:
     """Return the origin that an URL's ``origin=lat,lon,alt`` names (degrees, degrees, metres).
+
+    Without `altitude` two numbers will do: a vehicle that knows its own position knows its height.
 
     Raises
     ------
@@ -160,11 +162,11 @@ def parse_origin(text: str, url: str) -> p.Origin:
         Not three numbers, or not a place on earth.
     """
     try:
-        latitude, longitude, altitude = map(float, text.split(","))
-        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(altitude) < 1e4):
+        numbers = [*map(float, text.split(","))]
+        latitude, longitude, height = numbers if altitude or len(numbers) != 2 else (*numbers, 0.0)
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(height) < 1e4):
             raise ValueError("not a place on earth")
     except ValueError as error:
-        raise ConfigError(
-            f"origin is '{text}': {error}", where=url, hint="latitude, longitude, altitude: origin=52.5163,13.3777,34"
-        ) from error
-    return p.Origin(latitude, longitude, altitude)
+        hint = "latitude, longitude, altitude: origin=52.5163,13.3777,34" if altitude else "origin=52.5163,13.3777"
+        raise ConfigError(f"origin is '{text}': {error}", where=url, hint=hint) from error
+    return p.Origin(latitude, longitude, height)

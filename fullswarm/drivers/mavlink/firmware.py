@@ -5,7 +5,7 @@ set-points stored while disarmed, frames and masks silently ignored, a rate cap,
 a 3 s set-point timeout, a ground-station failsafe that is off by default and latches HOLD, a pilot
 whose throttle wins.
 
-Other than the real one: its map begins at the world's (0, 0), not where it was switched on.
+Its map begins where it was switched on.
 Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; LOITER stands still, and SMART_RTL goes
 straight home as RTL does: to where it was armed.
 """
@@ -22,6 +22,7 @@ from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.rover import inbox, parameters, setpoints
 from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
+from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.drivers.mavlink.rover.dynamics import STAND, Motors
 from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
 from fullswarm.drivers.mavlink.rover.noise import FilterNoise
@@ -42,7 +43,7 @@ BOOT = (
     (2.4, "ArduPilot Ready"), (19.9, "EKF3 IMU0 origin set"), (41.9, "EKF3 IMU0 is using GPS"),
     (41.9, "AHRS: EKF3 active"),
 )  # fmt: skip
-LOCATES_S = 41.9
+ORIGIN_S, LOCATES_S = 19.9, 41.9
 ARM_PROBLEMS = (
     (2.4, "System not initialised"), (8.0, "Accels inconsistent"), (19.9, "AHRS: waiting for home"),
     (25.0, "Gyros inconsistent"), (REAL_BOOT_S, "AHRS: not using configured AHRS type"),
@@ -102,6 +103,7 @@ class Firmware:
     sticks: Sticks = field(default_factory=Sticks)
     motors: Motors = field(default_factory=Motors)
     keys: KeyRing = field(default_factory=KeyRing)
+    chart: Chart = field(default_factory=Chart)
     channels: list[Channel] = field(init=False)
     position: Position = field(init=False)
     noise: FilterNoise = field(init=False)
@@ -131,6 +133,7 @@ class Firmware:
         self._station_s, self.reboot_due_s, self._announced, self._refusal_s = None, math.inf, 0, math.inf
         self.sticks, self.motors = Sticks(), Motors()
         self.position.restart(now_s)
+        self.chart.origin = None
         self._timesync_s = now_s + TIMESYNC_S
         for channel in self.channels:
             channel.clear()
@@ -165,6 +168,7 @@ class Firmware:
         self.position.step(now_s)
         up_s, by_satellites = now_s - self._booted_s, self.position.by_gps
         self.noise.step(up_s, self.unaided_s(now_s), LOOP_S, by_satellites=by_satellites)
+        self._begin_map(now_s)
         self._watch_position(now_s)
         self._watch_station(now_s)
         self.sticks.step(now_s, self.parameters.get("RC_OVERRIDE_TIME", 3.0))
@@ -187,6 +191,23 @@ class Firmware:
         if now_s >= self._refusal_s:
             self._refusal_s = math.inf
             self.text("Flight mode change failed")
+
+    def _begin_map(self, now_s: float) -> None:
+        """Set the map's origin where the rover stands, once the receiver's fix is good; say so to all."""
+        if not self.position.by_gps:
+            self.chart.origin = None  # poses from outside are places on the map
+        located = self.position.by_gps and self.position.gps and self._up_s(now_s) >= ORIGIN_S
+        if self.chart.origin is None and located:
+            truth = self.body.state()
+            self.chart.begin(truth.x_m, truth.y_m)
+            for channel in self.channels:
+                for message in channel.streams.make(p.MESSAGE_ORIGIN, now_s) if channel.streams else []:
+                    channel.send(message, now_s)
+
+    @property
+    def map_origin(self) -> tuple[float, float]:
+        """Latitude and longitude of where its map begins; of the world's (0, 0) before that is known."""
+        return self.chart.origin or self.position.given or self.chart.world
 
     # ------------------------------------------------------------ driving
     @property

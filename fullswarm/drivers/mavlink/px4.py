@@ -22,6 +22,7 @@ from fullswarm.drivers.base import STAND, Limits, Twist
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.autopilot import FILTERED, ArduPilot, Autopilot, Check, Guard, Known, clip
 from fullswarm.drivers.mavlink.codec import StationEncoder
+from fullswarm.drivers.mavlink.maps import Map, SphereMap
 from fullswarm.geometry import clamp
 
 CRAWL_M_S = 0.001
@@ -112,6 +113,7 @@ class Px4:
     stream_s, stores_s, watchdog_s = 1.2, 0.0, 1.0
     standstill = FILTERED
     slow_heartbeat, tells_safety, can_reverse = True, False, False
+    chart: Map = SphereMap()
     blank_velocity = math.nan
     guards: tuple[Guard, ...] = (
         # Hold (or disarm) when our set-points stop; the default is a mode that waits for a pilot's sticks.

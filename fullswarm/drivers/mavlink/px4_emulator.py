@@ -10,9 +10,12 @@ from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
+from fullswarm.drivers.mavlink.maps import Degrees, SphereMap
 from fullswarm.drivers.mavlink.px4_firmware import Px4Firmware, Px4Setpoint
+from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.drivers.mavlink.rover.ports import Port, open_port, reopen
 from fullswarm.drivers.mavlink.signing import Signing
+from fullswarm.earth import SITL_ORIGIN_DEG
 
 LOOP_WAIT_MS = 5
 
@@ -28,6 +31,8 @@ class Px4Emulator:
         What it drives; default: one alone on an endless floor.
     signing
         Signs what it says, and it hears only who signs alike; None: unsigned.
+    origin
+        Latitude and longitude of the body's (0, 0).
     """
 
     def __init__(
@@ -38,6 +43,7 @@ class Px4Emulator:
         system: int = 1,
         boot_s: float = 0.2,
         signing: Signing | None = None,
+        origin: Degrees = SITL_ORIGIN_DEG,
         clock: Clock | None = None,
     ) -> None:
         self._port = open_port(address) if isinstance(address, str) else address
@@ -46,7 +52,8 @@ class Px4Emulator:
         self.faults = LinkFaults()
         self._signing = signing
         signer = None if signing is None else signing.signer()
-        self.firmware = Px4Firmware(self.body, system=system, boot_s=boot_s, signer=signer)
+        chart = Chart(origin, SphereMap())
+        self.firmware = Px4Firmware(self.body, system=system, boot_s=boot_s, signer=signer, chart=chart)
         self._clock = clock or MonotonicClock()
         self._lock = threading.Lock()
         self._stopping = threading.Event()

@@ -20,7 +20,9 @@ from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, dialect
+from fullswarm.drivers.mavlink.maps import SphereMap
 from fullswarm.drivers.mavlink.px4_telemetry import INTERVALS_S, MAKERS
+from fullswarm.drivers.mavlink.rover.chart import ALTITUDE_M, Chart
 from fullswarm.drivers.mavlink.rover.noise import FilterNoise
 from fullswarm.geometry import clamp, wrap
 
@@ -87,6 +89,7 @@ class Px4Firmware:
     located: bool = True  # False: position estimate lost
     battery: float = 0.87
     origin: tuple[int, int, int] | None = None
+    chart: Chart = field(default_factory=lambda: Chart(map=SphereMap()))
     mode: int = px4.HOLD
     armed: bool = False
     failsafe: bool = False
@@ -116,6 +119,7 @@ class Px4Firmware:
         """Start from nothing; parameters are kept."""
         self._booted_s = self._stepped_s = now_s
         self.mode, self.armed, self.failsafe, self.origin = px4.HOLD, False, False, None
+        self.chart.origin = None
         self._target, self._target_s, self._streaming_s, self._fix_s = None, -math.inf, math.inf, -math.inf
         self._satellites_s = -math.inf
         self._interval_s = dict(INTERVALS_S)
@@ -145,6 +149,8 @@ class Px4Firmware:
         by_satellites = math.isfinite(self._satellites_s)
         unaided_s = now_s - max(self._satellites_s, self._fix_s)
         self.noise.step(now_s - self._booted_s, unaided_s, STEP_S, by_satellites=by_satellites)
+        if self.origin is None and self.gps and not self._by_vision and self.booted(now_s):
+            self._begin_map(now_s)
         offboard = self.mode == px4.OFFBOARD
         if offboard and now_s - self._target_s > self.parameters["COM_OF_LOSS_T"][0]:
             self._lose_offboard()
@@ -156,6 +162,19 @@ class Px4Firmware:
             left = math.exp(-STEP_S / COAST_S)
             self._speed, self._turn = self._speed * left, self._turn * left
         self.body.drive(self._speed, self._turn)
+
+    def _begin_map(self, now_s: float) -> None:
+        """Set the map's origin where the rover stands, and say so."""
+        truth = self.body.state()
+        self.chart.begin(truth.x_m, truth.y_m)
+        latitude, longitude = self.chart.origin or self.chart.world
+        self.origin = round(latitude * 1e7), round(longitude * 1e7), round(ALTITUDE_M * 1e3)
+        self.tell(p.MESSAGE_ORIGIN, now_s)
+
+    @property
+    def _by_vision(self) -> bool:
+        """Whether poses from outside count."""
+        return int(self.parameters["EKF2_EV_CTRL"][0]) & 0b1001 == 0b1001
 
     def _lose_offboard(self) -> None:
         self._target = None
@@ -354,7 +373,7 @@ class Px4Firmware:
 
     def positioned(self, now_s: float) -> bool:
         """Whether the position filter has a position."""
-        vision = int(self.parameters["EKF2_EV_CTRL"][0]) & 0b1001 == 0b1001 and now_s - self._fix_s < FIX_S
+        vision = self._by_vision and now_s - self._fix_s < FIX_S
         satellites = now_s - self._satellites_s < NOAID_S
         return self.located and self.booted(now_s) and (satellites or vision)
 

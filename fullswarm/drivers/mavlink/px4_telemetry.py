@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
+from fullswarm.drivers.mavlink.rover.chart import Chart
 
 
 class Subject(Protocol):
@@ -19,6 +20,7 @@ class Subject(Protocol):
     failsafe: bool
     battery: float
     origin: tuple[int, int, int] | None
+    chart: Chart
 
     def state(self) -> BodyState:
         """Return where the body is."""
@@ -73,7 +75,7 @@ def _position(subject: Subject, now_s: float) -> Any:
     north_m_s = state.speed_m_s * math.sin(state.heading_rad)
     east_m_s = state.speed_m_s * math.cos(state.heading_rad)
     return dialect().MAVLink_local_position_ned_message(
-        subject.boot_ms(now_s), state.y_m, state.x_m, 0.0, north_m_s, east_m_s, 0.0
+        subject.boot_ms(now_s), *subject.chart.local(state.x_m, state.y_m), 0.0, north_m_s, east_m_s, 0.0
     )
 
 

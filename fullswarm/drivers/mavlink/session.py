@@ -17,6 +17,7 @@ from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, S
 from fullswarm.drivers.mavlink.autopilot import STATION, ArduPilot, Autopilot, unsupported
 from fullswarm.drivers.mavlink.codec import StationEncoder, decode
 from fullswarm.drivers.mavlink.external import ExternalPose
+from fullswarm.drivers.mavlink.frame import SwarmFrame
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
 from fullswarm.drivers.mavlink.requests import RESEND_S
 from fullswarm.drivers.mavlink.settings import Options as Options
@@ -74,6 +75,9 @@ class Session:
         self._external = (
             ExternalPose(self._encoder, options.limits, options.origin, blank) if options.external else None
         )
+        own = None if options.external else options.origin  # fixes from outside are in the swarm's frame already
+        self._frame = None if own is None else SwarmFrame(self._encoder, autopilot.chart, own)
+        self._vehicle.frame = self._frame
 
     # ------------------------------------------------------------ for the agent
     @property
@@ -190,6 +194,8 @@ class Session:
         self._startup.receive(body)
         if self._external is not None:
             self._external.receive(body)
+        if self._frame is not None:
+            self._frame.receive(body)
         if self._activation is not None:
             self._activation.receive(body, now_s)
         driving = self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None
@@ -280,6 +286,8 @@ class Session:
         frames += self._startup.tick(now_s, vehicle)
         if self._external is not None:
             frames += self._external.tick(now_s, vehicle.heading_rad)
+        if self._frame is not None:
+            frames += self._frame.tick(now_s)
         self._watch_problem(now_s)
         if self._stand_down is not None:
             frames += self._continue_stand_down(self._stand_down, now_s)
@@ -313,6 +321,8 @@ class Session:
         self._startup.restart()
         if self._external is not None:
             self._external.restart()
+        if self._frame is not None:
+            self._frame.restart()
         self._activation = self._stand_down = None
         self._taken_over = False
 
@@ -352,6 +362,8 @@ class Session:
         lost = "" if self._external is None else self._external.problem(now_s)
         if why and lost and "know its position" in why:
             why = f"{why}: {lost}"
+        if not why and self._frame is not None:
+            why = self._frame.problem(now_s)
         if why and self.signing is None and self._vehicle.signs and not self._startup.answered:
             why += " (it signs its messages: give its key with ?sign_key=)"
         return why

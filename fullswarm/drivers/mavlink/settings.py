@@ -35,7 +35,7 @@ class Options:
     ekf_ignored: bool = False
     autopilot: Autopilot | None = None  # None: whatever the heartbeat says
     external: bool = False  # poses come from outside
-    origin: p.Origin | None = None
+    origin: p.Origin | None = None  # the swarm's; with external poses the vehicle is told to begin its map there
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +98,7 @@ def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
         can_reverse=autopilot is None or autopilot.can_reverse,
     )
     external = _choice(url, "pose", options, "own", "external") == "external"
-    if "origin" in options and not external:
-        raise ConfigError("an origin is set only for external poses", where=url, hint="add pose=external")
+    origin = parse_origin(options["origin"], url, altitude=external) if "origin" in options else None
     for name in ("sign_state", "sign_link"):
         if name in options and "sign_key" not in options:
             raise ConfigError(f"{name} without a key", where=url, hint="add sign_key=/path/of/the.key")
@@ -108,12 +107,13 @@ def read_settings(url: str, where: str, options: dict[str, str]) -> Settings:
         Description(
             make=first.make, model="Rover", radius_m=_positive(url, "radius", options, RADIUS_M), limits=limits,
             senses_pose=True, watchdog_s=first.watchdog_s, standstill=first.standstill, pose_sigma_m=SIGMA_M,
+            own_frame=not external and origin is None,
         ),
         Options(
             _whole(url, "sysid", options, 1, range(1, 255)), limits, where,
             ekf_ignored=_choice(url, "ekf", options, "require", "ignore") == "ignore",
             autopilot=autopilot, external=external,
-            origin=parse_origin(options["origin"], url) if "origin" in options else None,
+            origin=origin,
         ),
         _path(options.get("sign_key")), _path(options.get("sign_state")),
         _whole(url, "sign_link", options, 0, range(256)),

@@ -8,6 +8,7 @@ from collections import deque
 from fullswarm.drivers.base import Hazard, Pose, Reading, Twist
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.aiding import Aiding
+from fullswarm.drivers.mavlink.frame import SwarmFrame
 from fullswarm.geometry import wrap
 
 LINK_SILENCE_S = 3.0
@@ -66,6 +67,7 @@ class Vehicle:
     def __init__(self, *, receiver: bool = True, filtered: bool = True) -> None:
         self._aids = receiver, filtered
         self.odometer = Odometer()
+        self.frame: SwarmFrame | None = None  # None: its own map is all there is
         self.reading: Reading | None = None
         self.version: p.Version | None = None
         self.forget()
@@ -160,14 +162,20 @@ class Vehicle:
         if attitude is None or self.rebooted or now_s - self._attitude_s > TELEMETRY_SILENCE_S:
             return
         heading = attitude.heading_rad
-        pose = Pose(position.x_m, position.y_m, heading)
-        self.odometer.update(pose)
+        world: Pose | None = Pose(position.x_m, position.y_m, heading)
+        frame = self.frame
+        if frame is not None:
+            if frame.leaps(position, now_s):
+                self.odometer.rebase()
+            world = frame.pose(position, heading)
+        if world is not None:
+            self.odometer.update(world)  # metres of the ground where they are known, not of the vehicle's map
         battery = None if self._battery is None else self._battery.remaining
         self.reading = Reading(
             stamp_s=now_s,
             odometry=self.odometer.pose,
             twist=Twist(p.forward_speed(position.vx_m_s, position.vy_m_s, heading), attitude.turn_rad_s),
-            pose=pose,
+            pose=world,
             position_sigma_m=self.aiding.sigma_m(now_s),
             hazards=Hazard.BATTERY_LOW if battery is not None and battery < BATTERY_LOW else Hazard.NONE,
             battery=battery,

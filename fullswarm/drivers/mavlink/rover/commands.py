@@ -10,7 +10,8 @@ from typing import Any, Protocol
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.rover.channel import Channel
-from fullswarm.drivers.mavlink.rover.setpoints import Target, from_degrees
+from fullswarm.drivers.mavlink.rover.chart import Chart
+from fullswarm.drivers.mavlink.rover.setpoints import Target
 
 RTL, CHANGE_SPEED, SET_HOME, REPOSITION, SET_REVERSE = 20, 178, 179, 192, 194
 CALIBRATE, GET_HOME, GET_INTERVAL, CAPABILITIES = 241, 410, 510, 520
@@ -26,6 +27,7 @@ class Autopilot(Protocol):
     mode: int
     armed: bool
     target: Target | None
+    chart: Chart
 
     def request_mode(self, mode: int, now_s: float) -> p.Result:
         """Change the mode as somebody asks, if it can be."""
@@ -170,7 +172,7 @@ def _reposition(autopilot: Autopilot, call: Call) -> p.Result:
     guided = autopilot.mode == p.Mode.GUIDED
     if not guided and not (switch and autopilot.request_mode(p.Mode.GUIDED, call.now_s) is p.Result.ACCEPTED):
         return p.Result.DENIED
-    autopilot.aim(Target(place_m=from_degrees(*call.place_deg)), call.now_s)
+    autopilot.aim(Target(place_m=autopilot.chart.place(*call.place_deg)), call.now_s)
     return p.Result.ACCEPTED
 
 

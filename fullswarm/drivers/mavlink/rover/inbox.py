@@ -97,7 +97,7 @@ def _setpoint(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
     if setpoints.traps(message):
         rover.abort()
     read = setpoints.from_local if message.get_type().endswith("LOCAL_NED") else setpoints.from_global
-    _accept(rover, read(message, rover.state(), rover.limits), now_s)
+    _accept(rover, read(message, rover.state(), rover.limits, rover.chart), now_s)
 
 
 def _attitude(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
@@ -124,8 +124,10 @@ def _pose(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
     take(message, rover.body.state(), now_s)
 
 
-def _origin(rover: Firmware, _: Any, channel: Channel, now_s: float) -> None:
-    """Take the origin of the map; it cannot be moved later."""
+def _origin(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+    """Take the origin of the map; it cannot be moved later, nor does it count for one that has GPS."""
+    if not rover.position.origin:
+        rover.position.given = message.latitude / 1e7, message.longitude / 1e7
     rover.position.origin = True
     for message in channel.streams.make(49, now_s) if channel.streams else []:
         rover.tell(message)

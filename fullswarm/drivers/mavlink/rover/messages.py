@@ -10,11 +10,11 @@ from fullswarm.clock import wall_time_s
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
+from fullswarm.drivers.mavlink.rover.chart import ALTITUDE_M, Chart
 from fullswarm.drivers.mavlink.rover.pilot import CENTRE_US, FULL_M_S, SPAN_US, Sticks
 from fullswarm.drivers.mavlink.rover.position import FAILSAFE_S
-from fullswarm.drivers.mavlink.rover.setpoints import ORIGIN_DEG, to_degrees
 
-ALTITUDE_M, GRAVITY_MG, GRAVITY_M_S2 = 584.0, 1000, 9.80665
+GRAVITY_MG, GRAVITY_M_S2 = 1000, 9.80665
 TRACK_M = 0.3  # between the wheels, for the servo outputs alone
 FULL_V, EMPTY_V, CURRENT_CA = 12.6, 10.5, 250
 SENSORS = 0x5161FC2F  # present, as the firmware's simulator says
@@ -36,6 +36,12 @@ class Subject(Protocol):
     charge: float
     safety: bool
     sticks: Sticks
+    chart: Chart
+
+    @property
+    def map_origin(self) -> tuple[float, float]:
+        """Latitude and longitude of where its map begins, or would begin."""
+        ...
 
     def fix(self, now_s: float) -> tuple[int, int]:
         """Return the type of the satellite fix, and when the last one was: milliseconds since power-on."""
@@ -105,8 +111,8 @@ def _bearing_deg(state: BodyState) -> float:
     return math.degrees(_yaw(state)) % 360.0
 
 
-def _degrees(state: BodyState) -> tuple[int, int]:
-    latitude, longitude = to_degrees(state.x_m, state.y_m)
+def _degrees(subject: Subject, state: BodyState) -> tuple[int, int]:
+    latitude, longitude = subject.chart.degrees(state.x_m, state.y_m)
     return round(latitude * 1e7), round(longitude * 1e7)
 
 
@@ -128,7 +134,7 @@ def _local_position(subject: Subject, now_s: float) -> Any:
         return None
     state = subject.state()
     return dialect().MAVLink_local_position_ned_message(
-        subject.boot_ms(now_s), state.y_m, state.x_m, 0.0, *_velocity(state), 0.0
+        subject.boot_ms(now_s), *subject.chart.local(state.x_m, state.y_m), 0.0, *_velocity(state), 0.0
     )
 
 
@@ -137,7 +143,14 @@ def _global_position(subject: Subject, now_s: float) -> Any:
     north, east = _velocity(state)
     height_mm, bearing = round(ALTITUDE_M * 1000), round(100 * _bearing_deg(state)) % 36000
     return dialect().MAVLink_global_position_int_message(
-        subject.boot_ms(now_s), *_degrees(state), height_mm, 0, round(100 * north), round(100 * east), 0, bearing
+        subject.boot_ms(now_s),
+        *_degrees(subject, state),
+        height_mm,
+        0,
+        round(100 * north),
+        round(100 * east),
+        0,
+        bearing,
     )
 
 
@@ -222,7 +235,7 @@ def _gps(subject: Subject, now_s: float) -> Any:
     state, (fix, stamp_ms) = subject.state(), subject.fix(now_s)
     course = round(100 * _bearing_deg(state)) % 36000
     speed = round(100 * abs(state.speed_m_s))
-    place = (*_degrees(state), round(ALTITUDE_M * 1000)) if fix > 1 else (0, 0, 0)
+    place = (*_degrees(subject, state), round(ALTITUDE_M * 1000)) if fix > 1 else (0, 0, 0)
     return dialect().MAVLink_gps_raw_int_message(
         1000 * stamp_ms, fix, *place, 121, 200, speed, course, 10 if fix > 1 else 0
     )
@@ -239,30 +252,30 @@ def _ekf(subject: Subject, now_s: float) -> Any:
 def _simstate(subject: Subject, _: float) -> Any:
     state = subject.truth()
     return dialect().MAVLink_simstate_message(
-        0, 0, _yaw(state), 0, 0, -GRAVITY_M_S2, 0, 0, -state.turn_rad_s, *_degrees(state)
+        0, 0, _yaw(state), 0, 0, -GRAVITY_M_S2, 0, 0, -state.turn_rad_s, *_degrees(subject, state)
     )
 
 
 def _sim_state(subject: Subject, _: float) -> Any:
     state = subject.truth()
-    (latitude, longitude), (north, east), half = _degrees(state), _velocity(state), _yaw(state) / 2
+    (latitude, longitude), (north, east), half = _degrees(subject, state), _velocity(state), _yaw(state) / 2
     return dialect().MAVLink_sim_state_message(
         math.cos(half), 0, 0, math.sin(half), 0, 0, _yaw(state), 0, 0, -GRAVITY_M_S2, 0, 0, -state.turn_rad_s,
         latitude, longitude, ALTITUDE_M, 0, 0, north, east, 0, latitude, longitude,  # sic: degrees times 1e7, twice
     )  # fmt: skip
 
 
-def _home(_: Subject, now_s: float) -> Any:
-    latitude, longitude = (round(each * 1e7) for each in ORIGIN_DEG)
+def _home(subject: Subject, now_s: float) -> Any:
+    latitude, longitude = (round(each * 1e7) for each in subject.map_origin)
     return dialect().MAVLink_home_position_message(
         latitude, longitude, round(ALTITUDE_M * 1000), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, round(now_s * 1e6)
     )
 
 
 def _origin(subject: Subject, now_s: float) -> Any:
-    if not subject.positioned(now_s):
+    if subject.chart.origin is None and not subject.positioned(now_s):
         return None
-    latitude, longitude = (round(each * 1e7) for each in ORIGIN_DEG)
+    latitude, longitude = (round(each * 1e7) for each in subject.map_origin)
     return dialect().MAVLink_gps_global_origin_message(latitude, longitude, round(ALTITUDE_M * 1000))
 
 
@@ -300,7 +313,7 @@ BY_DEFAULT: dict[int, Maker] = {
     152: lambda _, __: dialect().MAVLink_meminfo_message(0, 65535, 131072),
     163: lambda _, __: dialect().MAVLink_ahrs_message(0, 0, 0, 0, 0, 0.001, 0.001),
     178: lambda subject, _: dialect().MAVLink_ahrs2_message(
-        0, 0, _yaw(subject.state()), ALTITUDE_M, *_degrees(subject.state())),
+        0, 0, _yaw(subject.state()), ALTITUDE_M, *_degrees(subject, subject.state())),
     241: lambda subject, now_s: dialect().MAVLink_vibration_message(1000 * subject.boot_ms(now_s), 0, 0, 0, 0, 0, 0),
 }  # fmt: skip
 # Sent when asked for; the firmware grants the last five and has nothing to say in them.

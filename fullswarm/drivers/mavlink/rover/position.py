@@ -33,12 +33,13 @@ class Position:
     covered: bool = False  # its antenna: it is on, and has no fix
     fix_s: float = -math.inf  # when it had the last one
     origin: bool = False
+    given: tuple[float, float] | None = None  # latitude and longitude that a station has set
     _fed_s: float = -math.inf
     _shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # from the truth to what it is told
 
     def restart(self, now_s: float) -> None:
         """Forget the origin and the poses from outside; GPS is taken to be fine until now."""
-        self.origin, self._shift = False, (0.0, 0.0, 0.0)
+        self.origin, self.given, self._shift = False, None, (0.0, 0.0, 0.0)
         self._fed_s = now_s if self.receiving and self.by_gps else -math.inf
         self.fix_s = -math.inf
 

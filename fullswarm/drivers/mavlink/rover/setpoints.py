@@ -12,6 +12,7 @@ from typing import Any
 
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
+from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.geometry import clamp, wrap
 
 LOCAL_FRAMES = frozenset({1, 7, 8, 9})
@@ -24,9 +25,6 @@ HEADING_GAIN = 2.0
 PIVOT_RAD = math.radians(60.0)
 APPROACH_M_S2, APPROACH_HZ, APPROACH_M_S = 0.35, 0.3, 0.1  # 6 m take 8.3 s
 ARRIVED_M = 0.22
-METRES_PER_DEGREE = 111_319.49
-ORIGIN_DEG = (-35.3632621, 149.1652374)
-"""Latitude and longitude of the world's (0, 0): where the firmware's simulator starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +46,21 @@ class Target:
     odd: bool = False  # a number was none: the firmware reports an internal error
 
 
-def from_local(message: Any, state: BodyState, limits: Limits) -> Target | None:
+def from_local(message: Any, state: BodyState, limits: Limits, chart: Chart) -> Target | None:
     """Return what SET_POSITION_TARGET_LOCAL_NED asks for; None: silently ignored."""
     if message.coordinate_frame not in LOCAL_FRAMES:
         return None
     place = None
     if not message.type_mask & 0b11:
-        place = _local_place(message, state)
+        place = _local_place(message, state, chart)
     return _target(message, place, state, limits)
 
 
-def from_global(message: Any, state: BodyState, limits: Limits) -> Target | None:
+def from_global(message: Any, state: BodyState, limits: Limits, chart: Chart) -> Target | None:
     """Return what SET_POSITION_TARGET_GLOBAL_INT asks for; None: silently ignored."""
     if message.coordinate_frame not in GLOBAL_FRAMES:
         return None
-    place = None if message.type_mask & 0b11 else from_degrees(message.lat_int / 1e7, message.lon_int / 1e7)
+    place = None if message.type_mask & 0b11 else chart.place(message.lat_int / 1e7, message.lon_int / 1e7)
     return _target(message, place, state, limits)
 
 
@@ -87,12 +85,12 @@ def traps(message: Any) -> bool:
     return any(math.isnan(value) or OVERFLOW < abs(value) < math.inf for value in used)
 
 
-def _local_place(message: Any, state: BodyState) -> tuple[float, float] | None:
+def _local_place(message: Any, state: BodyState, chart: Chart) -> tuple[float, float] | None:
     x, y, _ = p.enu_from_ned(message.x, message.y, 0.0)
     if not (math.isfinite(x) and math.isfinite(y)):
         return None
     if message.coordinate_frame == 1:
-        return x, y
+        return chart.world_place(y, x)
     if message.coordinate_frame in BODY_FRAMES:
         cos, sin = math.cos(state.heading_rad), math.sin(state.heading_rad)
         forward, left = message.x, -message.y
@@ -145,15 +143,3 @@ def steer(target: Target, state: BodyState, limits: Limits) -> tuple[float, floa
 
 def _turn_to(heading_rad: float, state: BodyState, limits: Limits) -> float:
     return clamp(HEADING_GAIN * wrap(heading_rad - state.heading_rad), -limits.turn_rad_s, limits.turn_rad_s)
-
-
-def from_degrees(latitude: float, longitude: float) -> tuple[float, float]:
-    """Return the place in the world, metres east and north, of a latitude and a longitude."""
-    north = (latitude - ORIGIN_DEG[0]) * METRES_PER_DEGREE
-    return (longitude - ORIGIN_DEG[1]) * METRES_PER_DEGREE * math.cos(math.radians(ORIGIN_DEG[0])), north
-
-
-def to_degrees(x_m: float, y_m: float) -> tuple[float, float]:
-    """Return latitude and longitude of a place in the world; the inverse of :func:`from_degrees`."""
-    shrink = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN_DEG[0]))
-    return ORIGIN_DEG[0] + y_m / METRES_PER_DEGREE, ORIGIN_DEG[1] + x_m / shrink
