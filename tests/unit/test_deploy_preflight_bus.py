@@ -92,7 +92,7 @@ def _health(**fields: object) -> RobotHealth:
 @pytest.mark.parametrize(
     ("fields", "status", "mend"),
     [
-        ({"lifecycle": "FAULT", "fault": "overcurrent on the left wheel"}, "failure", "Free the wheels"),
+        ({"lifecycle": "FAULT", "fault": "a wheel motor draws too much current (overcurrent)"}, "failure", "Free its"),
         ({"lifecycle": "OPEN"}, "failure", "cable and power"),
         ({"estop": True}, "warning", "fullswarm estop --clear"),
         ({"stop_reason": "the hub is lost"}, "warning", "hub or its network"),

@@ -92,7 +92,7 @@ class FakeSwarm:
                     request,
                     phase="running",
                     robots=("r1", "r2", "r3"),
-                    running=tuple(set(running) - {self.deaf}) if request.parameters else running,
+                    running=tuple(each for each in running if each != self.deaf) if request.parameters else running,
                     missing=("r3",),
                 ),
             )

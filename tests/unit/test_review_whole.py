@@ -217,8 +217,9 @@ class Chaos:
     def ask(self) -> None:
         names = sorted(self.whole.worlds)
         robots = self.chance.sample(names, self.chance.randint(1, len(names)))
+        # Each has a world of its own: without the filter they would meet in one place, which bars motion.
         behaviour, parameters = self.chance.choice(
-            [("flocking", {}), ("rendezvous", {}), ("move_to_goal", GOAL), ("formation_assigned", LINE)]
+            [("flocking_bc", {}), ("rendezvous_bc", {}), ("move_to_goal_bc", GOAL), ("formation_assigned", LINE)]
         )
         told: list[RequestStatus] = []
         asked = self.whole.operator.request(behaviour, robots, parameters, told.append)
