@@ -194,7 +194,7 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
     assert counts == [5, 3, 2]
     files = {each.relative_to(whole) for each in (whole / TRIALS).rglob("*") if each.is_file()}
     assert files == {each.relative_to(halves) for each in (halves / TRIALS).rglob("*") if each.is_file()}
-    assert len(files) == 5 * 5
+    assert len(files) == 6 * 5
     for each in files:
         if each.name != "provenance.json":
             assert (whole / each).read_bytes() == (halves / each).read_bytes(), each
