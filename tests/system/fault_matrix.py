@@ -126,7 +126,7 @@ class Rig:
             return bool(on and target is not None and (target.speed_m_s or target.turn_rad_s))
         if robot == "v1":
             return bool(robot_end.left.driving or robot_end.right.driving)
-        return bool(robot_end.left._turn_s or robot_end.right._turn_s)
+        return any(each.energised and each._set.velocity_turn_s for each in (robot_end.left, robot_end.right))
 
     def speed_m_s(self, robot: str) -> float:
         return abs(float(self.node.world.twist[self.node.world.row(robot)][0]))
