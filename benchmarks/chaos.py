@@ -154,7 +154,11 @@ class Chaos:
 
     def _requested(self, request: BehaviourRequest) -> None:
         self._note(request)
-        self.last[request.source] = request
+        if request.behaviour == "stop":  # the same stop as a `StopRequest`, with the time at which it was sent
+            robots = request.robots or self.config.robots
+            self.record.asks[request.id] = Ask(request.stamp_s, request.operator, request.id, "", robots)
+        else:
+            self.last[request.source] = request
 
     def _stopped(self, stop: StopRequest) -> None:
         robots, person = stop.robots or self.config.robots, stop.source.partition("-")[0]
@@ -198,7 +202,7 @@ class Chaos:
         for health in report.robots:
             seen = self.seen[health.robot]
             if seen.process and seen.process != report.process:
-                self._up(health.robot)
+                self._up(health.robot, report.stamp_s)
             words = _words(health)
             if seen.health is None or seen.process != report.process or _words(seen.health) != words:
                 self._write("Health", robot=health.robot, process=report.process, **words)
@@ -233,10 +237,12 @@ class Chaos:
     def _go_down(self, name: str) -> None:
         self.down.setdefault(name, self.runtime.now_s())
 
-    def _up(self, name: str) -> None:
-        since_s, self.up_s[name] = self.down.pop(name, None), self.runtime.now_s()
+    def _up(self, name: str, at_s: float = math.inf) -> None:
+        """Record the end of an outage, at `at_s` if that is known better than by when it was received."""
+        now_s = self.runtime.now_s()
+        since_s, self.up_s[name] = self.down.pop(name, None), now_s
         if since_s is not None:
-            self.record.downs.append(Down(name, since_s, self.runtime.now_s()))
+            self.record.downs.append(Down(name, since_s, min(at_s, now_s)))
 
     def inject(self, fault: Fault) -> None:
         """Let one fault happen."""

@@ -187,10 +187,10 @@ class Record:
                 for (robot, why), times in incidents.items()]  # fmt: skip
 
     def _counts_from_s(self, ask: Ask, robot: str) -> float:
-        """Return since when a request may move a robot: since it came, unless its operator has stopped it meanwhile."""
+        """Return since when a request may move a robot: since its arrival, unless the robot was stopped before it."""
         arrived_s = self.late.get(ask.id, ask.t)
-        own = (each for each in self.asks.values() if each.idle and each.operator == ask.operator)
-        beaten = any(ask.t < each.t < arrived_s and robot in each.robots for each in own)
+        stops = (each for each in self.asks.values() if each.idle)
+        beaten = any(ask.t < each.t < arrived_s and robot in each.robots for each in stops)
         return ask.t if beaten else arrived_s
 
     def _dead(self, t: float, robot: str) -> str:

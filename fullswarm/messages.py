@@ -87,7 +87,7 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
     operator: str = ""  # in whose name, for leases: "anna@lab1"
     take: bool = False  # take the robots over from who holds them
     clock: str = ""  # which clock `stamp_s` was read off, see `clock_id`; empty: one that only `source` reads
-    stamp_s: Stamp = 0.0  # orders the requests of one operator on one clock; others count as they arrive
+    stamp_s: Stamp = 0.0  # orders the requests of one operator, and all stops, on one clock; others by arrival
 
 
 class RequestStatus(Message, frozen=True, kw_only=True):

@@ -10,6 +10,9 @@ ROBOT_ID = re.compile(r"[A-Za-z0-9_-]{1,64}\Z")
 TRUTH = "truth"
 """The host of a supervisory process that measures the true bodies (paper II.F.1); no robot may be called so."""
 
+STOP = "stop"
+"""The behaviour that enables nothing."""
+
 STOPPED_BY = "it was stopped by"
 """How the reason of a robot begins that stands because somebody asked for that: no cause for alarm."""
 

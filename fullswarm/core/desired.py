@@ -218,9 +218,6 @@ class Desired:
     def _observe(self, running: str) -> None:
         """Take note of what the robot runs when that is not what is wanted."""
         idle = running in IDLE
-        if self.flight is not None and not self.flight.enable and running != self.flight.behaviour:
-            self._land()  # it is off already
-            self._maybe = ""
         self.active = "" if idle else running
         self.settled = self.settled and idle and self.order is not None and self.order.stands
 

@@ -24,8 +24,8 @@ from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
+from fullswarm.words import STOP
 
-STOP = "stop"
 UNNAMED = "somebody without a name"
 
 
@@ -66,20 +66,28 @@ class MainController:
         return self._handler.holds(request_id) or self._board.get(request_id) is not None
 
     def _requested(self, request: BehaviourRequest) -> None:
-        if self._known(request.id):
-            self._board.repeat(request.id)
-            return
         try:
-            self._accept(request)
+            if request.behaviour == STOP:
+                self._record_stop(request)
+            if self._known(request.id):
+                self._board.repeat(request.id)
+            else:
+                self._accept(request)
         except RequestRefused as error:
             reason = f"{error.what} ({error.hint})" if error.hint else error.what
             self._refuse(request, reason)
+
+    def _record_stop(self, request: BehaviourRequest) -> None:
+        """Record when a stop was sent, also one that arrived as `StopRequest` before."""
+        known = self._roster.known()
+        for robot in set(self._groups.expand(request.robots)).intersection(known) if request.robots else known:
+            self._newest.stop(robot, request.id, request.clock, request.stamp_s)
 
     def _accept(self, request: BehaviourRequest) -> None:
         if not request.id:
             raise RequestRefused("the request has no id", hint="give each request an id of its own")
         record = self._library.get(request.behaviour)
-        robots = self._addressed(request.robots)
+        robots = self._addressed(request.robots, lenient=record.name == STOP)
         parameters = self._library.resolve(record, request.parameters, robots)
         if record.centralised and (absent := missing_packages()):
             extra = 'pip install "fullswarm[core]"'
@@ -111,7 +119,7 @@ class MainController:
         self._handler.submit(orders, reason, at_once=record.name == STOP)
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-        """Leave out robots that were asked for something newer by the same operator; return why, and the others."""
+        """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""
         line = _line(request)
         found = {robot: self._newest.note(robot, request.id, line, request.stamp_s) for robot in robots}
         newer = {robot: request_id for robot, request_id in found.items() if request_id}
@@ -124,19 +132,22 @@ class MainController:
         )
         return "; ".join(reasons), left
 
-    def _addressed(self, robots: Sequence[str]) -> tuple[str, ...]:
-        """Return the robots that a request means; none named: all that are known."""
+    def _addressed(self, robots: Sequence[str], *, lenient: bool = False) -> tuple[str, ...]:
+        """Return the robots that a request means; none named: all that are known.
+
+        `lenient` leaves out unknown ones unless all are.
+        """
         known = self._roster.known()
         if not known:
             raise RequestRefused("no robot is present", hint="start an agent, or name the robots in the fleet file")
         meant = self._groups.expand(robots)
         strangers = [robot for robot in meant if robot not in known]
-        if strangers:
+        if strangers and not (lenient and len(strangers) < len(meant)):
             names = ", ".join(f"'{robot}'" for robot in strangers)
             plural = "s" if len(strangers) > 1 else ""
             origin = "" if strangers[0] in robots else " in a group"
             raise RequestRefused(f"unknown robot{plural} {names}{origin}", hint=did_you_mean(strangers[0], known))
-        return tuple(dict.fromkeys(meant)) or known
+        return tuple(dict.fromkeys(robot for robot in meant if robot in known)) or known
 
     def _refuse(self, request: BehaviourRequest, reason: str) -> None:
         status = RequestStatus(

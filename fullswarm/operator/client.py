@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, Message, RequestStatus, StopRequest, Value
+from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Scheduler, Timer
+from fullswarm.words import STOP
 
 RESEND_S = 0.2
 STOP_SENDS = 5
@@ -150,8 +151,18 @@ class Operator:
         While there is no hub it goes on, for 10 s at most: robots that lost it drive on when it is back.
         """
         self._call_off_all(robots := tuple(robots), "a stop came before the core had it")
-        message = StopRequest(id=self._new_id(), robots=tuple(robots), source=self.source)
-        return self._burst(self._keys.stop, message, on_done)
+        message = StopRequest(id=self._new_id(), robots=robots, source=self.source)
+        # The same for the core alone, with the time: requests that were made before it must not start robots after it.
+        dated = BehaviourRequest(
+            id=message.id, behaviour=STOP, robots=robots, source=self.source, operator=self.name, clock=self._clock,
+            stamp_s=self._scheduler.now_s(),
+        )  # fmt: skip
+
+        def send() -> None:
+            self._bus.publish(self._keys.stop, message)
+            self._bus.publish(self._keys.behaviour_request, dated)
+
+        return self._burst(send, on_done)
 
     def estop(
         self,
@@ -195,11 +206,11 @@ class Operator:
         for subscription in self._subscriptions:
             subscription.close()
 
-    def _burst(self, key: str, message: Message, on_done: Callable[[], None] | None) -> Burst:
+    def _burst(self, publish: Callable[[], None], on_done: Callable[[], None] | None) -> Burst:
         burst, began_s = Burst(STOP_SENDS, on_done), self._scheduler.now_s()
 
         def send() -> None:
-            self._bus.publish(key, message)
+            publish()
             burst.left = burst.left - 1 if self._bus.connected() else AFTER_LOSS_SENDS
             if not burst.done and self._scheduler.now_s() - began_s < STOP_PATIENCE_S:
                 self._scheduler.after(STOP_SPACING_S, send)

@@ -27,6 +27,7 @@ from fullswarm.operator.console import frames
 from fullswarm.operator.console.desk import Desk
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.runtime import Runtime
+from fullswarm.words import STOP
 
 KEYS = Keys("lab")
 DATABASE: dict[str, Any] = {
@@ -155,4 +156,5 @@ class ConsoleBench:
         self.bus.publish(KEYS.param_changed("core"), ParamChanged(layer="core", entry=entry))
 
     def requests(self) -> list[BehaviourRequest]:
-        return [each for each in self.sent if isinstance(each, BehaviourRequest)]
+        """Return what was asked for; the stops that go to the core beside each `StopRequest` are left out."""
+        return [each for each in self.sent if isinstance(each, BehaviourRequest) and each.behaviour != STOP]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from benchmarks.chaos_faults import DECK, conditions, plan
 from benchmarks.chaos_judge import Ask, Doing, Down, Ran, Record, Told
 from fullswarm.bus.network import parse_network
@@ -48,14 +50,17 @@ def test_a_motion_after_a_stop_or_without_an_agent_or_before_anything_was_asked(
         assert record.judge().clean, "it takes a moment to notice"
 
 
-def test_a_late_request_moves_a_robot_after_a_stop_of_somebody_else_but_not_of_its_own_operator() -> None:
-    for operator, wrong in (("ann", 0), ("bob", 1)):
-        record = good()
-        record.moved = [(35.0, "r1")]
-        stopped(record, 30.0)
-        record.asks["late"] = Ask(25.0, operator, "late", "rendezvous", ("r1",))
-        record.late["late"] = 32.0
-        assert len(record.judge().uncommanded) == wrong
+@pytest.mark.parametrize(("stopped_s", "wrong"), [(24.0, 0), (30.0, 1)])
+@pytest.mark.parametrize("operator", ["ann", "bob"])
+def test_a_late_request_moves_no_robot_that_anybody_stopped_after_it_was_sent(
+    operator: str, stopped_s: float, wrong: int
+) -> None:
+    record = good()
+    record.moved = [(35.0, "r1")]
+    stopped(record, stopped_s)
+    record.asks["late"] = Ask(25.0, operator, "late", "rendezvous", ("r1",))
+    record.late["late"] = 32.0
+    assert len(record.judge().uncommanded) == wrong
 
 
 def test_a_request_that_is_executed_twice() -> None:

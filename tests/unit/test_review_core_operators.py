@@ -185,6 +185,35 @@ def test_stamps_that_do_not_compare_count_as_they_arrive(fields: dict[str, str])
     swarm.close()
 
 
+@pytest.mark.parametrize("dated_first", [False, True])
+def test_a_stop_supersedes_what_others_on_its_clock_requested_before_it(*, dated_first: bool) -> None:
+    swarm = Swarm()
+    stops: list[Message] = [
+        StopRequest(id="stop", robots=("r0", "r1"), source="cli@lab:9"),
+        BehaviourRequest(
+            id="stop", behaviour="stop", robots=("r0", "r1"), source="cli@lab:9", clock="boot-1", stamp_s=100.0
+        ),
+    ]
+    for each in reversed(stops) if dated_first else stops:
+        swarm.bus.publish(KEYS.stop if isinstance(each, StopRequest) else KEYS.behaviour_request, each)
+    swarm.run(0.2)
+    older = send(swarm, "older", "flocking", "r1", "r2", operator="bob", clock="boot-1", stamp_s=99.9)
+    assert (older.phase, older.running) == ("running", ("r2",))
+    assert older.reason.startswith("r1: superseded by stop")
+    assert send(swarm, "elsewhere", "flocking", "r0", operator="bob", clock="boot-2", stamp_s=1.0).phase == "running"
+    assert send(swarm, "newer", "flocking", "r1", operator="bob", clock="boot-1", stamp_s=100.1).phase == "running"
+    swarm.close()
+
+
+def test_a_stop_leaves_out_unknown_robots_and_is_refused_only_if_all_are() -> None:
+    swarm = Swarm()
+    send(swarm, "going", "flocking", "r0", "r1")
+    assert send(swarm, "stop", "stop", "r0", "r77").phase != "refused"
+    assert swarm.behaviours()[:2] == ["", "flocking"]
+    assert send(swarm, "typo", "stop", "r77").phase == "refused"
+    swarm.close()
+
+
 def test_an_older_request_does_not_win_after_a_restart_of_the_core_either(tmp_path: Path) -> None:
     swarm = Swarm(store=Store(tmp_path / "core.db"))
     send(swarm, "new", "rendezvous", "r0", operator="ann", clock="boot-1", stamp_s=100.0)
@@ -203,4 +232,4 @@ def test_invented_operators_do_not_fill_the_memory() -> None:
         newest.note("r0", f"q{number}", (f"operator-{number}", "boot-1"), 1.0)
     assert newest.note("r0", "old", ("operator-999", "boot-1"), 0.5) == "q999"
     assert newest.note("r0", "forgotten", ("operator-1", "boot-1"), 0.5) == ""
-    assert sum(len(each) for each in newest._of.values()) == REMEMBERED
+    assert sum(len(each) for each in newest._requests.values()) == REMEMBERED
