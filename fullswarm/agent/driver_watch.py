@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.company import Company
 from fullswarm.agent.inbox import Inbox
+from fullswarm.agent.pose_conflicts import PoseConflicts
 from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
 from fullswarm.drivers.base import Fleet, Lifecycle
 
@@ -21,8 +21,8 @@ class DriverWatch:
     ready : which drivers were READY or ACTIVE at the last look, (n,)
     """
 
-    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox, company: Company) -> None:
-        self._fleet, self._controller, self._inbox, self._company = fleet, controller, inbox, company
+    def __init__(self, fleet: Fleet, controller: RobotController, inbox: Inbox, conflicts: PoseConflicts) -> None:
+        self._fleet, self._controller, self._inbox, self._conflicts = fleet, controller, inbox, conflicts
         self.ready = np.zeros(len(fleet.ids), bool)
         self._state = Lifecycle.CLOSED
         self._been_ready = self._engaged = False
@@ -50,11 +50,11 @@ class DriverWatch:
         self._state = state
 
     def end_unsafe_tasks(self, hazards: NDArray[np.uint8]) -> None:
-        """After any of `ENDING` nobody drives on by himself: that takes a new request. `hazards` (n,) names which."""
+        """End the tasks of robots that stand for a reason of `ENDING`; `hazards` (n,) of the newest reading."""
         reasons = self._controller.reason
         for row in np.flatnonzero(np.isin(reasons, ENDING)).tolist():
             if reasons[row] in (Reason.OVERLAP, Reason.FRAME):
-                self._inbox.spend(row, self._company.why(row))
+                self._inbox.spend(row, self._conflicts.reason(row))
             elif reasons[row] == Reason.HAZARD:
                 self._inbox.spend(row, explain_hazards(int(hazards[row]), self._fleet.fault(row))[0])
             elif reasons[row] == Reason.BATTERY:

@@ -134,8 +134,9 @@ class Inbox:
             return False, f"{words}; {remedy}, then ask for it again"
         if agent.reflexes.flat[row] and request.expires_s <= 0.0:
             return False, EXPLAIN[Reason.BATTERY]
-        if agent.company.bars(row) and request.expires_s <= 0.0:
-            return False, agent.company.why(row)
+        conflict = agent.pose_conflicts.reason(row)
+        if conflict and request.expires_s <= 0.0:
+            return False, conflict
         try:
             agent.tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:

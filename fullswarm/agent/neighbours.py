@@ -41,7 +41,7 @@ class Neighbours:
     names : (m,) whose row it is
     accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
     halt_s : after how long a silent robot stands, at the latest
-    strays : hosts whose robots' poses count from a place of their own, and when they were heard last
+    own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
@@ -63,7 +63,7 @@ class Neighbours:
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
         self.silent = 0
-        self.strays: dict[str, float] = {}
+        self.own_frame_host, self.own_frame_s = "", -math.inf
         self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
         self.halt_s = timeout_s
         self._grow(max(16, len(ids)))
@@ -86,7 +86,7 @@ class Neighbours:
             return
         self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
         if states.own_frame:
-            self.strays[states.host] = now_s
+            self.own_frame_host, self.own_frame_s = states.host, now_s
         if len(states.robots) == 1:
             self._hear_one(states, now_s)
             return

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from fullswarm import __version__
 from fullswarm.agent import interventions, reports
 from fullswarm.agent.atlas import Atlas, map_of
-from fullswarm.agent.company import Company
 from fullswarm.agent.driver_watch import DriverWatch
 from fullswarm.agent.estimator import estimator_for
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.gauges import Gauges
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.pose_conflicts import PoseConflicts
 from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.robot_controller import RobotController
 from fullswarm.agent.safety.deadlock import Deadlocks
@@ -108,7 +108,7 @@ class AgentNode:
         )  # fmt: skip
         self.interventions = interventions.Reporter(bus, self._keys, scheduler, self)
         self.deadlocks = Deadlocks(fleet.ids)
-        self.company = Company(self)
+        self.pose_conflicts = PoseConflicts(self)
         self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
         self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
         self._cell_m = config.state_cell_m
@@ -124,7 +124,7 @@ class AgentNode:
         self.gauges = Gauges(self, config.performance.arrive_radius_m)
         self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
         self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
-        self._drivers = DriverWatch(fleet, self.controller, self.inbox, self.company)
+        self._drivers = DriverWatch(fleet, self.controller, self.inbox, self.pose_conflicts)
         self.wishes = Wishes(self, settings, self._bounds)
         self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
         self._applied = np.zeros((count, 2))
@@ -213,7 +213,7 @@ class AgentNode:
             self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look(),
             # Judged for the middle of the period in which what is commanded now will be in force.
             now_s + 0.5 * period_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
-            self.reflexes, self.company.overlap, self.company.astray,
+            self.reflexes, self.pose_conflicts.overlap, self.pose_conflicts.frame_conflict,
         )  # fmt: skip
         self._applied = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._drivers.ready[0]:
@@ -234,7 +234,7 @@ class AgentNode:
         if self.reading is None:
             return
         now_s = self._scheduler.now_s()
-        self.company.look(now_s)
+        self.pose_conflicts.update(now_s)
         try:
             self.gauges.look(now_s)
         except Exception as error:

@@ -65,7 +65,7 @@ def states(
                 turn_rad_s=tuple(turn),
                 radius_m=tuple((agent.radius if everyone else agent.radius[rows]).tolist()),
                 teams=tuple((agent.tasks.team if everyone else agent.tasks.team[rows]).tolist()),
-                own_frame=agent.company.own_frame,
+                own_frame=agent.pose_conflicts.own_frame,
             ),
         )
 
@@ -111,7 +111,7 @@ def _state_of_one(
             turn_rad_s=(turn_rad_s,),
             radius_m=(float(agent.radius[0]),),
             teams=(int(agent.tasks.team[0]),),
-            own_frame=agent.company.own_frame,
+            own_frame=agent.pose_conflicts.own_frame,
         ),
     )
 
@@ -137,7 +137,7 @@ def _why(agent: AgentNode, row: int, reason: int) -> str:
     if reason == Reason.HAZARD and agent.reading is not None:
         return explain_hazards(int(agent.reading.hazards[row]), agent.fleet.fault(row))[0]
     if reason in (Reason.OVERLAP, Reason.FRAME):
-        return agent.company.why(row)
+        return agent.pose_conflicts.reason(row)
     return agent.ended[row] if reason == Reason.IDLE else EXPLAIN.get(reason, "")
 
 

@@ -62,7 +62,7 @@ EXPLAIN: dict[int, str] = {
     Reason.POSE: "the estimator has no pose",
     Reason.FENCE: "it would leave the arena",
     Reason.OVERLAP: "another robot is reported in the same place",
-    Reason.FRAME: "robots are about whose positions count from different places",
+    Reason.FRAME: "the positions of the robots do not count from one origin",
     Reason.UNSURE: (
         "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
         "it drives on once that is back"
@@ -158,18 +158,19 @@ class RobotController:
         hazards: NDArray[np.uint8],
         reflexes: Reflexes,
         overlap: Flags,
-        astray: bool,
+        frame_conflict: bool,
     ) -> Array:
         """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING.
 
-        `overlap` (n,) and `astray` are those of :class:`~fullswarm.agent.company.Company`.
+        `overlap` (n,) and `frame_conflict` are those of :class:`~fullswarm.agent.pose_conflicts.PoseConflicts`.
         Readings with a stamp before `read_since_s` are too old to move on.
         """
         self.changed = decide.run(
             now_s, dt_s, active, survives_core, lapses_s, core_alive, hub_alive, driver_ready, read_since_s, stamp_s,
-            hazards, reflexes.flat, reflexes.slept, reflexes.no_pose, reflexes.unsure, overlap, astray, reflexes.floor,
-            reflexes.ceiling, self.estop, self.law_failed, self.wished, self.valid_until_s, self.speed_limit,
-            self.turn_limit, self.reverse, self._accel, self._turn_accel, self.reason, self.drive_on, self._twist,
+            hazards, reflexes.flat, reflexes.slept, reflexes.no_pose, reflexes.unsure, overlap, frame_conflict,
+            reflexes.floor, reflexes.ceiling, self.estop, self.law_failed, self.wished, self.valid_until_s,
+            self.speed_limit, self.turn_limit, self.reverse, self._accel, self._turn_accel, self.reason, self.drive_on,
+            self._twist,
         )  # fmt: skip
         return self._twist
 
@@ -178,7 +179,7 @@ class RobotController:
 def why_not(
     now_s: float, survives_core: bool, lapses_s: float, core_alive: bool, hub_alive: bool, driver_ready: bool,
     fresh: bool, hazard: int, active: bool, estop: bool, law_failed: bool, wish: float, valid_until_s: float,
-    flat: bool, slept: bool, no_pose: bool, unsure: bool, overlap: bool, astray: bool,
+    flat: bool, slept: bool, no_pose: bool, unsure: bool, overlap: bool, frame_conflict: bool,
 ) -> int:  # fmt: skip
     """Return why one robot may not move, a number of :class:`Reason`; 0: it may."""
     why = 0
@@ -206,7 +207,7 @@ def why_not(
         why = 12
     elif not math.isfinite(lapses_s):
         # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
-        why = 11 if flat else 13 if no_pose else 16 if astray else 15 if overlap else 17 if unsure else 0
+        why = 11 if flat else 13 if no_pose else 16 if frame_conflict else 15 if overlap else 17 if unsure else 0
     return why
 
 
@@ -214,7 +215,7 @@ def why_not(
 def decide(
     now_s: float, dt_s: float, active: Flags, survives_core: Flags, lapses_s: Array, core_alive: bool,
     hub_alive: bool, driver_ready: Flags, read_since_s: float, stamp_s: Array, hazards: NDArray[np.uint8],
-    flat: Flags, slept: bool, no_pose: Flags, unsure: Flags, overlap: Flags, astray: bool, floor: Array,
+    flat: Flags, slept: bool, no_pose: Flags, unsure: Flags, overlap: Flags, frame_conflict: bool, floor: Array,
     ceiling: Array, estop: Flags, law_failed: Flags, wished: Array, valid_until_s: Array, speed_limit: Array,
     turn_limit: Array, reverse: Flags, accel: Array, turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags,
     twist: Array,
@@ -226,7 +227,7 @@ def decide(
         why = why_not(
             now_s, survives_core[i], lapses_s[i], core_alive, hub_alive, driver_ready[i],
             stamp_s[i] >= read_since_s, hazard, active[i], estop[i], law_failed[i], wished[i, 0] + wished[i, 1],
-            valid_until_s[i], flat[i], slept, no_pose[i], unsure[i], overlap[i], astray,
+            valid_until_s[i], flat[i], slept, no_pose[i], unsure[i], overlap[i], frame_conflict,
         )  # fmt: skip
         low = -speed_limit[i] if reverse[i] else 0.0
         high = 0.0 if hazard & BUMP else speed_limit[i]

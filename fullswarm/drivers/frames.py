@@ -51,7 +51,7 @@ def check_frames(config: SwarmConfig, robots: tuple[RobotConfig, ...] | None = N
 
     Parameters
     ----------
-    robots : whom to look at; None: all
+    robots : the ones to check, default: all
 
     Raises
     ------
@@ -61,10 +61,10 @@ def check_frames(config: SwarmConfig, robots: tuple[RobotConfig, ...] | None = N
     if len(config.robot) < 2 or config.origin_deg is not None:
         return
     looked = config.robot if robots is None else robots
-    strays = [each.id for each in looked if each.emulate is None and own_frame(each.url)]
-    if strays:
-        names = ", ".join(strays[:4]) + (", ..." if len(strays) > 4 else "")
-        verb = "knows its" if len(strays) == 1 else "know their"
+    without = [each.id for each in looked if each.emulate is None and own_frame(each.url)]
+    if without:
+        names = ", ".join(without[:4]) + (", ..." if len(without) > 4 else "")
+        verb = "knows its" if len(without) == 1 else "know their"
         raise ConfigError(
             f"{names} {verb} position from satellites, each from where it was switched on: the swarm shares no frame",
             where="the fleet file",

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fullswarm.agent.company import APART, DWELL_S, OVERLAP
+from fullswarm.agent.pose_conflicts import APART, DWELL_S, OVERLAP
 from fullswarm.agent.robot_controller import Reason
 from fullswarm.config import load_swarm
 from fullswarm.drivers.frames import check_frames, in_frame, own_frame
@@ -75,7 +75,7 @@ def test_driving_by_hand_moves_it_apart_and_then_it_drives_again(bench: Bench) -
     ghost = Ghost(bench)
     ghost.stand_beside(1.0)
     bench.run(DWELL_S + 0.3)
-    assert bench.agent.company.overlap[0]
+    assert bench.agent.pose_conflicts.overlap[0]
     began_s = bench.runtime.now_s()
     while bench.runtime.now_s() - began_s < 3.0:
         bench.enable(
@@ -84,7 +84,7 @@ def test_driving_by_hand_moves_it_apart_and_then_it_drives_again(bench: Bench) -
         )  # fmt: skip
         bench.run(0.1)
     assert bench.agent.pose[0, 0] > 2.5
-    assert not bench.agent.company.overlap[0]
+    assert not bench.agent.pose_conflicts.overlap[0]
     bench.enable("move_to_goal", FAR, request_id="q3")
     assert bench.acks[-1].accepted
     bench.run(0.5)
@@ -102,32 +102,32 @@ def test_bodies_that_touch_are_no_alarm(bench: Bench, overlap: float) -> None:
         shake = noise.normal(0.0, 0.02 if overlap <= 0.0 else 0.002, 2)
         ghost.place = x_m + float(shake[0]), y_m + float(shake[1])
         bench.run(0.1)
-        assert not bench.agent.company.overlap[0]
+        assert not bench.agent.pose_conflicts.overlap[0]
 
 
 def test_a_moment_is_no_alarm_and_half_apart_does_not_end_one(bench: Bench) -> None:
     ghost = Ghost(bench)
     ghost.stand_beside(1.0)
     bench.run(DWELL_S - 0.2)
-    assert not bench.agent.company.overlap[0]
+    assert not bench.agent.pose_conflicts.overlap[0]
     bench.run(0.5)
-    assert bench.agent.company.overlap[0]
+    assert bench.agent.pose_conflicts.overlap[0]
     ghost.stand_beside((OVERLAP + APART) / 2.0)
     bench.run(0.5)
-    assert bench.agent.company.overlap[0]
+    assert bench.agent.pose_conflicts.overlap[0]
     ghost.stand_beside(APART - 0.1)
     bench.run(0.3)
-    assert not bench.agent.company.overlap[0]
+    assert not bench.agent.pose_conflicts.overlap[0]
 
 
 def test_silence_ends_the_alarm(bench: Bench) -> None:
     ghost = Ghost(bench)
     ghost.stand_beside(1.0)
     bench.run(DWELL_S + 0.3)
-    assert bench.agent.company.overlap[0]
+    assert bench.agent.pose_conflicts.overlap[0]
     ghost.place = None
     bench.run(1.0)
-    assert not bench.agent.company.overlap[0]
+    assert not bench.agent.pose_conflicts.overlap[0]
 
 
 def test_a_robot_in_a_frame_of_its_own_bars_whoever_hears_it(bench: Bench) -> None:
@@ -144,7 +144,7 @@ def test_a_robot_in_a_frame_of_its_own_bars_whoever_hears_it(bench: Bench) -> No
 def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Bench) -> None:
     descriptions = (replace(bench.agent.fleet.descriptions[0], own_frame=True),)
     bench.agent.fleet.descriptions = descriptions
-    bench.agent.company.own_frame = True
+    bench.agent.pose_conflicts.own_frame = True
     bench.enable("move_to_goal", FAR)
     bench.run(0.5)
     assert reason(bench) is Reason.MOVING or math.isfinite(bench.agent.pose[0, 0])

@@ -1,7 +1,7 @@
-"""Robots that cannot be where they say: two in one place, or one whose frame is not known to be the swarm's.
+"""Detects poses that cannot be right: two robots in one place, or a robot whose frame is not the swarm's.
 
-The safety filter keeps apart what is told to it. Where that is wrong it may drive two robots together with its gaps
-intact, so both are barred from driving by themselves until a person has looked: see :class:`Company`.
+The safety filter separates the reported poses. If they are wrong it may drive two robots into each other, so none of
+them may drive by itself until a person has checked: see :class:`PoseConflicts`.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ deviations of two positions that are good to 2 cm each.
 """
 DWELL_S = 0.5
 FRESH_S = 0.3
-"""Who was heard longer ago may be elsewhere by now."""
-STRAY_S = 2.0
-"""A robot in a frame of its own is taken to be about for so long after it was heard."""
+"""A robot whose last state is older may be elsewhere by now."""
+OWN_FRAME_S = 2.0
+"""A robot in a frame of its own counts as present for this time after it was last received."""
 
 
 @kernel
@@ -39,13 +39,13 @@ def overlaps(
     now_s: float, pose: Array, radius: Array, start: Index, other: Index, places: Array, heard: Array,
     arrival_s: Array, since_s: Array, whom: Index, overlap: Flags,
 ) -> None:  # fmt: skip
-    """Renew `overlap` (n,): robots that were told to be where another one is, for a while.
+    """Update `overlap` (n,): robots reported where another robot is, for longer than `DWELL_S`.
 
     Parameters
     ----------
     pose, radius : (n, 3), (n,) of the own robots
     start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.Neighbours`
-    since_s, whom : (n,) in and out: since when, inf if not, and the row of the one overlapped most
+    since_s, whom : (n,) in and out: since when, inf if not, and the row of the neighbour that overlaps most
     """
     for i in range(pose.shape[0]):
         deepest = -math.inf
@@ -66,14 +66,14 @@ def overlaps(
             overlap[i] = False
 
 
-class Company:
-    """Watches whether what the robots about tell fits together.
+class PoseConflicts:
+    """Checks that the reported poses of the swarm are consistent.
 
     Attributes
     ----------
-    own_frame : the poses of this agent's robots count from a place of their own
-    overlap : (n,) another robot is told to be where this one is
-    astray : somebody about, or this agent, has a frame of its own, and it is not alone
+    own_frame : the poses of this agent's robots count from a frame of their own
+    overlap : (n,) another robot is reported where this one is
+    frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot
     """
 
     def __init__(self, agent: AgentNode) -> None:
@@ -81,43 +81,39 @@ class Company:
         count = len(agent.fleet.ids)
         self.own_frame = any(each.own_frame for each in agent.fleet.descriptions)
         self.overlap = np.zeros(count, bool)
-        self.astray = False
-        self._stray = ""
+        self.frame_conflict = False
         self._since_s = np.full(count, math.inf)
         self._whom = np.zeros(count, np.int64)
 
-    def look(self, now_s: float) -> None:
-        """Look once; ten times a second will do."""
+    def update(self, now_s: float) -> None:
+        """Check once; ten times a second is enough."""
         agent, heard = self._agent, self._agent.neighbours
         start, other = agent.wishes.near(now_s)
         overlaps.run(
             now_s, agent.pose, agent.radius, start, other, heard.places, heard.heard, heard.arrival_s,
             self._since_s, self._whom, self.overlap,
         )  # fmt: skip
-        self._stray = next((host for host, at_s in heard.strays.items() if now_s - at_s <= STRAY_S), "")
-        others = self.own_frame and heard.count > 0 and now_s - float(heard.arrival_s[: heard.count].max()) <= STRAY_S
-        self.astray = bool(self._stray or others)
+        foreign = now_s - heard.own_frame_s <= OWN_FRAME_S
+        newest_s = float(heard.arrival_s[: heard.count].max()) if heard.count else -math.inf
+        self.frame_conflict = foreign or (self.own_frame and now_s - newest_s <= OWN_FRAME_S)
 
-    def bars(self, row: int) -> bool:
-        """Tell whether robot `row` may not drive by itself."""
-        return self.astray or bool(self.overlap[row])
-
-    def why(self, row: int) -> str:
-        """Return why, and what to do; empty when nothing bars it."""
-        if self.own_frame and self.astray:
+    def reason(self, row: int) -> str:
+        """Return why robot `row` may not drive by itself, and what to do; empty if it may."""
+        if self.frame_conflict:
+            if self.own_frame:
+                return (
+                    "its position counts from where it was switched on, and other robots are present: write [world] "
+                    "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only"
+                )
             return (
-                "its position counts from where it was switched on, and other robots are about: write [world] origin "
-                "= [latitude, longitude] into the fleet file; until then only driving by hand moves it"
-            )
-        if self.astray:
-            return (
-                f"'{self._stray}' is about, whose position counts from where it was switched on: write [world] origin "
-                "= [latitude, longitude] into its fleet file; until then only driving by hand moves this one"
+                f"the position of '{self._agent.neighbours.own_frame_host}' counts from where it was switched on: "
+                "write [world] origin = [latitude, longitude] into its fleet file; until then robots can be driven by "
+                "hand only"
             )
         if self.overlap[row]:
             name = self._agent.neighbours.names[int(self._whom[row])]
             return (
-                f"'{name}' is reported in the same place, so a position is wrong: look where both are, then drive "
-                "them apart by hand or correct their poses"
+                f"'{name}' is reported in the same place, so one position is wrong: check where both robots are, then "
+                "drive them apart by hand or correct their poses"
             )
         return ""
