@@ -114,6 +114,6 @@ class PoseConflicts:
             name = self._agent.neighbours.names[int(self._whom[row])]
             return (
                 f"'{name}' is reported in the same place, so one position is wrong: check where both robots are, then "
-                "drive them apart by hand or correct their poses"
+                "drive them apart by hand or correct their poses (`pose` in the fleet file, pose fixes)"
             )
         return ""

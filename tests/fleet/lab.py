@@ -156,7 +156,8 @@ class Lab:
         tables += [
             f'[[robot]]\nid = "{robot}"\ndriver = "create://{PORT}?model=create2"\n'
             f'host = "{self.network.address[robot]}"\nssh_user = "{ADMIN}"\n'
-            for robot in self.robots
+            f"pose = [{4.0 * (number % 4) + 2.0}, {4.0 * (number // 4) + 2.0}, 0.0]\n"
+            for number, robot in enumerate(self.robots)
         ]
         self.fleet.write_text("\n".join(tables))
 
