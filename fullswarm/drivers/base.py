@@ -70,13 +70,19 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the wheels can do; a driver clips to them and says so in what it returns."""
+    """What the wheels can do; a driver clips to them and says so in what it returns.
+
+    A stop from v m/s takes v² / 2 `accel_m_s2`, and beyond that `overrun_s` times v, at most `overrun_m`: the wheels
+    answer late, or brake softly at the end.
+    """
 
     speed_m_s: float
     turn_rad_s: float
     accel_m_s2: float
     turn_accel_rad_s2: float
     can_reverse: bool = True
+    overrun_s: float = 0.0
+    overrun_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.system
 RING_M, ARRIVED_M, LIMIT_S = 2.5, 0.3, 40.0
 CENTRE_M = 6.0
 MARGIN_M = 0.15
-"""A rover answers late and brakes slowly; half of this is used up by it."""
+"""Fixes come 20 times a second, and states of the other through two processes, on a machine that has other work."""
 
 
 def fleet(robots: int, seed: int) -> tuple[SwarmConfig, list[list[float]]]:

@@ -9,6 +9,7 @@ import pytest
 
 from fullswarm.drivers.mavlink.firmware import LOOP_S
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.drivers.mavlink.settings import LIMITS
 from tests.unit.mavlink_wire import Wire
 
 WITHIN = 0.15
@@ -42,6 +43,18 @@ def test_a_zero_set_point_brakes(speed: float, table: tuple[float, float]) -> No
     wire = Wire().moving(speed)
     wire.drive()
     near(wire.stopping(), table)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0])
+def test_a_stop_is_no_longer_than_the_driver_tells_the_filter(speed: float) -> None:
+    wire = Wire().moving(speed)
+    x_m = wire.state.x_m
+    for _ in range(80):
+        wire.drive()
+        wire.run(0.05)
+    told_m = speed**2 / (2.0 * LIMITS.accel_m_s2) + min(LIMITS.overrun_s * speed, LIMITS.overrun_m)
+    assert wire.state.speed_m_s == pytest.approx(0.0, abs=1e-6)
+    assert wire.state.x_m - x_m <= told_m
 
 
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.MANUAL])

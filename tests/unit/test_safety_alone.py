@@ -7,7 +7,7 @@ place is looked at ten times.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,8 @@ from fullswarm import kernels
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, TOO_FAST, SafetyFilter
 from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.mavlink.rover.dynamics import Motors
+from fullswarm.drivers.mavlink.settings import LIMITS as ROVER
 
 RADIUS_M, MARGIN_M, PERIOD_S, LOOKS = 0.17, 0.03, 0.02, 10
 BOUNDS = np.array([0.0, 0.0, 6.0, 6.0])
@@ -72,18 +74,34 @@ class Body:
         )  # fmt: skip
         self.tick += 1
         self.verdicts.add(int(self.filter.verdict[0]))
+        self._obey()
+        return min(self._glide(PERIOD_S / LOOKS) for _ in range(LOOKS))
+
+    def _obey(self) -> None:
+        """Change speed and turn rate for a period as the wheels can."""
         limits = self.limits
         for axis, top, most in ((0, limits.speed_m_s, limits.accel_m_s2), (1, limits.turn_rad_s, 0.0)):
             step = (most or limits.turn_accel_rad_s2) * PERIOD_S
             change = np.clip(self.twist[0, axis], -top, top) - self.motion[0, axis]
             self.motion[0, axis] += np.clip(change, -step, step)
-        return min(self._glide(PERIOD_S / LOOKS) for _ in range(LOOKS))
 
     def _glide(self, dt_s: float) -> float:
         speed, turn = self.motion[0].tolist()
         middle = self.pose[0, 2] + 0.5 * turn * dt_s
         self.pose[0] += dt_s * np.array([speed * math.cos(middle), speed * math.sin(middle), turn])
         return nearest(self.pose[0, 0], self.pose[0, 1])[0] - RADIUS_M
+
+
+class Rover(Body):
+    """A rover as recorded: its wheels answer late, and the last of a stop takes its time."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.motors = Motors()
+
+    def _obey(self) -> None:
+        self.motors.follow((self.twist[0, 0], self.twist[0, 1]), 1.0, ROVER.turn_accel_rad_s2, PERIOD_S)
+        self.motion[0] = self.motors.speed_m_s, self.motors.turn_rad_s
 
 
 def attack(body: Body, rng: np.random.Generator, ticks: int) -> float:
@@ -117,6 +135,28 @@ def test_no_law_gets_a_lone_robot_out_or_into_its_margin(limits: Limits, seed: i
     body = Body(limits, pose)
     assert attack(body, rng, 800) >= MARGIN_M - 1e-5
     assert body.verdicts <= {0, LIMITED}, "what it promised could be driven at every tick"
+
+
+@pytest.mark.parametrize("top_m_s", [0.25, 0.5, 1.0])
+def test_a_rover_that_stops_softly_keeps_its_margin_before_a_wall(top_m_s: float) -> None:
+    """One that is believed to brake evenly, as its acceleration says, touches."""
+    told = replace(ROVER, speed_m_s=top_m_s)
+    gaps = {
+        limits.overrun_m: min(body.go((0.0, -top_m_s)) for _ in range(400))
+        for limits in (told, replace(told, overrun_s=0.0, overrun_m=0.0))
+        for body in [Rover(limits, np.array([[3.0, 1.5, -0.5 * math.pi]]))]
+    }
+    assert gaps[ROVER.overrun_m] >= MARGIN_M - 1e-3  # the commands on their way to its wheels
+    assert gaps[0.0] < gaps[ROVER.overrun_m]
+    if top_m_s == 0.5:
+        assert gaps[0.0] < 0.0
+
+
+@given(seed=st.integers(0, 2**32 - 1), top_m_s=st.sampled_from([0.5, 1.0]))
+@settings(max_examples=12, deadline=None)
+def test_no_law_gets_a_rover_to_touch(seed: int, top_m_s: float) -> None:
+    rng, pose = start(seed)
+    assert attack(Rover(replace(ROVER, speed_m_s=top_m_s), pose), rng, 800) > 0.0
 
 
 @pytest.mark.parametrize("limits", [PAPER, CREATE], ids=["paper", "create"])

@@ -59,7 +59,8 @@ def guard(
     start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.pairs`)
     obstacles, bounds_m : (k, 6) rounded boxes; (4,) x_min, y_min, x_max, y_max
     twists : (n, 2) in and out, m/s and rad/s
-    make : (n, 6) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration
+    make : (n, 8) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration, and how
+        much farther than these accelerations say a stop goes: seconds of its speed, and m at most
     deviation, verdict : (n, 4), (n,) out, see :class:`SafetyFilter`; the vector is old where there is no deviation
     normal_x, normal_y, limits, blur, room : room for one robot's constraints
 
@@ -103,8 +104,9 @@ def guard(
             # Where it has got to since it was measured: it may have sped up or turned, too.
             age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
+            overrun_m = min(make[i, 6] * math.fabs(speed_now), make[i, 7])
             count = half_planes(
-                x, y, reach_m, make[i, 0] + margin_m[i], unsure_m, gain[i], top, start[i],
+                x, y, reach_m, make[i, 0] + margin_m[i] + overrun_m, unsure_m, gain[i], top, start[i],
                 start[i + 1], other, places, heard, spread_m, blur_m, obstacles, bounds_m, normal_x, normal_y, limits,
                 blur, room,
             )  # fmt: skip
@@ -200,6 +202,8 @@ class SafetyFilter:
                 [each.radius_m for each in descriptions], speed_limit, np.where(reverse, -speed_limit, 0.0), turn_limit,
                 [each.limits.accel_m_s2 for each in descriptions],
                 [each.limits.turn_accel_rad_s2 for each in descriptions],
+                [each.limits.overrun_s for each in descriptions],
+                [each.limits.overrun_m for each in descriptions],
             )
         )  # fmt: skip
         scratch = np.empty((5, MAX_ROWS))

@@ -16,8 +16,9 @@ from fullswarm.drivers.mavlink.signing import Signing, Timestamps, read_key, sta
 from fullswarm.errors import ConfigError, did_you_mean
 
 # ArduRover's defaults (ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED. ATC_ACCEL_MAX is
-# 1 m/s², but its brakes answer late and end softly: a stop from 0.5 m/s takes 0.17 m, as with 0.7 m/s² at once.
-LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=0.7, turn_accel_rad_s2=2.0)
+# 1 m/s², but its brakes answer late: a stop from 0.5 m/s takes 0.17 m, as with 0.7 m/s² at once. The last 0.15 m/s
+# decay with a time constant of 0.38 s, which 0.7 m/s² does not cover: 0.066 m instead of 0.016.
+LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=0.7, turn_accel_rad_s2=2.0, overrun_s=0.45, overrun_m=0.06)
 RADIUS_M = 0.35
 KNOWN = {
     "autopilot", "ekf", "guardian", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid",
