@@ -127,7 +127,7 @@ def _guard(seed: int, run: object) -> np.ndarray:
         0.0, 0.02, 0.02, 1.0, 3.0, 3.0, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose,
         np.zeros((count, 2)), zeros, np.full(count, 2.0), np.full(count, 0.03), start, other, places, heard, zeros,
         zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), twists,
-        np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0], (count, 1)), np.array([0.0, 0.0, 5.0, 5.0]), deviation,
+        np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0, 0.0, 0.0], (count, 1)), np.array([0.0, 0.0, 5.0, 5.0]), deviation,
         np.zeros(count, np.int64), *np.empty((5, barrier.MAX_ROWS)),
     )  # fmt: skip
     return np.hstack([twists, deviation])

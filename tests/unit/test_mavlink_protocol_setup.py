@@ -6,13 +6,14 @@ import builtins
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from fullswarm.drivers.base import Limits
 from fullswarm.drivers.mavlink import codec
 from fullswarm.drivers.mavlink.link import parse_url
+from fullswarm.drivers.mavlink.settings import LIMITS
 from fullswarm.errors import ConfigError, MissingExtra
 
 
@@ -77,7 +78,7 @@ def test_url_options() -> None:
     from fullswarm.drivers.mavlink.driver import MavlinkDriver
 
     driver = MavlinkDriver("mavlink+tcp://127.0.0.1:5760?speed=0.4&radius=0.2")
-    assert driver.description.limits == Limits(0.4, 2.0, 0.7, 2.0)
+    assert driver.description.limits == replace(LIMITS, speed_m_s=0.4)
     assert driver.description.radius_m == 0.2
     for query in ("speed=0", "speed=nan", "turn=x", "sysid=0", "sysid=255", "ekf=maybe", "speeed=1"):
         with pytest.raises(ConfigError):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.clock import SimClock
-from fullswarm.drivers.base import Lifecycle, Limits, Pose, Twist
+from fullswarm.drivers.base import Lifecycle, Pose, Twist
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
@@ -17,7 +18,7 @@ from fullswarm.drivers.mavlink.codec import Encoder, StationEncoder, StreamParse
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS, HOLD, MANUAL, OFFBOARD, Px4, Steering
 from fullswarm.drivers.mavlink.px4_firmware import Px4Firmware
-from fullswarm.drivers.mavlink.settings import read_settings
+from fullswarm.drivers.mavlink.settings import LIMITS, read_settings
 from fullswarm.errors import ConfigError
 from tests.unit.mavlink_bench import Px4Bench
 
@@ -36,7 +37,7 @@ def test_an_url_that_says_otherwise_is_told() -> None:
 def test_the_url_makes_the_description() -> None:
     driver = MavlinkDriver("mavlink+tcp://127.0.0.1:5760?autopilot=px4&speed=0.4")
     assert (driver.description.make, driver.description.watchdog_s) == ("PX4", 1.0)
-    assert driver.description.limits == Limits(0.4, 2.0, 0.7, 2.0, can_reverse=False)
+    assert driver.description.limits == replace(LIMITS, speed_m_s=0.4, can_reverse=False)
     assert MavlinkDriver("mavlink+tcp://127.0.0.1:5760").description.limits.can_reverse
     origins = ("origin=1", "origin=91,0", "pose=external&origin=1,2", "pose=external&origin=91,0,0")
     for query in ("autopilot=pix4", "pose=gps", *origins, "key=00", "sign_link=1"):
