@@ -28,7 +28,7 @@ PARENT = "FULLSWARM_PARENT"
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
     """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447``."""
     from fullswarm.bus.hub import Hub
-    from fullswarm.operator.output import progress
+    from fullswarm.output import progress
 
     runtime = Runtime(MonotonicClock())
     with Hub(endpoint, insecure_network=insecure_network):

@@ -46,7 +46,7 @@ def asked_for(arguments: Sequence[str]) -> tuple[str, str] | None:
 def main(robot: str, fleet: str) -> int:
     """Run the agent of `robot` as its unit does: what ``fullswarm agent`` is, without the rest of the command line."""
     plain_logs()
-    from fullswarm.operator.guard import run_guarded
+    from fullswarm.launch.guard import run_guarded
 
     def command() -> int:
         from fullswarm.config import load_swarm

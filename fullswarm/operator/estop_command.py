@@ -10,9 +10,10 @@ from pathlib import Path
 
 import msgspec
 
+from fullswarm import output
 from fullswarm.errors import FullswarmError, SafetyStop, Unreachable
 from fullswarm.messages import EStopReceipt, RequestStatus
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.estop import REPEAT_S, EStopOrder
 from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.session import Session, Target

@@ -82,8 +82,8 @@ def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
     from fullswarm.clock import MonotonicClock
     from fullswarm.keys import Keys
     from fullswarm.messages import ParamReply, RobotStates
-    from fullswarm.operator.output import log_to_stderr
     from fullswarm.operator.params import ParamClient
+    from fullswarm.output import log_to_stderr
     from fullswarm.runtime import Runtime
 
     log_to_stderr()

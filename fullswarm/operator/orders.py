@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
+from fullswarm import output
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, SafetyStop, Unreachable
 from fullswarm.messages import EStop, RequestStatus, StopRequest, Value
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target

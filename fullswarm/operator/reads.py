@@ -13,9 +13,10 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.errors import ConfigError, Unreachable, did_you_mean
 from fullswarm.messages import ParamEntry, ParamReply
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.leases import GROUP
 from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.params import ParamClient, Stored

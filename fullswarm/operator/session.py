@@ -18,7 +18,7 @@ from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
-from fullswarm.operator.output import log_to_stderr
+from fullswarm.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0

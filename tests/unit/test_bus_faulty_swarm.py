@@ -18,9 +18,9 @@ from fullswarm.bus.faulty import FaultyBus
 from fullswarm.bus.local import LocalBus
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.config.write import write_swarm
+from fullswarm.demo.run import demo_config, run_lockstep
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.launch.demo import demo_config, run_lockstep
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import on_network, with_network
 from fullswarm.operator.client import Operator

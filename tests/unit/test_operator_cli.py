@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from fullswarm.bus import LocalBus
+from fullswarm.cli.operate import operator_app
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import (
@@ -24,7 +25,6 @@ from fullswarm.messages import (
     StopRequest,
 )
 from fullswarm.operator import session
-from fullswarm.operator.cli import operator_app
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
 from fullswarm.words import ESTOP_LATCHED

@@ -17,6 +17,7 @@ from typing import Any
 
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.config import RobotConfig
 from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
 from fullswarm.deploy.flash.card import Card
@@ -26,7 +27,7 @@ from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.release.keys import Keys, usable
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 
 TELL_S = 2.0
 

@@ -20,14 +20,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fullswarm import __version__
+from fullswarm import __version__, output
 from fullswarm.bus.endpoint import is_loopback
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.operator import output
 from fullswarm.operator.session import Target
 from fullswarm.runtime import Runtime, Scheduler
 

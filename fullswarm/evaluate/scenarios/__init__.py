@@ -1,0 +1,35 @@
+"""Scenarios: arenas for trials, as data. In: a name or a TOML file, a seed. Out: boxes, start poses, goals.
+
+The four of the paper (IV.A): ``empty``, ``empty_dense``, ``uniform``, ``concave``; its unmeasured ``corridor``;
+and ``antipodal``, ``antipodal_table`` for deadlock. What the paper leaves open is stated in each file.
+"""
+
+from fullswarm.evaluate.scenarios.model import (
+    MINIMUM_SPACING_M,
+    Box,
+    Goal,
+    RandomBoxes,
+    Scenario,
+    Spawn,
+    load_scenario,
+    parse_scenario,
+    scenario_names,
+)
+from fullswarm.evaluate.scenarios.placement import boxes_for, distance_to_box, goals_for, spawn, world_config
+
+__all__ = [
+    "MINIMUM_SPACING_M",
+    "Box",
+    "Goal",
+    "RandomBoxes",
+    "Scenario",
+    "Spawn",
+    "boxes_for",
+    "distance_to_box",
+    "goals_for",
+    "load_scenario",
+    "parse_scenario",
+    "scenario_names",
+    "spawn",
+    "world_config",
+]
