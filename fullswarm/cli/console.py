@@ -9,10 +9,11 @@ from typing import Annotated
 
 import typer
 
-from fullswarm.cli.operate import Debug, Hub, Json, Swarm, run_guarded
+from fullswarm.cli.options import Hub, Json, Swarm, shell_command
 from fullswarm.runtime import Scheduler
 
 
+@shell_command()
 def console(
     listen: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any that is free.")
@@ -33,26 +34,21 @@ def console(
     hub: Hub = None,
     swarm: Swarm = "swarm",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Prints the address to open."""
+    from fullswarm.operator.console.serve import Options, serve
+    from fullswarm.operator.session import Target
 
-    def command() -> int:
-        from fullswarm.operator.console.serve import Options, serve
-        from fullswarm.operator.session import Target
-
-        options = Options(
-            listen=listen,
-            read_only=read_only,
-            allow_hosts=tuple(allow_host or ()),
-            token_file=token_file,
-            open_browser=open_browser,
-            insecure_network=insecure_network,
-            as_json=as_json,
-        )
-        return serve(Target(hub, swarm), options, leave_with_parent if with_parent else None)
-
-    raise typer.Exit(run_guarded(command, debug))
+    options = Options(
+        listen=listen,
+        read_only=read_only,
+        allow_hosts=tuple(allow_host or ()),
+        token_file=token_file,
+        open_browser=open_browser,
+        insecure_network=insecure_network,
+        as_json=as_json,
+    )
+    return serve(Target(hub, swarm), options, leave_with_parent if with_parent else None)
 
 
 def leave_with_parent(scheduler: Scheduler, leave: Callable[[], None]) -> None:

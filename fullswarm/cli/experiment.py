@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fullswarm.cli import completion
-from fullswarm.cli.operate import Debug, Json, run_guarded
+from fullswarm.cli.options import Json, shell_command
 
 experiment_app = typer.Typer(no_args_is_help=True)
 
 
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    from fullswarm.output import log_to_stderr
-
-    log_to_stderr()
-    raise typer.Exit(run_guarded(command, debug))
-
-
 @experiment_app.command("run")
+@shell_command(logs=True)
 def run_experiment(
     name: Annotated[
         str,
@@ -76,77 +69,65 @@ def run_experiment(
         bool, typer.Option("--insecure-network", help="With --fleet: listen beyond this machine.")
     ] = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run an experiment. Exit code 0: none failed, and none collided but where the file expects it; 1 otherwise."""
+    from fullswarm.evaluate.experiment import run as experiment
 
-    def command() -> int:
-        from fullswarm.evaluate.experiment import run as experiment
-
-        options = experiment.Options(
-            experiment=name,
-            seeds=seeds,
-            cells=tuple(cells or ()),
-            small=small,
-            jobs=jobs,
-            timeout_s=timeout_s,
-            folder=folder,
-            as_json=as_json,
-            engine=engine,
-            network=network,
-            shard=shard,
-            retries=retries,
-            dask=dask,
-            live=live,
-            emulate=emulate,
-            fleet=fleet,
-            yes=yes,
-            insecure_network=insecure_network,
-        )
-        return experiment.run(options)
-
-    _run(debug, command)
+    options = experiment.Options(
+        experiment=name,
+        seeds=seeds,
+        cells=tuple(cells or ()),
+        small=small,
+        jobs=jobs,
+        timeout_s=timeout_s,
+        folder=folder,
+        as_json=as_json,
+        engine=engine,
+        network=network,
+        shard=shard,
+        retries=retries,
+        dask=dask,
+        live=live,
+        emulate=emulate,
+        fleet=fleet,
+        yes=yes,
+        insecure_network=insecure_network,
+    )
+    return experiment.run(options)
 
 
 @experiment_app.command("trial")
+@shell_command(logs=True)
 def run_trial(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A trial.toml, or the directory that holds it.")],
     folder: Annotated[
         Path | None, typer.Option("--out", metavar="FOLDER", help="Keep the trial here, in FOLDER/trials.")
     ] = None,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
+    from fullswarm.evaluate.experiment import one_trial as experiment_trial
 
-    def command() -> int:
-        from fullswarm.evaluate.experiment import one_trial as experiment_trial
-
-        return experiment_trial.run(file, folder, as_json)
-
-    _run(debug, command)
+    return experiment_trial.run(file, folder, as_json)
 
 
 @experiment_app.command()
+@shell_command()
 def watch(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the experiment keeps its trials (--out).")],
     once: Annotated[bool, typer.Option("--once", help="As it is now, then end.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="JSON: one document with --once, else a line at each change.")
     ] = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Show how an experiment goes, until all its trials have ended or Ctrl-C, which leaves it running."""
+    from fullswarm.evaluate.experiment import watch as watch_run
 
-    def command() -> int:
-        from fullswarm.evaluate.experiment import watch as watch_run
-
-        return watch_run.watch(watch_run.Watch(folder, once, as_json))
-
-    raise typer.Exit(run_guarded(command, debug))
+    return watch_run.watch(watch_run.Watch(folder, once, as_json))
 
 
 @experiment_app.command()
+@shell_command()
 def replay(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
     to: Annotated[
@@ -169,15 +150,10 @@ def replay(
     width_px: Annotated[
         int, typer.Option("--width", metavar="PIXELS", help="Of the picture or film, 320 to 3840.")
     ] = 720,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Draw or film a trial: the world from above."""
+    from fullswarm.evaluate.pictures import Film
+    from fullswarm.evaluate.pictures import replay as replays
 
-    def command() -> int:
-        from fullswarm.evaluate.pictures import Film
-        from fullswarm.evaluate.pictures import replay as replays
-
-        film = Film(speed=speed, fps=fps, from_s=from_s, until_s=until_s, width_px=width_px)
-        return replays.replay(replays.Replay(folder, to, film, trial))
-
-    raise typer.Exit(run_guarded(command, debug))
+    film = Film(speed=speed, fps=fps, from_s=from_s, until_s=until_s, width_px=width_px)
+    return replays.replay(replays.Replay(folder, to, film, trial))

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fullswarm.cli import completion
-from fullswarm.cli.operate import Debug, Json, run_guarded
+from fullswarm.cli.options import Json, shell_command
 
 
 class FirstBoot(StrEnum):
@@ -20,6 +20,7 @@ class FirstBoot(StrEnum):
     FIRSTRUN = "firstrun"
 
 
+@shell_command()
 def flash(
     robots: Annotated[
         list[str] | None,
@@ -83,47 +84,42 @@ def flash(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, write no card.")] = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Write cards whose robots need nothing further: first boot, Wi-Fi, software, offline. Also reads their reports.
 
     Exit code 0: written and read back; 1: a card failed; 2: refused; 3: --wait heard nothing.
     """
+    from fullswarm.deploy.flash import report as reports
+    from fullswarm.deploy.flash.run import Request, run
+    from fullswarm.errors import ConfigError
 
-    def command() -> int:
-        from fullswarm.deploy.flash import report as reports
-        from fullswarm.deploy.flash.run import Request, run
-        from fullswarm.errors import ConfigError
-
-        if report is not None:
-            return reports.run(report, as_json=as_json)
-        if not robots or fleet is None:
-            missing = "robots" if not robots else "--fleet"
-            hint = "fullswarm flash r1 --fleet lab.toml --image raspios.img.xz --device /dev/sdX"
-            raise ConfigError(f"{missing} missing", where="flash", hint=hint)
-        return run(
-            Request(
-                robots=tuple(robots),
-                fleet=fleet,
-                image=image,
-                devices=tuple(device or ()),
-                outputs=tuple(to_file or ()),
-                seed_only=seed_only,
-                release=release,
-                target=target,
-                wifi=tuple(wifi or ()),
-                wifi_file=wifi_file,
-                country=country,
-                static=static,
-                sha256=sha256,
-                first_boot=first_boot.value,
-                agreed=tuple(yes or ()),
-                most_bytes=max_size * 1_000_000_000,
-                wait_minutes=minutes if wait else None,
-                hub=hub,
-                dry_run=dry_run,
-                as_json=as_json,
-            )
+    if report is not None:
+        return reports.run(report, as_json=as_json)
+    if not robots or fleet is None:
+        missing = "robots" if not robots else "--fleet"
+        hint = "fullswarm flash r1 --fleet lab.toml --image raspios.img.xz --device /dev/sdX"
+        raise ConfigError(f"{missing} missing", where="flash", hint=hint)
+    return run(
+        Request(
+            robots=tuple(robots),
+            fleet=fleet,
+            image=image,
+            devices=tuple(device or ()),
+            outputs=tuple(to_file or ()),
+            seed_only=seed_only,
+            release=release,
+            target=target,
+            wifi=tuple(wifi or ()),
+            wifi_file=wifi_file,
+            country=country,
+            static=static,
+            sha256=sha256,
+            first_boot=first_boot.value,
+            agreed=tuple(yes or ()),
+            most_bytes=max_size * 1_000_000_000,
+            wait_minutes=minutes if wait else None,
+            hub=hub,
+            dry_run=dry_run,
+            as_json=as_json,
         )
-
-    raise typer.Exit(run_guarded(command, debug))
+    )

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fullswarm.cli import completion
-from fullswarm.cli.operate import Debug, Json
-from fullswarm.launch.guard import run_guarded
+from fullswarm.cli.options import Json, shell_command
 
 if TYPE_CHECKING:
     from fullswarm.deploy.fleet.commands import Order
@@ -50,16 +48,13 @@ AskPassword = Annotated[
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only ask, and tell what would be done.")]
 
 
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    raise typer.Exit(run_guarded(command, debug))
-
-
 def _order(fleet: Path, robots: list[str] | None, **rest: Any) -> Order:
     from fullswarm.deploy.fleet.commands import Order
 
     return Order(fleet, tuple(robots or ()), **rest)
 
 
+@shell_command()
 def deploy(
     fleet: FleetFile,
     robots: Robots = None,
@@ -75,36 +70,32 @@ def deploy(
     at_a_time: AtATime = 8,
     dry_run: DryRun = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Install robots over SSH, or bring them to a release; doing it twice changes nothing.
 
     The computers need Linux with systemd, SSH and Python; no internet, pip, compiler or Docker. Exit code 1 when some
     robots failed, 3 when none could be reached; the table says of each what to do.
     """
+    from fullswarm.deploy.fleet import commands
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import commands
-
-        return commands.deploy(
-            _order(
-                fleet,
-                robots,
-                release=release,
-                target=target,
-                guard_s=guard,
-                force=force,
-                accept_host_keys=accept,
-                ask_password=ask_password,
-                at_a_time=at_a_time,
-                dry_run=dry_run,
-                as_json=as_json,
-            )
+    return commands.deploy(
+        _order(
+            fleet,
+            robots,
+            release=release,
+            target=target,
+            guard_s=guard,
+            force=force,
+            accept_host_keys=accept,
+            ask_password=ask_password,
+            at_a_time=at_a_time,
+            dry_run=dry_run,
+            as_json=as_json,
         )
+    )
 
-    _run(debug, command)
 
-
+@shell_command()
 def update(
     fleet: FleetFile,
     robots: Robots = None,
@@ -122,37 +113,33 @@ def update(
     at_a_time: AtATime = 8,
     dry_run: DryRun = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Bring robots to a release: to all without effect, then a canary, a wave, the rest; unhealthy ones go back.
 
     Ctrl-C leaves each robot with what it ran; one that is just switching goes back by itself.
     """
+    from fullswarm.deploy.fleet import commands
+    from fullswarm.deploy.fleet.rollout import Plan, share
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import commands
-        from fullswarm.deploy.fleet.rollout import Plan, share
-
-        return commands.update(
-            _order(
-                fleet,
-                robots,
-                release=release,
-                target=target,
-                plan=Plan(canary, share(wave), stop_at),
-                guard_s=guard,
-                force=force,
-                keep_trying_s=keep_trying * 60.0,
-                ask_password=ask_password,
-                at_a_time=at_a_time,
-                dry_run=dry_run,
-                as_json=as_json,
-            )
+    return commands.update(
+        _order(
+            fleet,
+            robots,
+            release=release,
+            target=target,
+            plan=Plan(canary, share(wave), stop_at),
+            guard_s=guard,
+            force=force,
+            keep_trying_s=keep_trying * 60.0,
+            ask_password=ask_password,
+            at_a_time=at_a_time,
+            dry_run=dry_run,
+            as_json=as_json,
         )
+    )
 
-    _run(debug, command)
 
-
+@shell_command()
 def rollback(
     fleet: FleetFile,
     robots: Robots = None,
@@ -161,37 +148,29 @@ def rollback(
     at_a_time: AtATime = 8,
     dry_run: DryRun = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Bring robots back to the release before."""
+    from fullswarm.deploy.fleet import visit
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import visit
-
-        rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
-        return visit.rollback(_order(fleet, robots, **rest, as_json=as_json))
-
-    _run(debug, command)
+    rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
+    return visit.rollback(_order(fleet, robots, **rest, as_json=as_json))
 
 
+@shell_command()
 def fleet_table(
     fleet: FleetFile,
     robots: Robots = None,
     ask_password: AskPassword = False,
     at_a_time: AtATime = 16,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Show what each robot runs and should run, how it is, and what to do."""
+    from fullswarm.deploy.fleet import status
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import status
-
-        return status.fleet(_order(fleet, robots, ask_password=ask_password, at_a_time=at_a_time, as_json=as_json))
-
-    _run(debug, command)
+    return status.fleet(_order(fleet, robots, ask_password=ask_password, at_a_time=at_a_time, as_json=as_json))
 
 
+@shell_command()
 def logs(
     robot: OneRobot,
     fleet: FleetFile,
@@ -199,35 +178,27 @@ def logs(
     lines: Annotated[int, typer.Option("--lines", "-n", min=0, max=100_000, help="So many of the last ones.")] = 50,
     ask_password: AskPassword = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Print what a robot's agent has said."""
+    from fullswarm.deploy.fleet import terminal
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import terminal
-
-        return terminal.logs(_order(fleet, [robot], ask_password=ask_password, as_json=as_json), lines, follow=follow)
-
-    _run(debug, command)
+    return terminal.logs(_order(fleet, [robot], ask_password=ask_password, as_json=as_json), lines, follow=follow)
 
 
+@shell_command()
 def shell(
     robot: OneRobot,
     fleet: FleetFile,
     words: Annotated[list[str] | None, typer.Argument(metavar="[-- COMMAND...]", help="Instead of a shell.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print the ssh command.")] = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Open a shell on a robot, with the host key that is pinned and the fleet's key."""
+    from fullswarm.deploy.fleet import terminal
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import terminal
-
-        return terminal.shell(_order(fleet, [robot], dry_run=dry_run), words or [])
-
-    _run(debug, command)
+    return terminal.shell(_order(fleet, [robot], dry_run=dry_run), words or [])
 
 
+@shell_command()
 def reboot(
     fleet: FleetFile,
     robots: Robots = None,
@@ -239,14 +210,9 @@ def reboot(
     at_a_time: AtATime = 8,
     dry_run: DryRun = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Restart the computers of robots, unless they are moving."""
+    from fullswarm.deploy.fleet import visit
 
-    def command() -> int:
-        from fullswarm.deploy.fleet import visit
-
-        rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
-        return visit.reboot(_order(fleet, robots, **rest, as_json=as_json), wait)
-
-    _run(debug, command)
+    rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
+    return visit.reboot(_order(fleet, robots, **rest, as_json=as_json), wait)

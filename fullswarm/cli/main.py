@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +14,8 @@ from fullswarm.cli.console import console as serve_console
 from fullswarm.cli.deploy import deploy_app
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
-from fullswarm.cli.operate import operator_app, run_guarded
+from fullswarm.cli.operate import operator_app
+from fullswarm.cli.options import shell_command
 from fullswarm.cli.results import results_app
 from fullswarm.cli.robots import hardware_app
 from fullswarm.cli.scenario import scenario_app
@@ -62,15 +62,7 @@ Network = Annotated[
     str | None,
     typer.Option("--network", metavar="SPEC", help="A bad network: loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s."),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")]
 START, RUN = "Start", "Single processes"
-
-
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    from fullswarm.output import log_to_stderr
-
-    log_to_stderr()
-    raise typer.Exit(run_guarded(command, debug))
 
 
 def _load(fleet: Path, overrides: list[str] | None, *, here: bool = False) -> SwarmConfig:
@@ -89,6 +81,7 @@ def _options(
 
 
 @app.command(rich_help_panel=START)
+@shell_command(logs=True)
 def demo(
     seconds: Annotated[float, typer.Option(min=4, max=3600, help="How long the show lasts.")] = 45.0,
     headless: Annotated[bool, typer.Option("--headless", help="No live table.")] = False,
@@ -116,119 +109,91 @@ def demo(
     ] = None,
     network: Network = None,
     overrides: Overrides = None,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Eight simulated robots drive to a goal, flock, and meet, and are yours as soon as you ask for anything."""
+    from fullswarm.demo import run as show
 
-    def command() -> int:
-        from fullswarm.demo import run as show
+    config = show.demo_config(fleet, tuple(overrides or ()), network)
+    if lockstep:
+        return show.run_lockstep(config, seconds, seed, as_json)
+    from fullswarm.demo.live import Manner, run_live
 
-        config = show.demo_config(fleet, tuple(overrides or ()), network)
-        if lockstep:
-            return show.run_lockstep(config, seconds, seed, as_json)
-        from fullswarm.demo.live import Manner, run_live
-
-        return run_live(config, Manner(seconds, as_json, headless, console, stay, open_browser))
-
-    _run(debug, command)
+    return run_live(config, Manner(seconds, as_json, headless, console, stay, open_browser))
 
 
 @app.command(rich_help_panel=START)
+@shell_command(logs=True)
 def up(
     fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
     overrides: Overrides = None,
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="The web console as well; prints its address.")] = False,
     insecure_network: Insecure = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Start all that a fleet file names on this machine: hub, core, world, one agent per robot."""
+    from fullswarm.launch.up import run
 
-    def command() -> int:
-        from fullswarm.launch.up import run
-
-        return run(_load(fleet, overrides, here=True), insecure_network, network, console=console)
-
-    _run(debug, command)
+    return run(_load(fleet, overrides, here=True), insecure_network, network, console=console)
 
 
 @app.command(rich_help_panel=START)
+@shell_command(logs=True)
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new folder; its name is the lab's.")],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list the files.")] = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Make a lab of your own: a fleet file, a behaviour with its test, a README; it works at once."""
+    from fullswarm.bringup.init import run
 
-    def command() -> int:
-        from fullswarm.bringup.init import run
-
-        return run(folder, dry_run=dry_run)
-
-    _run(debug, command)
+    return run(folder, dry_run=dry_run)
 
 
 @app.command(rich_help_panel=START)
+@shell_command(logs=True)
 def info(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     hub: Annotated[str | None, typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub.")] = None,
     swarm: Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")] = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Print what a bug report needs: versions, machine, extras, ports; nothing secret. Markdown, to be pasted."""
+    from fullswarm.bringup.info import run
 
-    def command() -> int:
-        from fullswarm.bringup.info import run
-
-        return run(hub, swarm, as_json=as_json)
-
-    _run(debug, command)
+    return run(hub, swarm, as_json=as_json)
 
 
 @app.command(rich_help_panel=RUN)
+@shell_command(logs=True)
 def hub(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where to listen.")] = "tcp/127.0.0.1:7447",
     insecure_network: Insecure = False,
     with_parent: WithParent = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run the hub that carries the messages."""
+    from fullswarm.launch import processes
 
-    def command() -> int:
-        from fullswarm.launch import processes
-
-        return processes.hub(listen, insecure_network, with_parent)
-
-    _run(debug, command)
+    return processes.hub(listen, insecure_network, with_parent)
 
 
 @app.command(rich_help_panel=RUN)
-def core(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False, debug: Debug = False) -> None:
+@shell_command(logs=True)
+def core(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False) -> int:
     """Run the core: main controller, request handler, database, summarizers."""
+    from fullswarm.launch import processes
 
-    def command() -> int:
-        from fullswarm.launch import processes
-
-        return processes.core(_load(fleet, overrides), with_parent)
-
-    _run(debug, command)
+    return processes.core(_load(fleet, overrides), with_parent)
 
 
 @app.command(rich_help_panel=RUN)
-def centralised(
-    fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False, debug: Debug = False
-) -> None:
+@shell_command(logs=True)
+def centralised(fleet: Fleet, overrides: Overrides = None, with_parent: WithParent = False) -> int:
     """Run the centralised behaviours."""
+    from fullswarm.launch import processes
 
-    def command() -> int:
-        from fullswarm.launch import processes
-
-        return processes.centralised(_load(fleet, overrides), with_parent)
-
-    _run(debug, command)
+    return processes.centralised(_load(fleet, overrides), with_parent)
 
 
 @app.command(rich_help_panel=RUN)
+@shell_command(logs=True)
 def agent(
     robot: Annotated[
         str, typer.Argument(help="The robot's id in the fleet file.", autocompletion=completion.fleet_robots)
@@ -236,37 +201,29 @@ def agent(
     fleet: Fleet,
     overrides: Overrides = None,
     with_parent: WithParent = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run the agent of one robot: on its companion computer, or here for a simulated one."""
+    from fullswarm.launch import processes
 
-    def command() -> int:
-        from fullswarm.launch import processes
-
-        return processes.agent(_load(fleet, overrides), robot, with_parent)
-
-    _run(debug, command)
+    return processes.agent(_load(fleet, overrides), robot, with_parent)
 
 
 @app.command(rich_help_panel=RUN)
+@shell_command(logs=True)
 def sim(
     fleet: Fleet,
     overrides: Overrides = None,
     insecure_network: Insecure = False,
     with_parent: WithParent = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run the simulated world that the fleet file describes, in real time."""
+    from fullswarm.launch import processes
 
-    def command() -> int:
-        from fullswarm.launch import processes
-
-        return processes.world(_load(fleet, overrides), insecure_network, with_parent)
-
-    _run(debug, command)
+    return processes.world(_load(fleet, overrides), insecure_network, with_parent)
 
 
 @app.command(rich_help_panel=RUN)
+@shell_command(logs=True)
 def fixes(
     listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="UDP port for the datagrams.")] = "127.0.0.1:9870",
     names: Annotated[
@@ -282,23 +239,18 @@ def fixes(
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can misplace robots.")
     ] = False,
     with_parent: WithParent = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Tell the robots where motion capture sees them: JSON over UDP in, pose fixes out."""
+    from fullswarm.localization import fixes as source
+    from fullswarm.localization.mocap import Format
 
-    def command() -> int:
-        from fullswarm.localization import fixes as source
-        from fullswarm.localization.mocap import Format
-
-        options = source.Options(
-            listen,
-            source.parse_map(names or ()),
-            Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
-            insecure_network,
-        )
-        return source.run(hub, swarm, options, with_parent)
-
-    _run(debug, command)
+    options = source.Options(
+        listen,
+        source.parse_map(names or ()),
+        Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
+        insecure_network,
+    )
+    return source.run(hub, swarm, options, with_parent)
 
 
 def main() -> None:

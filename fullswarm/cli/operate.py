@@ -1,22 +1,19 @@
-"""The operator's shell commands that ask for behaviours and watch. ``launch`` hangs `operator_app` into ``fullswarm``.
-
-Only typer is imported here: whatever needs the bus is imported when a command runs, so that help stays quick.
-"""
+"""The commands that ask for behaviours and watch a swarm: `request`, `stop`, `estop`, `drive`, `status`, ..."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fullswarm.cli import completion
 from fullswarm.cli.leases import leases_app
-from fullswarm.cli.options import ALL, Debug, Hub, Json, Operator, Robots, Swarm, Take, Timeout, run, target_of
+from fullswarm.cli.options import ALL, Json, Robots, Take, Timeout, shell_command
 from fullswarm.cli.params import params_app
-from fullswarm.launch.guard import run_guarded
 
-__all__ = ["Debug", "Hub", "Json", "Swarm", "operator_app", "params_app", "run_guarded"]
+if TYPE_CHECKING:
+    from fullswarm.cli.options import NamedTarget, Target
 
 operator_app = typer.Typer(no_args_is_help=True, help="Ask a swarm for behaviours and watch it.")
 operator_app.add_typer(params_app, name="params")
@@ -42,7 +39,9 @@ Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's 
 
 
 @operator_app.command()
+@shell_command()
 def request(
+    target: NamedTarget,
     behaviour: Behaviour,
     robots: Robots = None,
     settings: Settings = None,
@@ -57,50 +56,44 @@ def request(
     take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
-    operator: Operator = "",
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Ask for a behaviour and print what the robots answer.
 
     Exit code 0: all robots present run it; 1: one refused or did not answer; 2: the core refused; 3: no hub or no
     core; 4: a latched e-stop is in the way. With --no-wait 0: the core accepted.
     """
+    from fullswarm.operator import orders
+    from fullswarm.operator.values import parse_parameters
 
-    def command() -> int:
-        from fullswarm.operator import orders
-        from fullswarm.operator.values import parse_parameters
-
-        parameters = parse_parameters(settings or ())
-        return orders.request(
-            target_of(hub, swarm, operator),
-            behaviour,
-            robots or (),
-            parameters,
-            wait=wait,
-            timeout_s=timeout,
-            as_json=as_json,
-            take=take,
-        )
-
-    run(debug, command)
+    parameters = parse_parameters(settings or ())
+    return orders.request(
+        target,
+        behaviour,
+        robots or (),
+        parameters,
+        wait=wait,
+        timeout_s=timeout,
+        as_json=as_json,
+        take=take,
+    )
 
 
 @operator_app.command()
-def stop(robots: RobotArguments = None, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False) -> None:
+@shell_command()
+def stop(
+    target: Target,
+    robots: RobotArguments = None,
+) -> int:
     """Make robots stand still now, whatever they do. They start again on the next request."""
+    from fullswarm.operator import orders
 
-    def command() -> int:
-        from fullswarm.operator import orders
-
-        return orders.stop(target_of(hub, swarm), robots or ())
-
-    run(debug, command)
+    return orders.stop(target, robots or ())
 
 
 @operator_app.command()
+@shell_command()
 def estop(
+    target: Target,
     robots: RobotArguments = None,
     clear: Annotated[bool, typer.Option("--clear", help="Release the latched e-stop instead.")] = False,
     reason: Annotated[str, typer.Option(help="Why; robots and logs repeat it.")] = "",
@@ -115,141 +108,97 @@ def estop(
         ),
     ] = None,
     as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Emergency stop: latched until --clear. Presses until all confirm.
 
     Exit code 4 when a robot did not confirm, 3 when none was heard or no hub answers.
     """
+    from fullswarm.operator import estop_command
 
-    def command() -> int:
-        from fullswarm.operator import estop_command
-
-        return estop_command.estop(
-            target_of(hub, swarm),
-            robots or (),
-            engaged=not clear,
-            reason=reason,
-            timeout_s=timeout,
-            fleet=fleet,
-            as_json=as_json,
-        )
-
-    run(debug, command)
+    return estop_command.estop(
+        target,
+        robots or (),
+        engaged=not clear,
+        reason=reason,
+        timeout_s=timeout,
+        fleet=fleet,
+        as_json=as_json,
+    )
 
 
 @operator_app.command()
+@shell_command()
 def drive(
+    target: NamedTarget,
     linear: Stick = 0.0,
     angular: Stick = 0.0,
     robots: Robots = None,
     seconds: Annotated[float | None, typer.Option(min=0.05, help="End after this; none: on Ctrl-C.")] = None,
     take: Take = False,
     timeout: Timeout = 3.0,
-    operator: Operator = "",
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Drive robots by hand until Ctrl-C, then stop them."""
+    from fullswarm.operator import orders
 
-    def command() -> int:
-        from fullswarm.operator import orders
-
-        target = target_of(hub, swarm, operator)
-        return orders.drive(target, linear, angular, robots or (), seconds, timeout, take=take)
-
-    run(debug, command)
+    return orders.drive(target, linear, angular, robots or (), seconds, timeout, take=take)
 
 
 @operator_app.command()
+@shell_command()
 def mock(
+    target: NamedTarget,
     behaviour: Behaviour,
     rate: Annotated[float, typer.Option(min=0.01, max=200, help="Requests per second.")] = 1.0,
     count: Annotated[int, typer.Option(min=0, help="How many; 0: until Ctrl-C.")] = 1,
     robots: Robots = None,
     settings: Settings = None,
     timeout: Timeout = 5.0,
-    operator: Operator = "",
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Mock publisher: send one request again and again."""
+    from fullswarm.operator import orders
+    from fullswarm.operator.values import parse_parameters
 
-    def command() -> int:
-        from fullswarm.operator import orders
-        from fullswarm.operator.values import parse_parameters
-
-        parameters = parse_parameters(settings or ())
-        target = target_of(hub, swarm, operator)
-        return orders.mock(target, behaviour, robots or (), parameters, rate_hz=rate, count=count, timeout_s=timeout)
-
-    run(debug, command)
+    parameters = parse_parameters(settings or ())
+    return orders.mock(target, behaviour, robots or (), parameters, rate_hz=rate, count=count, timeout_s=timeout)
 
 
 @operator_app.command()
+@shell_command()
 def status(
-    robots: Robots = None, as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False
-) -> None:
+    target: Target,
+    robots: Robots = None,
+    as_json: Json = False,
+) -> int:
     """Show the swarm, or some robots of it, once; first those that need somebody."""
+    from fullswarm.operator import reads
 
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.status(target_of(hub, swarm), robots or (), as_json=as_json)
-
-    run(debug, command)
+    return reads.status(target, robots or (), as_json=as_json)
 
 
 @operator_app.command()
+@shell_command()
 def watch(
+    target: Target,
     robots: Robots = None,
     as_json: Annotated[bool, typer.Option("--json", help="A line of JSON at each refresh, four each second.")] = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Show the swarm, or some robots of it, live until Ctrl-C; first those that need somebody."""
+    from fullswarm.operator import reads
 
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.watch(target_of(hub, swarm), robots or (), as_json=as_json)
-
-    run(debug, command)
+    return reads.watch(target, robots or (), as_json=as_json)
 
 
 @operator_app.command()
-def robots(as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False) -> None:
-    """List the robots: make, model, driver, firmware, battery."""
-
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.robots(target_of(hub, swarm), as_json=as_json)
-
-    run(debug, command)
-
-
-@operator_app.command()
+@shell_command()
 def behaviours(
+    target: Target,
     name: Annotated[
         str | None, typer.Argument(help="Show this one's parameters.", autocompletion=completion.behaviours)
     ] = None,
     timeout: Timeout = 3.0,
     as_json: Json = False,
-    hub: Hub = None,
-    swarm: Swarm = "swarm",
-    debug: Debug = False,
-) -> None:
+) -> int:
     """List the behaviours that can be asked for, or the parameters of one."""
+    from fullswarm.operator import reads
 
-    def command() -> int:
-        from fullswarm.operator import reads
-
-        return reads.behaviours(target_of(hub, swarm), name, timeout_s=timeout, as_json=as_json)
-
-    run(debug, command)
+    return reads.behaviours(target, name, timeout_s=timeout, as_json=as_json)

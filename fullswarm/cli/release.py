@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fullswarm.cli.operate import Debug, Json
-from fullswarm.launch.guard import run_guarded
+from fullswarm.cli.options import Json, shell_command
 
 if TYPE_CHECKING:
     from fullswarm.deploy.release.keys import Keys
@@ -17,6 +16,7 @@ FIT_ON_AIR = 6
 """Compression of the size that is told: what a robot gets is gzipped as well as this."""
 
 
+@shell_command()
 def bundle(
     target: Annotated[str, typer.Option("--target", metavar="NAME", help="rpi-arm64, jetson or x86_64.")],
     out: Annotated[
@@ -41,25 +41,20 @@ def bundle(
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only tell what it would hold.")] = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Make a release: all that a robot runs, in one signed folder; the same input gives the same bytes.
 
     64-bit systems only. Raspberry Pi OS Bookworm has Python 3.11, Trixie 3.13; JetPack 7 has 3.12, JetPack 6 needs
     `apt install python3.11`.
     """
+    from fullswarm.deploy.release import targets
+    from fullswarm.deploy.release.bundle import BundleRequest
+    from fullswarm.deploy.release.store import Store
 
-    def command() -> int:
-        from fullswarm.deploy.release import targets
-        from fullswarm.deploy.release.bundle import BundleRequest
-        from fullswarm.deploy.release.store import Store
-
-        names = tuple(name.strip() for each in extras or () for name in each.split(",") if name.strip())
-        request = BundleRequest(targets.target(target, python), names, tuple(packages or ()), upgrade, wheels)
-        store = Store.default() if out is None else Store(out)
-        return _tell_plan(request, store, as_json) if dry_run else _make(request, store, as_json)
-
-    raise typer.Exit(run_guarded(command, debug))
+    names = tuple(name.strip() for each in extras or () for name in each.split(",") if name.strip())
+    request = BundleRequest(targets.target(target, python), names, tuple(packages or ()), upgrade, wheels)
+    store = Store.default() if out is None else Store(out)
+    return _tell_plan(request, store, as_json) if dry_run else _make(request, store, as_json)
 
 
 def _tell_plan(request: Any, store: Any, as_json: bool) -> int:
@@ -124,28 +119,25 @@ def _megabytes(size: Any) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
 
 
-def keys(as_json: Json = False, debug: Debug = False) -> None:
+@shell_command()
+def keys(as_json: Json = False) -> int:
     """Show this base's keys, and make those that are not there: one signs releases, one logs in to robots.
 
     Robots take releases signed by this key only: keep a backup of the folder, and give it to nobody.
     """
+    from fullswarm import output
+    from fullswarm.deploy.release.keys import Keys
 
-    def command() -> int:
-        from fullswarm import output
-        from fullswarm.deploy.release.keys import Keys
-
-        facts = _facts(Keys.default())
-        if as_json:
-            output.data_json(facts)
-            return 0
-        output.data(f"folder   {facts['folder']}")
-        for name in ("release", "fleet"):
-            output.data(f"{name:8} {facts[name]['fingerprint']}  {facts[name]['public']}")
-        for each in facts["hosts"]:
-            output.data(f"host     {each['fingerprint']}  {each['swarm']}/{each['robot']}")
+    facts = _facts(Keys.default())
+    if as_json:
+        output.data_json(facts)
         return 0
-
-    raise typer.Exit(run_guarded(command, debug))
+    output.data(f"folder   {facts['folder']}")
+    for name in ("release", "fleet"):
+        output.data(f"{name:8} {facts[name]['fingerprint']}  {facts[name]['public']}")
+    for each in facts["hosts"]:
+        output.data(f"host     {each['fingerprint']}  {each['swarm']}/{each['robot']}")
+    return 0
 
 
 def _facts(ours: Keys) -> dict[str, Any]:

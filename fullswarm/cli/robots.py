@@ -1,21 +1,19 @@
-"""The commands that deal with robots and ports: ``robots find|test|check``, ``doctor``, ``emulate``.
-
-They import drivers, which the operator's commands may not; so the verbs are hung to the operator's ``robots`` here.
-"""
+"""The commands that deal with robots and ports: ``robots find|test|check``, ``doctor``, ``emulate``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fullswarm import registry
 from fullswarm.cli import completion
-from fullswarm.cli import operate as cli
-from fullswarm.cli.operate import Debug, Hub, Json, Swarm, run_guarded
+from fullswarm.cli.options import Json, shell_command
+
+if TYPE_CHECKING:
+    from fullswarm.cli.options import Target
 
 hardware_app = typer.Typer()
 robots_app = typer.Typer(invoke_without_command=True)
@@ -32,23 +30,19 @@ class Make(StrEnum):
     VESC = "vesc"
 
 
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    from fullswarm.output import log_to_stderr
-
-    log_to_stderr()
-    raise typer.Exit(run_guarded(command, debug))
-
-
 @robots_app.callback()
-def robots(
-    context: typer.Context, as_json: Json = False, hub: Hub = None, swarm: Swarm = "swarm", debug: Debug = False
-) -> None:
+@shell_command()
+def robots(context: typer.Context, target: Target, as_json: Json = False) -> int:
     """List the robots of the running swarm; `find` and `test` look at robots on cables."""
     if context.invoked_subcommand is None:
-        cli.robots(as_json, hub, swarm, debug)
+        from fullswarm.operator import reads
+
+        return reads.robots(target, as_json=as_json)
+    return 0
 
 
 @robots_app.command()
+@shell_command(logs=True)
 def find(
     port: Annotated[list[str] | None, typer.Option("--port", metavar="PATH", help="Only this serial port.")] = None,
     can: Annotated[
@@ -59,39 +53,31 @@ def find(
         list[str] | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Only rovers that send here.")
     ] = None,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Ask all ports what robot is there; nothing moves. Exit code 0: robots found; 1: none."""
+    from fullswarm.bringup.find import find as run
 
-    def command() -> int:
-        from fullswarm.bringup.find import find as run
-
-        return run(port or (), can or (), udp or (), as_json=as_json)
-
-    _run(debug, command)
+    return run(port or (), can or (), udp or (), as_json=as_json)
 
 
 @robots_app.command("test")
+@shell_command(logs=True)
 def bring_up(
     url: Annotated[str, typer.Argument(metavar="URL", help="The driver's, as in a fleet file.")],
     speed: Annotated[float, typer.Option(min=0.02, max=0.5, help="Of the wheels, m/s.")] = 0.1,
     yes: Annotated[bool, typer.Option("--yes", help="Nobody is asked: it is safe to drive.")] = False,
     timeout: Annotated[float, typer.Option(metavar="SECONDS", min=1, max=600, help="For it to be READY.")] = 60.0,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Drive one robot a little and check signs, scale, stops and sensors. Exit code 0: passed; 1: failed."""
+    registry.driver_target(url)  # before anything is imported
+    from fullswarm.bringup.robot_test import run
 
-    def command() -> int:
-        registry.driver_target(url)  # before anything is imported
-        from fullswarm.bringup.robot_test import run
-
-        return run(url, speed_m_s=speed, confirmed=yes, ready_s=timeout, as_json=as_json)
-
-    _run(debug, command)
+    return run(url, speed_m_s=speed, confirmed=yes, ready_s=timeout, as_json=as_json)
 
 
 @robots_app.command("check")
+@shell_command(logs=True)
 def check(
     url: Annotated[
         str | None, typer.Argument(metavar="[URL]", help="The driver's, as in a fleet file; of any package.")
@@ -115,25 +101,21 @@ def check(
         float, typer.Option(metavar="SECONDS", min=1, max=600, help="For each step that the robot confirms.")
     ] = 10.0,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run the published check of drivers on one robot or emulator. Exit code 0: passed; 1: failed, says what and why.
 
     For those who write drivers. Operators want `robots test`.
     """
+    from fullswarm.bringup.robot_check import run
 
-    def command() -> int:
-        from fullswarm.bringup.robot_check import run
-
-        return run(
-            url, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle, deadline_s=timeout,
-            as_json=as_json,
-        )  # fmt: skip
-
-    _run(debug, command)
+    return run(
+        url, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle, deadline_s=timeout,
+        as_json=as_json,
+    )  # fmt: skip
 
 
 @hardware_app.command(rich_help_panel=PANEL)
+@shell_command(logs=True)
 def doctor(
     fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Also its hub and robots.")] = None,
     robot: Annotated[
@@ -151,24 +133,20 @@ def doctor(
     ] = True,
     yes: Annotated[bool, typer.Option("--yes", help="Press it without a question. Nothing moves by it.")] = False,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Check this machine, and a fleet's hub and robots, or one --robot before it drives; says what mends it.
 
     Exit code 1: something is broken; 3: nothing of the --robot answers.
     """
+    from fullswarm.bringup import doctor
 
-    def command() -> int:
-        from fullswarm.bringup import doctor
-
-        if robot is not None:
-            return doctor.preflight(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
-        return doctor.run(fleet, as_json=as_json)
-
-    _run(debug, command)
+    if robot is not None:
+        return doctor.preflight(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
+    return doctor.run(fleet, as_json=as_json)
 
 
 @hardware_app.command(rich_help_panel=PANEL)
+@shell_command(logs=True)
 def emulate(
     make: Annotated[Make, typer.Argument(help="Whose firmware.")],
     port: Annotated[Path | None, typer.Option(metavar="PATH", help="Where its serial port shall be.")] = None,
@@ -188,16 +166,11 @@ def emulate(
     ] = None,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="End after this; none: on Ctrl-C.")] = None,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
+    from fullswarm.bringup.emulate import Wish, run
+    from fullswarm.drivers.faults import LinkFaults
 
-    def command() -> int:
-        from fullswarm.bringup.emulate import Wish, run
-        from fullswarm.drivers.faults import LinkFaults
-
-        orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
-        faults = LinkFaults(drop, corrupt, delay)
-        return run(Wish(make.value, port, listen, url, model), faults, orders, seconds, as_json=as_json)
-
-    _run(debug, command)
+    orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
+    faults = LinkFaults(drop, corrupt, delay)
+    return run(Wish(make.value, port, listen, url, model), faults, orders, seconds, as_json=as_json)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fullswarm.cli import completion
-from fullswarm.cli.operate import Debug, Json, run_guarded
+from fullswarm.cli.options import Json, shell_command
 
 scenario_app = typer.Typer(no_args_is_help=True, help="Arenas: list, show, import from other simulators, export.")
 
@@ -23,38 +22,26 @@ Seed = Annotated[int, typer.Option(min=0, help="Places random boxes and robots."
 Robots = Annotated[int, typer.Option(min=0, max=1000, help="How many stand at their starts.")]
 
 
-def _run(debug: bool, command: Callable[[], int]) -> None:
-    from fullswarm.output import log_to_stderr
-
-    log_to_stderr()
-    raise typer.Exit(run_guarded(command, debug))
-
-
 @scenario_app.command("list")
-def list_scenarios(as_json: Json = False, debug: Debug = False) -> None:
+@shell_command(logs=True)
+def list_scenarios(as_json: Json = False) -> int:
     """List the scenarios of the package."""
+    from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
-    def command() -> int:
-        from fullswarm.evaluate.scenarios import commands as scenario_tasks
-
-        return scenario_tasks.list_all(as_json)
-
-    _run(debug, command)
+    return scenario_tasks.list_all(as_json)
 
 
 @scenario_app.command()
-def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False, debug: Debug = False) -> None:
+@shell_command(logs=True)
+def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False) -> int:
     """Show a scenario from above, in text; with --json every box, start and goal."""
+    from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
-    def command() -> int:
-        from fullswarm.evaluate.scenarios import commands as scenario_tasks
-
-        return scenario_tasks.show(name, seed, robots, as_json)
-
-    _run(debug, command)
+    return scenario_tasks.show(name, seed, robots, as_json)
 
 
 @scenario_app.command("import")
+@shell_command(logs=True)
 def import_world(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Stage, Menge or IR-SIM.")],
     form: Annotated[
@@ -64,19 +51,15 @@ def import_world(
         Path | None, typer.Option("--out", metavar="FILE.toml", help="Write the scenario here, not to stdout.")
     ] = None,
     as_json: Json = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Make a scenario of another simulator's world. Notes say what was left out or approximated."""
+    from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
-    def command() -> int:
-        from fullswarm.evaluate.scenarios import commands as scenario_tasks
-
-        return scenario_tasks.import_world(file, form, out, as_json)
-
-    _run(debug, command)
+    return scenario_tasks.import_world(file, form, out, as_json)
 
 
 @scenario_app.command()
+@shell_command(logs=True)
 def export(
     name: Name,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write; pgm: the .yaml goes beside it.")],
@@ -87,13 +70,8 @@ def export(
     driven: Annotated[
         bool, typer.Option("--driven", help="Robots with wheels and Gazebo's DiffDrive, not plain cylinders.")
     ] = False,
-    debug: Debug = False,
-) -> None:
+) -> int:
     """Write a scenario for Gazebo (SDF 1.9), or as a map for ROS (PGM and YAML)."""
+    from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
-    def command() -> int:
-        from fullswarm.evaluate.scenarios import commands as scenario_tasks
-
-        return scenario_tasks.export(name, form, robots, seed, out, cell, driven)
-
-    _run(debug, command)
+    return scenario_tasks.export(name, form, robots, seed, out, cell, driven)
