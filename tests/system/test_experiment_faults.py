@@ -34,7 +34,7 @@ from tests.unit.experiment_work import Trouble
 if __name__ == "__main__":
     out = Path(sys.argv[1])
     options = Options("paper", "0-19", ("robots=4,empty,move_to_goal_bc",), folder=out, engine="kinematic")
-    sys.exit(run(options, Trouble(out.with_name("notes"), slow_s=0.1)))
+    sys.exit(run(options, Trouble(out.with_name("notes"), slow_s=0.1, late=10)))
 """
 
 
@@ -172,6 +172,7 @@ def test_a_supervisor_that_is_ended_in_mid_sweep(tmp_path: Path, number: signal.
         whole = {int(each.name.split("-s")[1].split("-")[0]) for each in (out / TRIALS).glob("[!.]*")}
     assert 2 <= len(whole) < 20
     before = len(notes.tries())
+    notes.notes.with_suffix(".go").touch()
     (out / TRIALS / f".half-{os.uname().nodename}-{process.pid}").mkdir()
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
