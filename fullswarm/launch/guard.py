@@ -18,12 +18,12 @@ BUG = 70
 def run_guarded(call: Callable[[], int | None], debug: bool = False) -> int:
     """Run a command and return its exit code (None counts as 0); an error becomes one line on stderr.
 
-    With `debug` errors are raised as they are, with their traceback. ``typer.Exit``, ``typer.Abort`` and
-    ``SystemExit`` pass through, so whole applications may be wrapped too.
+    With `debug` errors are raised as they are, with their traceback. ``typer.Exit``, ``typer.Abort``,
+    ``typer.BadParameter`` and ``SystemExit`` pass through, so whole applications may be wrapped too.
     """
     try:
         return call() or 0
-    except (typer.Exit, typer.Abort):
+    except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except KeyboardInterrupt:
         _say("interrupted")

@@ -65,7 +65,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     code = (
         "import sys\n"
         "from fullswarm.launch.guard import run_guarded\n"
-        "from fullswarm.operator import output\n"
+        "from fullswarm import output\n"
         "sys.exit(run_guarded(lambda: [output.data('x' * 1000) for _ in range(1000)] and 0))\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
