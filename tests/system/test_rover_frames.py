@@ -17,7 +17,8 @@ from fullswarm.launch.ports import on_free_ports
 
 pytestmark = pytest.mark.system
 
-RING_M, ARRIVED_M, LIMIT_S = 2.5, 0.3, 40.0
+RING_M, ARRIVED_M = 2.5, 0.3
+LIMIT_S = 120.0  # 13 s on an idle machine; what is judged is whether they touch, not when they arrive
 CENTRE_M = 6.0
 MARGIN_M = 0.15
 """Fixes come 20 times a second, and states of the other through two processes, on a machine that has other work."""
