@@ -27,11 +27,13 @@ pytestmark = [pytest.mark.system, pytest.mark.untimed]
 
 CELL = "robots=4,empty,move_to_goal_bc"
 PROGRAM = """
+import signal
 import sys
 from pathlib import Path
 from fullswarm.evaluate.experiment.run import Options, run
 from tests.unit.experiment_work import Trouble
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
     out = Path(sys.argv[1])
     options = Options("paper", "0-19", ("robots=4,empty,move_to_goal_bc",), folder=out, engine="kinematic")
     sys.exit(run(options, Trouble(out.with_name("notes"), slow_s=0.1, late=10)))
