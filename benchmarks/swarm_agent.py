@@ -206,7 +206,7 @@ def main() -> None:
         node.neighbours = ProbedNeighbours(robot, config.agent.neighbour_timeout_s, probe)
         return [node]
 
-    processes.serve_on_bus(config, True, build)
+    processes.serve_on_bus(config, True, build, robot)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Two implementations pass one test suite: :class:`~fullswarm.bus.local.LocalBus` (one process, deterministic
 order, for lockstep) and :class:`~fullswarm.bus.zenoh_bus.ZenohBus` (live, through a
-:class:`~fullswarm.bus.hub.Hub`). Import the live ones from their modules: this package does not load zenoh.
+:class:`~fullswarm.bus.hub.Hub`). Both carry the name of the publishing process beside each message. Import the live
+ones from their modules: this package does not load zenoh.
 """
 
 from fullswarm.bus.base import Bus, Subscription

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from fullswarm.bus.senders import OPERATOR
+from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
 from fullswarm.demo.show import Show, acts_for
 from fullswarm.demo.summary import print_summary

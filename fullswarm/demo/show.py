@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from fullswarm.bus.base import Bus
-from fullswarm.bus.senders import OPERATOR, sender_of
+from fullswarm.bus.base import OPERATOR, Delivery, SenderBus
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, EStop, Heartbeat, LeaseRequest, RequestStatus, StopRequest, Value
@@ -104,7 +103,7 @@ class Show:
     yielded_to : who that was; empty: nobody yet
     """
 
-    bus: Bus
+    bus: SenderBus
     scheduler: Scheduler
     config: SwarmConfig
     operator: Operator
@@ -126,8 +125,8 @@ class Show:
         if self.yields:
             self.bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request)
             self.bus.subscribe(keys.lease_request, LeaseRequest, self._on_lease)
-            self.bus.subscribe(keys.stop, StopRequest, self._on_stop)
-            self.bus.subscribe(keys.estop, EStop, self._on_stop)
+            self.bus.subscribe_with_sender(keys.stop, StopRequest, self._on_stop)
+            self.bus.subscribe_with_sender(keys.estop, EStop, self._on_stop)
 
     def ready(self) -> bool:
         """Tell whether all robots have been heard, are READY and the core is alive."""
@@ -185,8 +184,10 @@ class Show:
         if request.hold and request.operator != self.operator.name:
             self._yield(request.operator)
 
-    def _on_stop(self, order: StopRequest | EStop) -> None:
-        if order.source != self.operator.source and sender_of(order) == OPERATOR:
+    def _on_stop(self, delivery: Delivery[StopRequest] | Delivery[EStop]) -> None:
+        # Robots and the core repeat a stop that still holds. A program that states no name may be an operator's.
+        order = delivery.message
+        if order.source != self.operator.source and delivery.sender in (OPERATOR, ""):
             self._yield(order.source)
 
     def _yield(self, operator: str) -> None:

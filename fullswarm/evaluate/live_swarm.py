@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from types import TracebackType
 
-from fullswarm.bus.senders import OPERATOR, WORLD
+from fullswarm.bus.base import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig

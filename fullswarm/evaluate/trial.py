@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
-from fullswarm.bus.senders import OPERATOR
+from fullswarm.bus.base import OPERATOR
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Array, Limits

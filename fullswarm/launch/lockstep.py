@@ -13,9 +13,8 @@ from typing import Any
 
 from fullswarm import kernels
 from fullswarm.agent.node import AgentNode, Identity
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import CENTRALISED, CORE, SenderBus
 from fullswarm.bus.local import LocalBus
-from fullswarm.bus.senders import CENTRALISED, CORE
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.node import CoreNode
@@ -78,8 +77,8 @@ class Lockstep:
         """The one agent that carries all robots; on a bad network that of the first robot."""
         return self.agents[0]
 
-    def bus_of(self, name: str) -> Bus:
-        """Return the bus as process `name` has it: on a bad network it suffers."""
+    def bus_of(self, name: str) -> SenderBus:
+        """Return the bus as process `name` uses it."""
         return on_network(self.bus, self.runtime, self.config, name)
 
     def _agent_of_all(self) -> AgentNode:

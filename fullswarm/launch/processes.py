@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable
 from urllib.parse import urlsplit
 
 from fullswarm import registry
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
 from fullswarm.bus.endpoint import host_of, is_loopback
-from fullswarm.bus.senders import CENTRALISED, CORE, OPERATOR, WORLD
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.frames import check_frames, in_frame
@@ -119,7 +118,7 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
 
 
 def serve_on_bus(
-    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str = OPERATOR
+    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str
 ) -> int:
     """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
 

@@ -236,6 +236,7 @@ class FixesNode:
 
 def run(hub: str | None, swarm: str, options: Options, with_parent: bool) -> int:
     """Serve until Ctrl-C, SIGTERM or the death of the process that started this one; return the exit code."""
+    from fullswarm.bus.base import WORLD
     from fullswarm.launch.processes import serve_on_bus
 
     keys = Keys(swarm)
@@ -248,4 +249,4 @@ def run(hub: str | None, swarm: str, options: Options, with_parent: bool) -> int
         log.info("listening", udp=port.address, swarm=swarm, hub=config.hub.endpoint)
         return [node, port]
 
-    return serve_on_bus(config, with_parent, build)
+    return serve_on_bus(config, with_parent, build, WORLD)  # where the simulated world stands in simulation

@@ -78,6 +78,7 @@ def from_swarm(hub: str | None, swarm: str, *, robots: bool) -> Known | None:
 
 
 def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
+    from fullswarm.bus.base import OPERATOR, NamedBus
     from fullswarm.bus.zenoh_bus import ZenohBus
     from fullswarm.clock import MonotonicClock
     from fullswarm.keys import Keys
@@ -110,7 +111,7 @@ def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
         bus.wait_connected(CONNECT_S)
         if wanted:
             bus.subscribe(keys.state(), RobotStates, hear)
-        ParamClient(bus, keys, runtime, "completion").ask("get", "*", receive)
+        ParamClient(NamedBus(bus, OPERATOR), keys, runtime, "completion").ask("get", "*", receive)
         runtime.run(LISTEN_S)
     finally:
         bus.close()

@@ -123,6 +123,7 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     ConfigError
         The hub's address or the swarm's name is malformed.
     """
+    from fullswarm.bus.base import OPERATOR, NamedBus
     from fullswarm.bus.zenoh_bus import ZenohBus
 
     log_to_stderr()
@@ -132,6 +133,6 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     bus = ZenohBus(runtime.mailbox, hub=hub)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)
-        yield Session(bus, keys, runtime, hub, target.operator)
+        yield Session(NamedBus(bus, OPERATOR), keys, runtime, hub, target.operator)
     finally:
         bus.close()

@@ -36,9 +36,9 @@ class CuttableBus(LocalBus):
 
     hub = True
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Deliver what would come off a wire: all that an agent says must survive it."""
-        super().publish(key, decode(encode(message), type(message)))
+        super().publish(key, decode(encode(message), type(message)), sender=sender)
 
     def connected(self) -> bool:
         return self.hub and super().connected()

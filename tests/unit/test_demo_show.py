@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from fullswarm.bus.senders import OPERATOR
+from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
 from fullswarm.demo.live import Manner
 from fullswarm.demo.show import Show
@@ -95,15 +95,17 @@ def test_a_person_who_asks_before_the_first_act_has_the_robots(stage: Stage) -> 
     [
         lease(hold=False),
         lease(hold=True, operator="demo"),
-        StopRequest(id="s1", robots=("r1",), source="r1"),  # a robot tells of a stop that still holds
+        StopRequest(id="s1", robots=("r1",), source="r1"),  # a robot repeats a stop that still holds
         StopRequest(id="s2", robots=("r1",), source="core-7f"),
     ],
     ids=["lease given back", "own lease", "robot's stop", "core's stop"],
 )
-def test_what_nobody_asked_for_does_not_end_it(stage: Stage, harmless: LeaseRequest | StopRequest) -> None:
+def test_what_no_operator_asked_for_does_not_end_it(stage: Stage, harmless: LeaseRequest | StopRequest) -> None:
     stage.run(2.0)
-    key = KEYS.lease_request if isinstance(harmless, LeaseRequest) else KEYS.stop
-    stage.bus.publish(key, harmless)
+    if isinstance(harmless, LeaseRequest):
+        stage.bus.publish(KEYS.lease_request, harmless)
+    else:
+        stage.lockstep.bus_of(harmless.source.partition("-")[0]).publish(KEYS.stop, harmless)
     stage.run(SECONDS)
     assert not stage.show.yielded_to
     assert len(stage.show.sent) == len(stage.show.acts)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fullswarm import __version__, output
+from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.bus.endpoint import is_loopback
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
@@ -167,7 +168,7 @@ async def _serve(
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
         identity = Identity(socket.gethostname(), process, __version__, options.read_only)
-        gateway = Gateway(bus, keys, runtime, identity, wall_time_s)
+        gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
         names = Names(host, port, lower(options.allow_hosts))
 
         def fail(error: BaseException) -> None:
