@@ -90,7 +90,8 @@ def flash(
     Exit code 0: written and read back; 1: a card failed; 2: refused; 3: --wait heard nothing.
     """
     from fullswarm.deploy.flash import report as reports
-    from fullswarm.deploy.flash.run import Request, run
+    from fullswarm.deploy.flash.order import Request
+    from fullswarm.deploy.flash.run import run
     from fullswarm.errors import ConfigError
 
     if report is not None:

@@ -17,3 +17,6 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``guard.py``        turns an error of a command into one line and an exit code
 ``typed.py``        lines from the terminal or a pipe, polled by a timer
 """
+
+HEALTH = "FULLSWARM_HEALTH"
+"""Environment variable with the path of the health file, set by the robot's unit."""

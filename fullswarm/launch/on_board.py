@@ -17,8 +17,8 @@ import fullswarm
 from fullswarm.agent import health_file
 from fullswarm.agent.health_file import Process, Rate
 from fullswarm.config import AgentConfig
+from fullswarm.launch import HEALTH
 from fullswarm.launch.notify import Notifier
-from fullswarm.launch.unit import HEALTH
 from fullswarm.runtime import Runtime, Timer
 
 if TYPE_CHECKING:

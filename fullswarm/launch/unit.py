@@ -10,8 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-HEALTH = "FULLSWARM_HEALTH"
-"""Path of the health file, set by the unit."""
+from fullswarm.launch import HEALTH
 
 
 def plain_logs() -> None:
