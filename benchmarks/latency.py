@@ -98,7 +98,7 @@ class StampingDriver:
 
 def serve_agent(fleet: Path, port: int) -> None:
     """Run an agent with the stamping driver."""
-    from fullswarm.agent.node import Identity
+    from fullswarm.agent.state import Identity
     from fullswarm.config import load_swarm
     from fullswarm.drivers.fleet import OneRobot
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.swarm_meet import GRACE_S, Meeting, Result, spent_since, threads_cpu_s
 from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.node import Identity
+from fullswarm.agent.state import Identity
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist

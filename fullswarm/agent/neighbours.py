@@ -143,6 +143,10 @@ class Neighbours:
             self._predict()
         return self._search(position, self.places, reach_m)
 
+    def ages_s(self, now_s: float) -> Array:
+        """Return how long ago each neighbour was heard, (k,) s."""
+        return now_s - self.arrival_s[: self.count]
+
     def forget(self, now_s: float, listened: Callable[[float, float, float], bool]) -> None:
         """Forget who is silent where nobody listens: there silence says nothing.
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm import kernels
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus.base import CENTRALISED, CORE, SenderBus
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock

@@ -6,6 +6,7 @@ loop that drives the wheels: when that hangs, nothing is said, and systemd start
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -121,8 +122,12 @@ class OnBoard:
         if self._path is None or self._agent is None or self._control is None:
             return
         now_s, settings = self.now_s(), self._settings
+        agent = self._agent
+        (report,) = agent.health(now_s).robots
+        reading_age_s = math.inf if agent.reading is None else now_s - float(agent.reading.stamp_s[0])
         vitals = health_file.vitals_of(
-            self._agent, now_s, self._rate.see(now_s, self._control.ticks), settings.control_rate_hz,
+            report, reading_age_s, agent.inbox.core_age_s(now_s), agent.neighbours.ages_s(now_s),
+            self._rate.see(now_s, self._control.ticks), settings.control_rate_hz,
             (settings.reading_timeout_s, settings.neighbour_timeout_s),
         )  # fmt: skip
         process = Process(
