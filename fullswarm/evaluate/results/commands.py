@@ -23,8 +23,9 @@ from fullswarm.evaluate.results.compare import compare as compare_folders
 from fullswarm.evaluate.results.export import WRITERS, long, wide, write_table
 from fullswarm.evaluate.results.folder import Folder, StoredTrial, older_text, read_folder
 from fullswarm.evaluate.results.index import INDEX_FILE, open_index, rebuild
-from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, range_of, unit_of, values_of
+from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, range_of, values_of
 from fullswarm.evaluate.results.statistics import Described, describe
+from fullswarm.units import unit_of
 
 STDOUT = Path("-")
 ALIKE = ("label", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad")

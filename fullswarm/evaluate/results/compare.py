@@ -12,8 +12,9 @@ import msgspec
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Cell, differ_by_group
 from fullswarm.evaluate.results.folder import StoredTrial, read_records
-from fullswarm.evaluate.results.quantities import Key, in_order, unit_of, values_of
+from fullswarm.evaluate.results.quantities import Key, in_order, values_of
 from fullswarm.evaluate.results.statistics import Paired, paired
+from fullswarm.units import unit_of
 
 PairKey = tuple[object, ...]
 FIELDS = ("behaviour", "scenario", "robots", "engine", "limits", "network", "noise_m", "noise_rad", "group")

@@ -16,7 +16,8 @@ import numpy as np
 
 from fullswarm.errors import ConfigError, MissingExtra, did_you_mean
 from fullswarm.evaluate.results.folder import StoredTrial
-from fullswarm.evaluate.results.quantities import in_order, unit_of, values_of
+from fullswarm.evaluate.results.quantities import in_order, values_of
+from fullswarm.units import unit_of
 
 Value = str | int | float | None
 EXTRA = "pip install 'fullswarm[experiments]'"

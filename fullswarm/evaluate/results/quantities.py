@@ -14,20 +14,6 @@ Key = tuple[str, str]
 SHARES: tuple[Key, ...] = (("outcome", "all_arrived"), ("outcome", "safe_start"))
 """0 or 1 in a trial, so that their mean is a share of trials."""
 
-UNITS = {
-    "_m_s2": "m/s²",
-    "_rad_s": "rad/s",
-    "_m_s": "m/s",
-    "_m2": "m²",
-    "_m": "m",
-    "_rad": "rad",
-    "_s": "s",
-    "_j": "J",
-    "_wh": "Wh",
-    "_hz": "Hz",
-}
-"""By the end of the name; the longer ends first."""
-
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -104,11 +90,6 @@ def range_of(key: Key) -> tuple[float, float]:
     if name.endswith("fraction") or key in SHARES:
         return 0.0, 1.0
     return (0.0 if source == "outcome" else -math.inf), math.inf  # the referee only counts and times
-
-
-def unit_of(name: str) -> str:
-    """Return the unit that a name ends with; empty: a count or a share."""
-    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
 
 
 def in_order(keys: Iterable[Key]) -> list[Key]:

@@ -1,7 +1,7 @@
 """Statistics of trials: description with intervals, and paired comparison by seed.
 
-Sources: Wilson 1927 for proportions; Wilcoxon 1945 for the signed-rank test, here exact also with ties (the null
-distribution of the tied ranks is counted, not approximated); Kerby 2014 for the rank-biserial correlation.
+SciPy computes the intervals, the sign test and the ranks. The p of the signed-rank test (Wilcoxon 1945) is counted
+here, because SciPy's exact form does not allow for ties; Kerby 2014 for the rank-biserial correlation.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,14 +85,17 @@ def describe(
 
 
 def wilson(successes: int, total: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the interval of a share of which `successes` of `total` were seen; (0, 1) when nothing was seen."""
+    """Return the interval of a share of which `successes` of `total` were seen; (0, 1) when nothing was seen.
+
+    Raises
+    ------
+    MissingExtra
+        SciPy is not installed.
+    """
     if total <= 0:
         return 0.0, 1.0
-    z = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
-    share, per = successes / total, z * z / total
-    centre = (share + 0.5 * per) / (1.0 + per)
-    half = z * math.sqrt(share * (1.0 - share) / total + 0.25 * per / total) / (1.0 + per)
-    return (0.0 if successes == 0 else centre - half), (1.0 if successes == total else centre + half)
+    found = _scipy_stats().binomtest(successes, total).proportion_ci(confidence, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def paired(a: Values, b: Values, confidence: float = CONFIDENCE) -> Paired:
@@ -145,26 +149,20 @@ def _mean_interval(sample: NDArray[np.float64], confidence: float) -> tuple[floa
     mean = float(sample.mean())
     if sample.size < 2:
         return mean, math.nan, math.nan
-    try:
-        from scipy.special import stdtrit
-    except ImportError as error:
-        raise MissingExtra("intervals need SciPy", hint="pip install 'fullswarm[experiments]'") from error
-    quantile = float(stdtrit(sample.size - 1, 0.5 + 0.5 * confidence))
+    quantile = float(_scipy_stats().t.ppf(0.5 + 0.5 * confidence, sample.size - 1))
     half = quantile * float(sample.std(ddof=1)) / math.sqrt(sample.size)
     return mean, mean - half, mean + half
 
 
 def _sign_p(less: int, more: int) -> float:
-    total = less + more
-    tail = sum(math.comb(total, count) for count in range(min(less, more) + 1))
-    return min(1.0, float(2 * tail / 2**total))  # of integers: exact for any number of pairs
+    return float(_scipy_stats().binomtest(less, less + more).pvalue) if less + more else 1.0
 
 
 def _signed_ranks(difference: NDArray[np.float64]) -> tuple[float, float]:
     """Return the rank-biserial correlation and the p of the signed-rank test, for differences without zeros."""
     if not difference.size:
         return 0.0, 1.0
-    doubled = _doubled_ranks(np.abs(difference))
+    doubled = (2.0 * _scipy_stats().rankdata(np.round(np.abs(difference), 12))).astype(np.int64)
     total, positive = int(doubled.sum()), int(doubled[difference > 0.0].sum())
     least = min(positive, total - positive)
     if difference.size <= EXACT_PAIRS:
@@ -182,9 +180,9 @@ def _signed_ranks(difference: NDArray[np.float64]) -> tuple[float, float]:
     return (2 * positive - total) / total, min(1.0, p)
 
 
-def _doubled_ranks(size: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return twice the ranks, ties sharing their mean: whole numbers."""
-    _, group, count = np.unique(np.round(size, 12), return_inverse=True, return_counts=True)
-    end = np.cumsum(count)
-    shared: NDArray[np.int64] = 2 * end - count + 1
-    return shared[group]
+def _scipy_stats() -> Any:
+    try:
+        from scipy import stats
+    except ImportError as error:
+        raise MissingExtra("statistics need SciPy", hint="pip install 'fullswarm[experiments]'") from error
+    return stats

@@ -18,10 +18,10 @@ from fullswarm.evaluate.results.quantities import (
     TOUCHED,
     WORK,
     Quantity,
-    unit_of,
 )
 from fullswarm.evaluate.results.sample import Condition, Sample, bare, is_filtered
 from fullswarm.evaluate.results.statistics import describe, paired, wilson
+from fullswarm.units import unit_of
 
 NONE = "–"
 
