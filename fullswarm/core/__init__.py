@@ -19,4 +19,13 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to ever
 ``params.py``          the local database on the bus
 ``node.py``            wires all of it
 ``centralised/``       the centralised behaviours' own process
+
+Further files:
+
+``groups.py``   Groups of robots in the core's database: ``@name`` stands for them wherever a request names robots
+``keep.py``     Writes the core's memory: a disk that is full or locked is complained about, and must not end the core
+``latches.py``  Who is in e-stop: the second memory beside the agents' own
+``leases.py``   Authority: who drives which robots (decision 17)
+``outside.py``  Records of behaviours that other packages bring: their law is an entry point, their record lies beside
+                the law
 """

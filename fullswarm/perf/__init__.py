@@ -15,4 +15,8 @@ file                    what it holds                                           
 ======================  ==========================================================  =============
 
 Nothing is imported here, so that a robot loads its calculators without the rest.
+
+Further files:
+
+``tallies.py``  Tallies: how each metric's measurements of many hosts become one result
 """

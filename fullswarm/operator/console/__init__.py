@@ -16,4 +16,10 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 ``server.py`` ``guard.py`` ``pages.py`` ``outbox.py``  HTTP, WebSocket, who may come in, who is too slow
 ``connections.py``  what connections without the token may use up
 ``pump.py`` ``serve.py``  the loop, start and end
+
+Further files:
+
+``door.py``  Opens the page in the user's browser without its token on a command line, which everybody on a machine
+             can read
+``news.py``  What happens to hub, core, robots and leases, as lines of the log: each change once
 """
