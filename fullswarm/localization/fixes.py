@@ -194,7 +194,7 @@ class FixesNode:
             heading_rad=seen.heading_rad,
             position_sigma_m=seen.position_sigma_m,
             heading_sigma_rad=seen.heading_sigma_rad,
-            # A source has one clock: that of the sender's machine if he tells his time, else this one.
+            # A source has one clock: that of the sender's machine if it states its time, else this one.
             source=self._process if seen.time_s is None else f"{self._process}/{sender}",
             stamp_s=arrival_s if seen.time_s is None else seen.time_s,
             contacts=seen.contacts,

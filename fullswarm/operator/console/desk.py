@@ -1,4 +1,4 @@
-"""One operator at one page: asks, drives, holds robots and stops, in a name of his own."""
+"""One operator at one page: asks, drives, holds robots and stops, in a name of their own."""
 
 from __future__ import annotations
 
