@@ -37,7 +37,7 @@ REPORT_S = 10.0
 KNOWN_S = 5.0
 """By then every robot has told of its health twice."""
 KINDS = 50
-"""Complaints that are told; a sender who finds ever new ones is not worth more lines."""
+"""Complaints that are told; a sender that finds ever new ones is not worth more lines."""
 
 Datagram = tuple[float, str, bytes]
 """Arrival, the sender's IP address, content."""
@@ -214,7 +214,7 @@ class FixesNode:
         self._known.update(each.robot for each in report.robots)
 
     def _look_for(self, robot: str) -> None:
-        """Say once that nobody has heard of a robot: a wrong name looks like a robot that is switched off."""
+        """Say once that a robot is unknown: a wrong name looks like a robot that is switched off."""
         if robot in self._known or robot in self._strange or self._scheduler.now_s() - self._began_s < KNOWN_S:
             return
         if len(self._strange) < KINDS:
