@@ -11,7 +11,7 @@ import random
 import sys
 from pathlib import Path
 
-from fullswarm.bus.senders import OPERATOR
+from fullswarm.bus.base import OPERATOR
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig, load_swarm

@@ -58,7 +58,7 @@ parameters = { speed_m_s = 1.0 }
 
 def serve_pad(port: int, seconds: float, hub: str) -> None:
     """Run the joystick command with a virtual pad that moves, and report when it did."""
-    from fullswarm.launch.main import app
+    from fullswarm.cli.main import app
     from fullswarm.testing.pad import VirtualPad
 
     pad = VirtualPad()

@@ -98,7 +98,7 @@ class StampingDriver:
 
 def serve_agent(fleet: Path, port: int) -> None:
     """Run an agent with the stamping driver."""
-    from fullswarm.agent.node import Identity
+    from fullswarm.agent.state import Identity
     from fullswarm.config import load_swarm
     from fullswarm.drivers.fleet import OneRobot
 
@@ -108,7 +108,7 @@ def serve_agent(fleet: Path, port: int) -> None:
         robot = OneRobot("r1", StampingDriver(port))
         return [nodes.agent(bus, runtime, config, robot, Identity("r1", "r1-0"), runtime.stats)]
 
-    processes.serve_on_bus(config, True, build)
+    processes.serve_on_bus(config, True, build, "r1")
 
 
 def serve_hop(endpoint: str, port: int) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.swarm_meet import GRACE_S, Meeting, Result, spent_since, threads_cpu_s
 from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.node import Identity
+from fullswarm.agent.state import Identity
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist
@@ -206,7 +206,7 @@ def main() -> None:
         node.neighbours = ProbedNeighbours(robot, config.agent.neighbour_timeout_s, probe)
         return [node]
 
-    processes.serve_on_bus(config, True, build)
+    processes.serve_on_bus(config, True, build, robot)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from fullswarm.config import SwarmConfig, WorldConfig
+from fullswarm.demo.run import demo_config
+from fullswarm.demo.show import STOP_S, Act, Show
 from fullswarm.drivers.base import Array
 from fullswarm.keys import Keys
-from fullswarm.launch.demo import demo_config
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.launch.show import STOP_S, Act, Show
 from fullswarm.operator.client import Operator
 
 SECONDS = 45.0

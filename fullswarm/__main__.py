@@ -7,6 +7,6 @@ from fullswarm.launch import unit
 if __name__ == "__main__":
     if on_board := unit.asked_for(sys.argv[1:]):
         sys.exit(unit.main(*on_board))
-    from fullswarm.launch.main import main
+    from fullswarm.cli.main import main
 
     main()

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.agent.robot_controller import RobotController
+from fullswarm.agent.standstill import Standstill
+from fullswarm.agent.state import Motion
 from fullswarm.bus.base import Bus
+from fullswarm.drivers.base import Fleet
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt
-
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
 
 REMEMBERED = 256
 SETTLE_TIMEOUT_S = 5.0
@@ -30,7 +30,7 @@ Key = tuple[str, bool]
 class Rolling:
     """A robot between an e-stop and standing.
 
-    The way is taken from odometry: a pose that is corrected or noisy adds metres that nobody rolled. It is summed
+    The way is taken from odometry: a pose that is corrected or noisy adds metres that no wheel rolled. It is summed
     over legs longer than the make's odometry wanders at standstill, so that noise is no way.
     """
 
@@ -65,11 +65,15 @@ class EStops:
     """Engages and releases, and confirms.
 
     Orders are remembered by id. Operators repeat theirs until every robot has confirmed, so copies of an order come
-    after somebody else's newer one: those must not undo it.
+    after another operator's newer one: those must not undo it.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, agent: AgentNode, control_rate_hz: float) -> None:
-        self._bus, self._keys, self._agent = bus, keys, agent
+    def __init__(
+        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: Motion, controller: RobotController,
+        standstill: Standstill, wake: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._fleet, self._state = bus, keys, fleet, state
+        self._controller, self._standstill, self._wake = controller, standstill, wake
         self._commanded_s = TICKS / control_rate_hz
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
@@ -77,11 +81,11 @@ class EStops:
         self._folder: LatchFolder | None = None
 
     def remember(self, folder: LatchFolder) -> None:
-        """Keep latches in `folder`, and latch whom it holds: a new process must not undo an e-stop."""
+        """Keep latches in `folder`, and latch the robots that it names: a new process must not undo an e-stop."""
         self._folder = folder
-        for row, robot in enumerate(self._agent.fleet.ids):
+        for row, robot in enumerate(self._fleet.ids):
             if folder.holds(robot):
-                self._agent.controller.estop[row] = True
+                self._controller.estop[row] = True
 
     def repeats(self, order: EStop) -> bool:
         """Tell whether the order was carried out before; then confirm it again where it still holds."""
@@ -97,37 +101,37 @@ class EStops:
 
         The wheels come first, then the receipts, then the disk, which may take its time.
         """
-        agent, key, rows = self._agent, (order.id, order.engaged), list(rows)
+        key, rows = (order.id, order.engaged), list(rows)
         self._orders[key] = {}
         while len(self._orders) > REMEMBERED:
             self._drop(self._orders.popitem(last=False)[0])
-        changed = [row for row in rows if agent.controller.estop[row] != order.engaged]
+        changed = [row for row in rows if self._controller.estop[row] != order.engaged]
         for row in changed:
             self._overrule(row)
-            agent.controller.estop[row] = order.engaged
+            self._controller.estop[row] = order.engaged
         for row in rows if order.engaged else ():
             place, stamp_s = self._place(row)
-            wander_m = agent.fleet.descriptions[row].standstill.wander_m
+            wander_m = self._fleet.descriptions[row].standstill.wander_m
             self._rolling[row, key] = Rolling(order, now_s, place, stamp_s, wander_m)
-        agent.wake()
+        self._wake()
         for row in rows:
-            self._confirm(row, EStopReceipt(id=order.id, robot=agent.fleet.ids[row], engaged=order.engaged))
-        self._keep(order, [agent.fleet.ids[row] for row in rows])
+            self._confirm(row, EStopReceipt(id=order.id, robot=self._fleet.ids[row], engaged=order.engaged))
+        self._keep(order, [self._fleet.ids[row] for row in rows])
 
     def watch(self, now_s: float) -> None:
         """Follow the robots that still roll; confirm again once they stand, with the distance."""
         for (row, key), rolling in list(self._rolling.items()):
             place, stamp_s = self._place(row)
-            rolling.follow(place, stamp_s, float(self._agent.controller.speed_limit[row]))
-            # An old reading tells nothing: who lost his driver is latched, but nobody has seen him stand.
-            rests = rolling.since_s <= self._agent.standstill.since_s[row] < math.inf
+            rolling.follow(place, stamp_s, float(self._controller.speed_limit[row]))
+            # An old reading proves nothing: a robot without a driver is latched, but its standstill is unverified.
+            rests = rolling.since_s <= self._standstill.since_s[row] < math.inf
             standing = stamp_s > rolling.since_s + self._commanded_s and bool(rests)
             late = now_s - rolling.since_s > SETTLE_TIMEOUT_S
             if standing:
                 del self._rolling[row, key]
             if standing or (late and not rolling.told):
                 rolling.told = True
-                robot, rolled_m = self._agent.fleet.ids[row], rolling.rolled_m
+                robot, rolled_m = self._fleet.ids[row], rolling.rolled_m
                 self._confirm(
                     row,
                     EStopReceipt(id=rolling.order.id, robot=robot, engaged=True, rolled_m=rolled_m, standing=standing),
@@ -135,7 +139,7 @@ class EStops:
 
     def _place(self, row: int) -> tuple[tuple[float, float], float]:
         """Return the odometry of a robot, m, and the stamp of that reading, s; -inf when there is none."""
-        reading = self._agent.reading
+        reading = self._state.reading
         if reading is None:
             return (0.0, 0.0), -math.inf
         return (float(reading.odometry[row, 0]), float(reading.odometry[row, 1])), float(reading.stamp_s[row])

@@ -1,4 +1,4 @@
-"""Pose fixes: where motion capture, a camera or the simulator sees the robots. Checked, dated, handed to who uses them.
+"""Pose fixes: where motion capture, a camera or the simulator sees the robots. Checked, dated, passed on.
 
 A robot follows one source (a process) at a time. Another one takes over when that has been silent for
 ``fix_timeout_s``; what is left on its way from the old one is then refused. How late a fix is, is known without
@@ -9,24 +9,23 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 import structlog
+from numpy.typing import NDArray
 
 from fullswarm.agent.estimator import Estimator
 from fullswarm.agent.freshness import Freshness
+from fullswarm.agent.state import Motion
 from fullswarm.agent.track import Fix, Verdict
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
-from fullswarm.drivers.base import Pose
+from fullswarm.drivers.base import Fleet, Pose
 from fullswarm.keys import Keys
 from fullswarm.messages import PoseFix
 from fullswarm.runtime import Scheduler, Timer
-
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
 
 log = structlog.get_logger()
 
@@ -41,7 +40,7 @@ SOURCES = 8
 FAR_M = 1.0e6
 VAGUE_M = 100.0
 LEAST_SIGMA = 1.0e-3
-"""Nobody sees better than 1 mm and 1 mrad, whatever he says: a filter that believed it would reject the next fix."""
+"""No source measures better than 1 mm and 1 mrad, whatever it states: a filter would reject the next fix."""
 
 LOST = "its fixes have stopped; odometry alone"
 REFUSED = "its fixes are refused ({why}); odometry alone"
@@ -62,7 +61,7 @@ SENSED = PoseHealth("driver", -1.0, -1.0, "")
 
 @dataclass(slots=True)
 class Watched:
-    """One robot that somebody outside sees."""
+    """One robot that an outside source sees."""
 
     source: str = ""
     stamp_s: float = -math.inf  # of the newest fix taken
@@ -88,6 +87,10 @@ class Watched:
 class Fixes:
     """Takes the fixes of an agent's robots. Costs nothing while none come.
 
+    Parameters
+    ----------
+    on_change : called when fixes begin to be used, or no longer are
+
     Attributes
     ----------
     contacts : (n,) bodies that a source sees each robot touch now
@@ -95,10 +98,12 @@ class Fixes:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, estimator: Estimator, agent: AgentNode
-    ) -> None:
-        self._scheduler, self._config, self._estimator, self._agent = scheduler, config, estimator, agent
-        ids = agent.fleet.ids
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, estimator: Estimator, fleet: Fleet,
+        state: Motion, on_change: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._scheduler, self._config, self._estimator, self._on_change = scheduler, config, estimator, on_change
+        self._fleet, self._state = fleet, state
+        ids = fleet.ids
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._watched: dict[int, Watched] = {}
         self._timer: Timer | None = None  # from the first fix on
@@ -154,11 +159,11 @@ class Fixes:
                     watched, fix.robot, "the pose jumped to the fixes: the robot was carried", jump_m=taken.jump_m
                 )
         watched.used_s, watched.refused = now_s, ""
-        self._agent.fleet.locate(row, pose, sigma_m, sigma_rad)
+        self._fleet.locate(row, pose, sigma_m, sigma_rad)
         if watched.lost:
             watched.lost = False
             log.info("fixes are used", robot=fix.robot, source=fix.source)
-            self._agent.publish_health()
+            self._on_change()
 
     def _refuse(self, watched: Watched, fix: PoseFix, why: str) -> None:
         watched.refused = why
@@ -177,8 +182,13 @@ class Fixes:
             self.touching = bool(self.contacts.any())
 
     def _senses(self, row: int) -> bool:
-        reading = self._agent.reading
+        reading = self._state.reading
         return reading is not None and math.isfinite(reading.pose[row, 0])
+
+    def touches(self) -> NDArray[np.int64]:
+        """Return how many bodies each robot touches now, as it feels itself or as a source sees it, (n,)."""
+        reading = self._state.reading
+        return self.contacts.copy() if reading is None else np.maximum(reading.contacts, self.contacts)
 
     # ------------------------------------------------------------------ what is missing
     def _watch(self) -> None:
@@ -189,9 +199,9 @@ class Fixes:
                 self._touch(row, 0)
             if not watched.lost and now_s - watched.used_s > timeout_s:
                 watched.lost = True
-                robot = self._agent.fleet.ids[row]
+                robot = self._fleet.ids[row]
                 self._tell(watched, robot, self._complaint(watched, now_s), source=watched.source)
-                self._agent.publish_health()
+                self._on_change()
 
     def _complaint(self, watched: Watched, now_s: float) -> str:
         silent = now_s - watched.came_s > self._config.fix_timeout_s

@@ -7,19 +7,19 @@ measurement carries what others have counted anyway: the filter's deviation, ene
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.tasks import Task
+from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.pose_conflicts import Near
+from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.state import Identity, Motion
+from fullswarm.agent.tasks import Task, Tasks
 from fullswarm.bus.counting import CountingBus
 from fullswarm.kernels import kernel
 from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats
-
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -85,9 +85,13 @@ class Gauges:
         Overrides the request's; None: it does not.
     """
 
-    def __init__(self, agent: AgentNode, arrive_radius_m: float | None) -> None:
-        self._agent, self._arrive_radius_m = agent, arrive_radius_m
-        count = len(agent.fleet.ids)
+    def __init__(
+        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: Motion, tasks: Tasks,
+        neighbours: Neighbours, near: Near, deadlocks: Deadlocks,
+    ) -> None:  # fmt: skip
+        self._ids, self._arrive_radius_m, self._motion, self._all_tasks = ids, arrive_radius_m, state, tasks
+        self._neighbours, self._near, self._deadlocks = neighbours, near, deadlocks
+        count = len(ids)
         self._looked_s = math.inf
         self._tasks: list[Task | None] = [None] * count
         self._of: list[str] = [""] * count  # the request that gave the goal
@@ -99,22 +103,32 @@ class Gauges:
 
     def look(self, now_s: float) -> None:
         """Take in how things are now: every `PERIOD_S`, and before they are told."""
-        agent = self._agent
         dt_s = min(max(now_s - self._looked_s, 0.0), PERIOD_S)
         self._looked_s = now_s
-        if self._tasks != agent.tasks.of:
+        if self._tasks != self._all_tasks.of:
             self._follow()
-        start, other = agent.wishes.near(now_s)
-        neighbours = agent.neighbours
+        start, other = self._near(now_s)
+        neighbours = self._neighbours
         gauge.run(
-            now_s, dt_s, agent.pose, agent.radius, self._goals, agent.deadlocks.until_s, start, other,
+            now_s, dt_s, self._motion.pose, self._motion.radius, self._goals, self._deadlocks.until_s, start, other,
             neighbours.places, neighbours.heard, neighbours.arrival_s, self._state,
         )  # fmt: skip
 
-    def message(self, now_s: float, loop: LoopStats, traffic: CountingBus) -> RobotMeasurement:
-        """Return the measurement; what its columns mean stands in ``perf/metrics.py``."""
-        agent, state = self._agent, self._state
-        x, y, heading = agent.pose.T.tolist()
+    def message(
+        self,
+        now_s: float,
+        identity: Identity,
+        loop: LoopStats,
+        traffic: CountingBus,
+        deviation_m: Array,
+        energy_j: Array,
+    ) -> RobotMeasurement:
+        """Return the measurement; what its columns mean stands in ``perf/metrics.py``.
+
+        `deviation_m` (n,) is the filter's, `energy_j` (n,) what the wheels took.
+        """
+        state = self._state
+        x, y, heading = self._motion.pose.T.tolist()
         arrived, goal, gap, aside = state[:, :ANCHOR_X].T.tolist()
         still_s = np.where(self._goals[:, BUSY] > 0.0, now_s - state[:, MOVED], math.nan)
         columns = {
@@ -125,19 +139,19 @@ class Gauges:
             "arrived_s": arrived,
             "still_s": still_s.tolist(),
             "gap_m": gap,
-            "draws": agent.deadlocks.draws.tolist(),
+            "draws": self._deadlocks.draws.tolist(),
             "aside_s": aside,
-            "deviation_m": agent.filter.deviation_m.tolist(),
-            "energy_j": agent.calculators.energy_j.tolist(),
+            "deviation_m": deviation_m.tolist(),
+            "energy_j": energy_j.tolist(),
         }
         totals = {
             "ticks": float(loop.ticks), "late": float(loop.late), "missed": float(loop.missed),
             "worst_late_s": loop.worst_late_s, "sent": float(traffic.sent), "received": float(traffic.received),
         }  # fmt: skip
         return RobotMeasurement(
-            host=agent.identity.host,
-            process=agent.identity.process,
-            robots=agent.fleet.ids,
+            host=identity.host,
+            process=identity.process,
+            robots=self._ids,
             columns={name: tuple(values) for name, values in columns.items()},
             totals=totals,
             stamp_s=now_s,
@@ -145,7 +159,7 @@ class Gauges:
 
     def _follow(self) -> None:
         """Take over the goals of new tasks. Intents of a stick, and the end of a task, leave the goal as it is."""
-        for row, task in enumerate(self._agent.tasks.of):
+        for row, task in enumerate(self._all_tasks.of):
             if task is self._tasks[row]:
                 continue
             self._tasks[row] = task

@@ -1,6 +1,6 @@
 """The agent's own verdict on itself, as a file: what a base, or a robot alone, judges a new release by.
 
-A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and somebody
+A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and something
 is heard, over any one link: the core or another robot. An e-stop is none of a release's business: it outlives them.
 """
 
@@ -10,17 +10,15 @@ import json
 from collections import deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fullswarm import __version__
-from fullswarm.agent import reports
 from fullswarm.drivers.base import Lifecycle
-from fullswarm.runtime import LoopStats
+from fullswarm.messages import RobotHealth
 
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
+Array = NDArray[np.float64]
 
 PERIOD_S = 1.0
 RATE_SHARE = 0.9
@@ -29,7 +27,6 @@ RATE_OVER_S = 3.0
 NEVER = -1.0
 UPTIME = Path("/proc/uptime")
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_QUIET = LoopStats(0, 0, 0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,20 +91,18 @@ class Rate:
 
 
 def vitals_of(
-    agent: AgentNode, now_s: float, rate_hz: float, wanted_hz: float, patience_s: tuple[float, float]
-) -> Vitals:
-    """Read the state of the one robot of an agent on board.
+    report: RobotHealth, reading_age_s: float, core_age_s: float, neighbour_age_s: Array, rate_hz: float,
+    wanted_hz: float, patience_s: tuple[float, float],
+) -> Vitals:  # fmt: skip
+    """Sum up the state of the one robot of an agent on board.
 
     Parameters
     ----------
+    reading_age_s, core_age_s, neighbour_age_s
+        Ages of the driver's reading, of the core's heartbeat and of each neighbour's state (k,), s; infinite: none.
     patience_s
         How old a reading of the driver and a word of a neighbour may be, s.
     """
-    (report,) = reports.health(agent, _QUIET, __version__, now_s).robots
-    reading = agent.reading
-    reading_age_s = now_s - float(reading.stamp_s[0]) if reading is not None else np.inf
-    core_heard_s = agent.inbox.core_age_s(now_s)
-    heard = now_s - agent.neighbours.arrival_s[: agent.neighbours.count]
     return Vitals(
         robot=report.robot,
         lifecycle=report.lifecycle,
@@ -119,8 +114,8 @@ def vitals_of(
         driver_answers=reading_age_s <= patience_s[0],
         control_rate_hz=round(rate_hz, 2),
         control_rate_wanted_hz=wanted_hz,
-        core_heard_s=round(core_heard_s, 3) if np.isfinite(core_heard_s) else NEVER,
-        neighbours=int(np.count_nonzero(heard <= patience_s[1])),
+        core_heard_s=round(core_age_s, 3) if np.isfinite(core_age_s) else NEVER,
+        neighbours=int(np.count_nonzero(neighbour_age_s <= patience_s[1])),
         battery=report.battery,
     )
 

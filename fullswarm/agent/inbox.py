@@ -4,39 +4,55 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
 
 from fullswarm.agent.estops import EStops
 from fullswarm.agent.fence import Cores, Fence
 from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, explain_hazards
-from fullswarm.agent.tasks import Task
+from fullswarm.agent.pose_conflicts import PoseConflicts
+from fullswarm.agent.reflexes import Reflexes
+from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
+from fullswarm.agent.standstill import Standstill
+from fullswarm.agent.state import Motion
+from fullswarm.agent.tasks import Task, Tasks
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
-from fullswarm.drivers.base import Hazard
+from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
 from fullswarm.runtime import Scheduler
 from fullswarm.words import ESTOP_LATCHED, ESTOP_WAS, STOPPED_BY
 
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
-
 REMEMBERED_STOPS = 256
 
 UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
 """Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it. A
-switch is: what is asked for meanwhile would start when somebody who works on the robot turns it."""
+switch is: what is asked for meanwhile would start when a person who works on the robot turns it."""
 
 
 class Inbox:
-    """Applies what arrives to the agent's tasks and controller, and answers it."""
+    """Applies what arrives to the agent's tasks and controller, and answers it.
 
-    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, agent: AgentNode) -> None:
-        self._bus, self._keys, self._scheduler, self._config, self._agent = bus, keys, scheduler, config, agent
-        ids = agent.fleet.ids
+    Parameters
+    ----------
+    wake : acts on the change now instead of at the next tick
+
+    Attributes
+    ----------
+    ended : why the last task of each robot was ended on board; empty: it was not
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: Motion,
+        tasks: Tasks, controller: RobotController, reflexes: Reflexes, conflicts: PoseConflicts,
+        standstill: Standstill, wake: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._scheduler, self._config = bus, keys, scheduler, config
+        self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
+        self._reflexes, self._conflicts, self._wake = reflexes, conflicts, wake
+        ids = fleet.ids
+        self.ended = [""] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
         self._fences = [Fence(self._cores) for _ in ids]
@@ -45,7 +61,7 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._freshness = [Freshness() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self.estops = EStops(bus, keys, agent, config.control_rate_hz)
+        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller, standstill, wake)
         whose = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
             bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
@@ -76,7 +92,7 @@ class Inbox:
         """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
         for row, fence in enumerate(self._fences):
             if fence.halted:
-                robot = self._agent.fleet.ids[row]
+                robot = self._fleet.ids[row]
                 # An id of its own: the core carries out each stop once, and other robots may tell of the same one.
                 stop = StopRequest(id=f"{fence.halted}@{robot}", robots=(robot,), source=robot)
                 self._remember(stop.id)  # it comes back here
@@ -100,12 +116,12 @@ class Inbox:
             return
         self._newest[row] = (request.core, request.sequence)
         accepted, reason = self._apply(row, request)
-        self._agent.wake()  # the wheels first, then the words
+        self._wake()  # the wheels first, then the words
         self._answers[row] = answer = self._answer(row, request, accepted=accepted, reason=reason)
         self._bus.publish(self._keys.ack(request.robot), answer)
 
     def _answer(self, row: int, request: ControlRequest, *, accepted: bool, reason: str) -> ControlAck:
-        task = self._agent.tasks.of[row]
+        task = self._tasks.of[row]
         return ControlAck(
             request_id=request.request_id,
             robot=request.robot,
@@ -118,34 +134,34 @@ class Inbox:
         )
 
     def _apply(self, row: int, request: ControlRequest) -> tuple[bool, str]:
-        agent, fence = self._agent, self._fences[row]
+        fence = self._fences[row]
         if not request.enable:
             self._drop(row)
             return True, ""
         fence.see(request.request_id)
-        if agent.controller.estop[row]:
+        if self._controller.estop[row]:
             return False, f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`"
         if request.request_id in fence.spent:
             return False, f"{fence.spent[request.request_id]}; ask for it again"
-        hazards = 0 if agent.reading is None else int(agent.reading.hazards[row])
+        hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
-            words, remedy = explain_hazards(hazards, agent.fleet.fault(row))
+            words, remedy = explain_hazards(hazards, self._fleet.fault(row))
             return False, f"{words}; {remedy}, then ask for it again"
-        if agent.reflexes.flat[row] and request.expires_s <= 0.0:
+        if self._reflexes.flat[row] and request.expires_s <= 0.0:
             return False, EXPLAIN[Reason.BATTERY]
-        conflict = agent.pose_conflicts.reason(row)
+        conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
             return False, conflict
         try:
-            agent.tasks.enable(row, Task(request, self._sent_s(row, request)))
+            self._tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:
             return False, str(error)
         fence.accept()
-        agent.controller.law_failed[row] = False
-        agent.ended[row] = ""
+        self._controller.law_failed[row] = False
+        self.ended[row] = ""
         if request.centralised:
-            agent.controller.forget(row)
+            self._controller.forget(row)
         return True, ""
 
     def _sent_s(self, row: int, request: ControlRequest) -> float:
@@ -157,20 +173,20 @@ class Inbox:
 
     def spend(self, row: int, why: str) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
-        task = self._agent.tasks.of[row]
+        task = self._tasks.of[row]
         if task is None:
             return
         self._fences[row].spent.note(task.request.request_id, why)
-        self._agent.ended[row] = why
+        self.ended[row] = why
         self._drop(row)
 
     def _drop(self, row: int) -> None:
-        self._agent.tasks.disable(row)
-        self._agent.controller.forget(row)
+        self._tasks.disable(row)
+        self._controller.forget(row)
 
     def _on_command(self, command: Command) -> None:
         row = self._row.get(command.robot)
-        task = self._agent.tasks.of[row] if row is not None else None
+        task = self._tasks.of[row] if row is not None else None
         if row is None or task is None or not task.request.centralised:
             return
         if command.request_id != task.request.request_id:
@@ -189,8 +205,8 @@ class Inbox:
         delay_s = self._freshness[row].delay_s(task.request.core, command.stamp_s, now_s)
         if delay_s >= ttl_s:
             return
-        self._agent.controller.submit(row, command.linear_m_s, command.angular_rad_s, now_s + ttl_s - delay_s)
-        self._agent.wake()
+        self._controller.submit(row, command.linear_m_s, command.angular_rad_s, now_s + ttl_s - delay_s)
+        self._wake()
 
     # ------------------------------------------------------------------ stops
     def _on_stop(self, stop: StopRequest) -> None:
@@ -199,7 +215,7 @@ class Inbox:
         self._remember(stop.id)
         for row in self._addressed(stop.robots):
             self._halt(row, stop.id or "stop", f"{STOPPED_BY} {stop.source or 'an operator'}")
-        self._agent.wake()
+        self._wake()
 
     def _remember(self, stop_id: str) -> None:
         if stop_id:
@@ -213,8 +229,8 @@ class Inbox:
         rows = self._addressed(order.robots)
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
-            # not be started by it. Releasing a robot that is not latched stops nobody.
-            if order.engaged or self._agent.controller.estop[row]:
+            # not be started by it. Releasing a robot that is not latched stops nothing.
+            if order.engaged or self._controller.estop[row]:
                 what = "engaged" if order.engaged else "released"
                 self._halt(row, order.id or "estop", f"{ESTOP_WAS} {what} by {order.source or 'an operator'}")
         self.estops.carry_out(order, rows, self._scheduler.now_s())

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.robot_controller import Reason, RobotController
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
+from fullswarm.agent.state import Motion
+from fullswarm.agent.tasks import Tasks
 from fullswarm.bus.base import Bus
 from fullswarm.kernels import kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import Interventions
 from fullswarm.runtime import Scheduler
 
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
-
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 PERIOD_S = 0.2
 LEAST_M_S = 0.02
-"""What the filter changes by less nobody sees."""
+"""A smaller change is not visible."""
 NOTHING, ROBOT, OBSTACLE, EDGE = range(4)
 
 
@@ -94,48 +94,49 @@ def blame(
 class Reporter:
     """Publishes the interventions of one agent's filter while there are any, then once that there are none."""
 
-    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, agent: AgentNode) -> None:
-        self._bus, self._scheduler, self._agent = bus, scheduler, agent
-        self._key = keys.intervention(agent.identity.host)
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: Motion, tasks: Tasks,
+        safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
+    ) -> None:  # fmt: skip
+        self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
+        self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours
+        self._key = keys.intervention(host)
         self._told = False
 
     def tell(self) -> None:
         """Publish what the filter changes now; called each `PERIOD_S`."""
-        agent = self._agent
-        held = agent.tasks.any_filtered and agent.filter.deviation_m_s.max(initial=0.0) > LEAST_M_S
+        held = self._tasks.any_filtered and self._filter.deviation_m_s.max(initial=0.0) > LEAST_M_S
         rows = self._rows() if held else np.zeros(0, np.int64)
         if not self._told and not len(rows):
             return
         self._told = len(rows) > 0
-        change = np.nan_to_num(agent.filter.change_m_s[rows])
-        ids = agent.fleet.ids
+        change = np.nan_to_num(self._filter.change_m_s[rows])
         message = Interventions(
-            host=agent.identity.host,
-            robots=tuple(ids[row] for row in rows.tolist()),
+            host=self._host,
+            robots=tuple(self._ids[row] for row in rows.tolist()),
             x_m_s=tuple(change[:, 0].tolist()),
             y_m_s=tuple(change[:, 1].tolist()),
-            reasons=tuple(self._reasons(agent.filter, rows)),
+            reasons=tuple(self._reasons(rows)),
             stamp_s=self._scheduler.now_s(),
         )
         self._bus.publish(self._key, message)
 
     def _rows(self) -> Index:
-        """Return whom the filter holds; a robot that stands for another reason is not held by the filter."""
-        agent = self._agent
-        moving = agent.controller.reason == Reason.MOVING
-        return np.flatnonzero(agent.tasks.filtered & moving & (agent.filter.deviation_m_s > LEAST_M_S))
+        """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
+        moving = self._controller.reason == Reason.MOVING
+        return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 
-    def _reasons(self, used: SafetyFilter, rows: Index) -> list[str]:
+    def _reasons(self, rows: Index) -> list[str]:
         if not len(rows):
             return []
-        agent, count = self._agent, len(rows)
+        used, state, count = self._filter, self._state, len(rows)
         kind, which, gap = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
         (start, other), (places, heard, _, _), obstacles = used.seen
         blame.run(
-            rows, used.change_m_s, agent.pose, agent.radius, start, other, places, heard, obstacles, used.reach_m,
+            rows, used.change_m_s, state.pose, state.radius, start, other, places, heard, obstacles, used.reach_m,
             used.bounds_m, kind, which, gap,
         )  # fmt: skip
-        verdicts, names = used.verdict[rows].tolist(), agent.neighbours.names
+        verdicts, names = used.verdict[rows].tolist(), self._neighbours.names
         found = zip(verdicts, kind.tolist(), which.tolist(), gap.tolist(), strict=True)
         return [
             EXPLAIN[verdict] if verdict > LIMITED else _words(what, names[row] if row >= 0 else "", gap_m)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
-from fullswarm.agent import interventions, reports
+from fullswarm.agent import interventions
 from fullswarm.agent.atlas import Atlas, map_of
 from fullswarm.agent.driver_watch import DriverWatch
 from fullswarm.agent.estimator import estimator_for
@@ -22,10 +21,12 @@ from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.pose_conflicts import PoseConflicts
 from fullswarm.agent.reflexes import Reflexes, Thresholds
+from fullswarm.agent.reports import Reports
 from fullswarm.agent.robot_controller import RobotController
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.standstill import Standstill
+from fullswarm.agent.state import Identity, Motion
 from fullswarm.agent.tasks import Tasks
 from fullswarm.agent.view import Array
 from fullswarm.agent.wishes import Wishes
@@ -34,7 +35,7 @@ from fullswarm.bus.counting import CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.keys import Keys
-from fullswarm.messages import RobotStates, SeenObstacles
+from fullswarm.messages import HealthReport, RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators
 from fullswarm.runtime import LoopStats, Scheduler
 
@@ -45,14 +46,6 @@ LEAST_SPARE_M = 0.03
 """By so much a position may always become less certain before motion is barred, however small the filter's margin."""
 FOLLOW_PERIOD_S = 0.5
 """How often the subscriptions to neighbours' cells follow the robot."""
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Who this agent is on the bus."""
-
-    host: str  # key chunk: the robot's id on board, "lockstep" in a trial
-    process: str  # unique per process start
 
 
 class AgentNode:
@@ -79,8 +72,7 @@ class AgentNode:
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
         self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
-        self._bounds = config.bounds_m
-        self._bounds_array = np.array(self._bounds)
+        bounds = np.array(config.bounds_m)
         count = len(fleet.ids)
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
@@ -88,27 +80,29 @@ class AgentNode:
         # The filter keeps its margin for what it does not know: a position may become less certain by so much.
         spare_m = max(settings.safety_margin_m, LEAST_SPARE_M)
         sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
-        self.reflexes = Reflexes(count, self._bounds, thresholds or _thresholds(settings), sigma_limit_m)
+        self.reflexes = Reflexes(count, config.bounds_m, thresholds or _thresholds(settings), sigma_limit_m)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self._radius = np.array([each.radius_m for each in fleet.descriptions])
+        self._state = state = Motion(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
-        # Nobody tells what the others' wheels can do: they are taken for robots like this one.
+        # The limits of other robots are not on the wire: they are taken for robots like this one.
         self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
         self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
-        # Whoever falls silent has lost its agent, the hub or the core, and stands by then.
+        # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
         self.filter = SafetyFilter(
             fleet.ids, fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit,
-            self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, self._bounds_array,
+            self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, bounds,
             (settings.speed_gain, settings.turn_gain_per_s),
         )  # fmt: skip
-        self.interventions = interventions.Reporter(bus, self._keys, scheduler, self)
+        self.interventions = interventions.Reporter(
+            bus, self._keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.controller,
+            self.neighbours,
+        )  # fmt: skip
         self.deadlocks = Deadlocks(fleet.ids)
-        self.pose_conflicts = PoseConflicts(self)
         self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
         self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
         self._cell_m = config.state_cell_m
@@ -116,23 +110,36 @@ class AgentNode:
         self._estimator = estimator_for(config, fleet, start)
         self.calculators = Calculators(
             fleet.ids,
-            self._bounds,
+            config.bounds_m,
             config.performance.coverage_cell_m,
-            self._radius,
+            state.radius,
             np.array([each.speed_m_s for each in limits]),
         )
-        self.gauges = Gauges(self, config.performance.arrive_radius_m)
-        self.inbox = Inbox(bus, self._keys, scheduler, settings, self)
+        senses_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
+        self.wishes = Wishes(
+            settings, config.bounds_m, senses_obstacles, state, self.tasks, self.neighbours, self.atlas, self.deadlocks,
+            self.filter, self.controller,
+        )  # fmt: skip
+        own_frame = any(each.own_frame for each in fleet.descriptions)
+        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.wishes.near)
+        self.gauges = Gauges(
+            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.neighbours, self.wishes.near,
+            self.deadlocks,
+        )  # fmt: skip
         self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
+        self.inbox = Inbox(
+            bus, self._keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.reflexes,
+            self.pose_conflicts, self.standstill, self.wake,
+        )  # fmt: skip
         self._drivers = DriverWatch(fleet, self.controller, self.inbox, self.pose_conflicts)
-        self.wishes = Wishes(self, settings, self._bounds)
-        self.fixes = Fixes(bus, self._keys, scheduler, settings, self._estimator, self)
-        self._applied = np.zeros((count, 2))
-        self.pose = start.copy()
-        self.twist = np.zeros((count, 2))
-        self.reading: FleetReading | None = None
+        self.fixes = Fixes(
+            bus, self._keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
+        )  # fmt: skip
+        self._reports = Reports(
+            identity, fleet, state, self.tasks, self.controller, self._drivers, self.filter, self.calculators,
+            self.standstill, self.fixes, self.pose_conflicts, self.wishes, self.inbox,
+        )  # fmt: skip
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
-        self.ended = [""] * count
         self.uncounted = 0
         self._sequence, self._dirty = 0, False
         fleet.open()
@@ -146,7 +153,22 @@ class AgentNode:
             scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
         ]
 
-    # ------------------------------------------------------------------ what others of this agent need
+    # ------------------------------------------------------------------ what is known of the robots now
+    @property
+    def pose(self) -> Array:
+        """Estimated poses, (n, 3) m and rad; NaN where none is known."""
+        return self._state.pose
+
+    @property
+    def twist(self) -> Array:
+        """Measured twists, (n, 2) m/s and rad/s."""
+        return self._state.twist
+
+    @property
+    def reading(self) -> FleetReading | None:
+        """What the drivers read in the last tick; None before the first one."""
+        return self._state.reading
+
     @property
     def fleet(self) -> Fleet:
         """The drivers."""
@@ -160,24 +182,25 @@ class AgentNode:
     def wake(self) -> None:
         """Act on a message now instead of at the next period; with many robots the next tick does it."""
         self._dirty = True
-        if len(self._fleet.ids) == 1 and self.reading is not None:
-            self._act(self._scheduler.now_s(), self.reading)
+        if len(self._fleet.ids) == 1 and self._state.reading is not None:
+            self._act(self._scheduler.now_s(), self._state.reading)
 
     # ------------------------------------------------------------------ the tick
     def tick(self) -> None:
         """Read, estimate, act, measure."""
         now_s = self._scheduler.now_s()
-        self.reading = reading = self._fleet.read()
-        self.pose = self._estimate(reading, now_s - self._last_tick_s)
-        self.twist = reading.twist
+        state = self._state
+        state.reading = reading = self._fleet.read()
+        state.pose = self._estimate(reading, now_s - self._last_tick_s)
+        state.twist = reading.twist
         self.standstill.look(reading)
-        self.reflexes.look(reading, self.pose)
+        self.reflexes.look(reading, state.pose)
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
         try:
-            contacts = self.contacts if self.fixes.touching else reading.contacts
-            self.calculators.update(now_s, self.pose, contacts, period_s, reading.odometry, reading.twist)
+            contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
+            self.calculators.update(now_s, state.pose, contacts, period_s, reading.odometry, reading.twist)
         except Exception as error:
             self._uncounted(error)
         self.inbox.watch_estops(now_s)
@@ -207,7 +230,7 @@ class AgentNode:
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.wishes.gather(groups, now_s, reading)
-        self.reflexes.watch_fence(self.pose, self.twist, self.controller.wished, self._accel)
+        self.reflexes.watch_fence(self._state.pose, self._state.twist, self.controller.wished, self._accel)
         twists = self.controller.step(
             now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
             self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look(),
@@ -215,7 +238,7 @@ class AgentNode:
             now_s + 0.5 * period_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
             self.reflexes, self.pose_conflicts.overlap, self.pose_conflicts.frame_conflict,
         )  # fmt: skip
-        self._applied = self._fleet.command(twists, self.controller.drive_on)
+        self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._drivers.ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
@@ -226,12 +249,13 @@ class AgentNode:
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
-        self._listening.follow(self.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        self._listening.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
         self.neighbours.forget(self._scheduler.now_s(), self._listening.covers)
 
     def _look_around(self) -> None:
         """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
-        if self.reading is None:
+        reading = self._state.reading
+        if reading is None:
             return
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
@@ -239,9 +263,9 @@ class AgentNode:
             self.gauges.look(now_s)
         except Exception as error:
             self._uncounted(error)
-        if not len(self.reading.obstacles):
+        if not len(reading.obstacles):
             return
-        new = self.atlas.look(self.pose[:, :2], self.reading.obstacles, self._config.sensing_radius_m)
+        new = self.atlas.look(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
         if new or now_s >= self._tell_s:
             self._tell_s = now_s + TELL_PERIOD_S
             rows = tuple(tuple(row) for row in self.atlas.seen().tolist())
@@ -253,19 +277,22 @@ class AgentNode:
             self.atlas.tell(np.array(seen.rows, float).reshape(-1, 6))
 
     def _publish_states(self) -> None:
-        if self.reading is None:
+        if self._state.reading is None:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in reports.states(self, self._keys, self._cell_m, self._sequence, now_s):
+        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:
         """Publish the health of all robots."""
         self._dirty = False
         now_s = self._scheduler.now_s()
-        report = reports.health(self, self._loop(), __version__, now_s)
-        self._bus.publish(self._keys.health(self._identity.host), report)
+        self._bus.publish(self._keys.health(self._identity.host), self.health(now_s))
+
+    def health(self, now_s: float) -> HealthReport:
+        """Return the health of all robots."""
+        return self._reports.health(self._loop(), __version__, now_s)
 
     def publish_measurements(self, *, whole: bool = True) -> None:
         """Publish what the robots have measured of themselves; the grid of coverage not always unless `whole`."""
@@ -277,26 +304,27 @@ class AgentNode:
     def _publish_measurements(self, *, whole: bool) -> None:
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
-        if self.reading is not None:
+        if self._state.reading is not None:
             self.gauges.look(now_s)
-            message = self.gauges.message(now_s, self._loop(), self._bus)
+            message = self.gauges.message(
+                now_s, self._identity, self._loop(), self._bus, self.filter.deviation_m, self.calculators.energy_j
+            )
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
     def setpoints(self) -> Array:
         """What the drivers applied in the last tick, (n, 2) m/s and rad/s."""
-        return self._applied
+        return self._state.setpoints
 
     @property
     def contacts(self) -> NDArray[np.int64]:
-        """How many bodies each robot touches now, as it feels itself or as somebody sees it, (n,)."""
-        felt = self.reading.contacts if self.reading is not None else np.zeros_like(self.fixes.contacts)
-        return np.maximum(felt, self.fixes.contacts)
+        """How many bodies each robot touches now, as it feels itself or as a source outside sees it, (n,)."""
+        return self.fixes.touches()
 
     @property
     def radius(self) -> Array:
         """Footprints, (n,) m."""
-        return self._radius
+        return self._state.radius
 
     @property
     def driver_ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -309,7 +337,7 @@ class AgentNode:
             timer.cancel()
         for row in range(len(self._fleet.ids)):
             self.tasks.disable(row)
-        self._fleet.command(np.zeros_like(self._applied), self.tasks.active)
+        self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
         self._listening.close()
         self._subscription.close()

@@ -7,19 +7,20 @@ them may drive by itself until a person has checked: see :class:`PoseConflicts`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.state import Motion
 from fullswarm.kernels import kernel
-
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Near = Callable[[float], tuple[Index, Index]]
+"""Which robots are in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
 
 OVERLAP, APART = 0.5, 0.25
 """Shares of the smaller footprint's radius by which two discs overlap: so deep is an alarm, less deep ends it.
@@ -76,10 +77,10 @@ class PoseConflicts:
     frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot
     """
 
-    def __init__(self, agent: AgentNode) -> None:
-        self._agent = agent
-        count = len(agent.fleet.ids)
-        self.own_frame = any(each.own_frame for each in agent.fleet.descriptions)
+    def __init__(self, own_frame: bool, state: Motion, neighbours: Neighbours, near: Near) -> None:
+        self._state, self._neighbours, self._near = state, neighbours, near
+        count = len(state.radius)
+        self.own_frame = own_frame
         self.overlap = np.zeros(count, bool)
         self.frame_conflict = False
         self._since_s = np.full(count, math.inf)
@@ -87,10 +88,10 @@ class PoseConflicts:
 
     def update(self, now_s: float) -> None:
         """Check once; ten times a second is enough."""
-        agent, heard = self._agent, self._agent.neighbours
-        start, other = agent.wishes.near(now_s)
+        state, heard = self._state, self._neighbours
+        start, other = self._near(now_s)
         overlaps.run(
-            now_s, agent.pose, agent.radius, start, other, heard.places, heard.heard, heard.arrival_s,
+            now_s, state.pose, state.radius, start, other, heard.places, heard.heard, heard.arrival_s,
             self._since_s, self._whom, self.overlap,
         )  # fmt: skip
         foreign = now_s - heard.own_frame_s <= OWN_FRAME_S
@@ -106,12 +107,12 @@ class PoseConflicts:
                     "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only"
                 )
             return (
-                f"the position of '{self._agent.neighbours.own_frame_host}' counts from where it was switched on: "
+                f"the position of '{self._neighbours.own_frame_host}' counts from where it was switched on: "
                 "write [world] origin = [latitude, longitude] into its fleet file; until then robots can be driven by "
                 "hand only"
             )
         if self.overlap[row]:
-            name = self._agent.neighbours.names[int(self._whom[row])]
+            name = self._neighbours.names[int(self._whom[row])]
             return (
                 f"'{name}' is reported in the same place, so one position is wrong: check where both robots are, then "
                 "drive them apart by hand or correct their poses (`pose` in the fleet file, pose fixes)"

@@ -35,7 +35,7 @@ class Reason(enum.IntEnum):
     LAW = 6
     HUB = 7
     CORE = 8
-    LAPSED = 9
+    EXPIRED = 9
     STALE = 10
     BATTERY = 11
     CLOCK = 12
@@ -46,6 +46,10 @@ class Reason(enum.IntEnum):
     UNSURE = 17
 
 
+# The kernels' own numbers: compiled code knows no enum, and plain Python reads a global faster than a member.
+MOVING, ESTOP, DRIVER, READING, HAZARD, IDLE, LAW, HUB, CORE = (int(each) for each in tuple(Reason)[:9])
+EXPIRED, STALE, BATTERY, CLOCK, POSE, FENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(Reason)[9:])
+
 EXPLAIN: dict[int, str] = {
     Reason.MOVING: "",
     Reason.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
@@ -55,7 +59,7 @@ EXPLAIN: dict[int, str] = {
     Reason.LAW: "the law failed",
     Reason.HUB: "the hub is lost",
     Reason.CORE: "the core's heartbeat is silent",
-    Reason.LAPSED: LAPSED,
+    Reason.EXPIRED: LAPSED,
     Reason.STALE: "no fresh command",
     Reason.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
     Reason.CLOCK: "this computer stood still; what it knows is too old",
@@ -182,32 +186,39 @@ def why_not(
     flat: bool, slept: bool, no_pose: bool, unsure: bool, overlap: bool, frame_conflict: bool,
 ) -> int:  # fmt: skip
     """Return why one robot may not move, a number of :class:`Reason`; 0: it may."""
-    why = 0
+    why = MOVING
     if estop:
-        why = 1
+        why = ESTOP
     elif not driver_ready:
-        why = 2
+        why = DRIVER
     elif not fresh:
-        why = 3
+        why = READING
     elif hazard & STOPPING_HAZARDS:
-        why = 4
+        why = HAZARD
     elif not active:
-        why = 5
+        why = IDLE
     elif law_failed:
-        why = 6
+        why = LAW
     elif not hub_alive and not survives_core:
-        why = 7
+        why = HUB
     elif not core_alive and not survives_core:
-        why = 8
+        why = CORE
     elif now_s >= lapses_s:
-        why = 9
+        why = EXPIRED
     elif now_s >= valid_until_s or not math.isfinite(wish):
-        why = 10
+        why = STALE
     elif slept:
-        why = 12
+        why = CLOCK
     elif not math.isfinite(lapses_s):
         # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
-        why = 11 if flat else 13 if no_pose else 16 if frame_conflict else 15 if overlap else 17 if unsure else 0
+        why = (
+            BATTERY if flat
+            else POSE if no_pose
+            else FRAME if frame_conflict
+            else OVERLAP if overlap
+            else UNSURE if unsure
+            else MOVING
+        )  # fmt: skip
     return why
 
 
@@ -231,15 +242,15 @@ def decide(
         )  # fmt: skip
         low = -speed_limit[i] if reverse[i] else 0.0
         high = 0.0 if hazard & BUMP else speed_limit[i]
-        if why == 0:
+        if why == MOVING:
             speed, low, high = clamp(wished[i, 0], low, high), max(low, floor[i]), min(high, ceiling[i])
             held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
             if held and math.fabs(wished[i, 1]) < STILL:
-                why = 14
+                why = FENCE
         changed = changed or reason[i] != why
         reason[i] = why
         drive_on[i] = active[i] and not estop[i]
-        if why != 0:
+        if why != MOVING:
             # Zero at once, not a ramp: the wheels' own limits brake, and silence must end in zero within the bound.
             twist[i, 0] = 0.0
             twist[i, 1] = 0.0

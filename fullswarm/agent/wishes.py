@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from fullswarm.agent.tasks import Group
+from fullswarm.agent.atlas import Atlas
+from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.robot_controller import RobotController
+from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.state import Motion
+from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
 
-if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode
-
 log = structlog.get_logger()
+
+Bounds = tuple[float, float, float, float]
 
 
 class Wishes:
@@ -29,32 +33,36 @@ class Wishes:
     law_error : what the last failure of each robot's law was, empty if it never failed
     """
 
-    def __init__(self, agent: AgentNode, settings: AgentConfig, bounds_m: tuple[float, float, float, float]) -> None:
-        self._agent, self._config, self._bounds = agent, settings, bounds_m
-        count = len(agent.fleet.ids)
+    def __init__(
+        self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: Motion, tasks: Tasks,
+        neighbours: Neighbours, atlas: Atlas, deadlocks: Deadlocks, safety: SafetyFilter, controller: RobotController,
+    ) -> None:  # fmt: skip
+        self._config, self._bounds, self._state = settings, bounds_m, state
+        self._tasks, self._neighbours, self._atlas = tasks, neighbours, atlas
+        self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
+        count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
-        self._sees_obstacles = any(each.senses_obstacles for each in agent.fleet.descriptions)
+        self._sees_obstacles = senses_obstacles
         self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._law_errors: set[str] = set()
         self.law_error = [""] * count
 
     def near(self, now_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return who is in sensing range of each robot (``Neighbours.around``), of the last tick if asked then."""
-        agent = self._agent
-        if self._near is self._alone and len(agent.fleet.ids):
-            agent.neighbours.look(now_s)
-            return agent.neighbours.around(np.ascontiguousarray(agent.pose[:, :2]), self._config.sensing_radius_m)
+        """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
+        if self._near is self._alone and len(self._state.radius):
+            self._neighbours.look(now_s)
+            position = np.ascontiguousarray(self._state.pose[:, :2])
+            return self._neighbours.around(position, self._config.sensing_radius_m)
         return self._near
 
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
         self._near = self._alone
-        agent, settings = self._agent, self._config
-        tasks = agent.tasks
+        settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return
-        pose, neighbours = agent.pose, agent.neighbours
+        pose, neighbours = self._state.pose, self._neighbours
         position = np.ascontiguousarray(pose[:, :2])
         neighbours.look(now_s)
 
@@ -63,22 +71,22 @@ class Wishes:
         for group in groups:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
-                position, pose[:, 2], agent.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.heard, self._bounds, agent.atlas.known,
+                position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
+                neighbours.predicted, neighbours.heard, self._bounds, self._atlas.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
         if not planar and not tasks.any_filtered:
             return
         if tasks.any_filtered:
-            # A stick is not turned aside: whoever holds it sees the robot.
-            agent.deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, agent.controller.speed_limit)
+            # A stick is not turned aside: its operator sees the robot.
+            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self._sees_obstacles else agent.atlas.given
-        agent.filter.apply(
+        obstacles = reading.obstacles if self._sees_obstacles else self._atlas.given
+        self._filter.apply(
             now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
-            tasks.margin_m, near, neighbours.believed, obstacles, agent.controller.wished,
+            tasks.margin_m, near, neighbours.believed, obstacles, self._controller.wished,
         )  # fmt: skip
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
@@ -97,7 +105,7 @@ class Wishes:
         except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
             self._law_failed(group, error)
             return False
-        controller = self._agent.controller
+        controller = self._controller
         rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
         (self._planar if group.planar else controller.wished)[rows] = wished
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
@@ -106,7 +114,7 @@ class Wishes:
 
     def _law_failed(self, group: Group, error: Exception) -> None:
         text = f"law '{group.law}': {type(error).__name__}: {error}"
-        self._agent.controller.law_failed[group.rows] = True
+        self._controller.law_failed[group.rows] = True
         for row in group.rows:
             self.law_error[row] = text
         if text not in self._law_errors:

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from fullswarm.messages import Message
 
 M = TypeVar("M", bound=Message)
+
+CORE, CENTRALISED, OPERATOR, WORLD = "core", "centralised", "operator", "world"
+PROCESSES = (CORE, CENTRALISED, OPERATOR, WORLD)
+"""Senders that are not a robot's agent; an agent's name is the robot's id."""
+
+
+class Delivery(NamedTuple, Generic[M]):
+    """A message and the name of the process that published it; empty: the publisher states none."""
+
+    message: M
+    sender: str
 
 
 class Subscription(Protocol):
@@ -23,7 +34,7 @@ class Bus(Protocol):
     """Publish/subscribe between nodes. Handlers run on the runtime's thread, in order per publisher."""
 
     def publish(self, key: str, message: Message) -> None:
-        """Send `message` to all who subscribed to a matching expression. Never blocks; may lose when cut off."""
+        """Send `message` to all subscribers of a matching expression. Never blocks; may lose when cut off."""
         ...
 
     def subscribe(
@@ -43,6 +54,51 @@ class Bus(Protocol):
     def close(self) -> None:
         """End all subscriptions and leave. Publishing afterwards does nothing. Closing twice is fine."""
         ...
+
+
+class SenderBus(Bus, Protocol):
+    """A bus that carries the name of the publishing process beside each message."""
+
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
+        """Send `message` in the name of the process `sender`; see :class:`Bus`."""
+        ...
+
+    def subscribe_with_sender(
+        self, expression: str, kind: type[M], handler: Callable[[Delivery[M]], None], *, latest: bool = False
+    ) -> Subscription:
+        """Have `handler` called with message and sender; see :meth:`Bus.subscribe`."""
+        ...
+
+
+class NamedBus:
+    """A bus as the process `name` uses it: everything that it publishes carries this name."""
+
+    def __init__(self, bus: SenderBus, name: str) -> None:
+        self._bus, self._name = bus, name
+
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
+        """Send `message`; see :class:`SenderBus`."""
+        self._bus.publish(key, message, sender=sender or self._name)
+
+    def subscribe(
+        self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
+    ) -> Subscription:
+        """Have `handler` called; see :class:`Bus`."""
+        return self._bus.subscribe(expression, kind, handler, latest=latest)
+
+    def subscribe_with_sender(
+        self, expression: str, kind: type[M], handler: Callable[[Delivery[M]], None], *, latest: bool = False
+    ) -> Subscription:
+        """Have `handler` called with message and sender; see :class:`SenderBus`."""
+        return self._bus.subscribe_with_sender(expression, kind, handler, latest=latest)
+
+    def connected(self) -> bool:
+        """Tell whether others can be reached now."""
+        return self._bus.connected()
+
+    def close(self) -> None:
+        """Close the bus inside."""
+        self._bus.close()
 
 
 @functools.lru_cache(maxsize=4096)

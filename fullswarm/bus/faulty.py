@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-from fullswarm.bus.base import Bus, Subscription
+from fullswarm.bus.base import Delivery, SenderBus, Subscription
 from fullswarm.bus.network import Network, parse_network
-from fullswarm.bus.senders import sender_of
 from fullswarm.messages import Message
 from fullswarm.runtime import Scheduler
 
@@ -26,7 +25,9 @@ DETOUR_S = 0.05
 """How much longer at most a message takes that is reordered."""
 
 
-def faulty(bus: Bus, scheduler: Scheduler, spec: Network | str, seed: int, name: str, since_s: float = 0.0) -> Bus:
+def faulty(
+    bus: SenderBus, scheduler: Scheduler, spec: Network | str, seed: int, name: str, since_s: float = 0.0
+) -> SenderBus:
     """Return `bus` as process `name` has it on a network of conditions `spec`.
 
     Parameters
@@ -91,7 +92,7 @@ class Link:
             deliver()
 
     def _queue(self, deliver: Deliver) -> None:
-        """Deliver in the order of sending: who draws a short delay waits for those before."""
+        """Deliver in the order of sending: a message with a short delay waits for those before."""
         now_s = self._scheduler.now_s()
         self._last_s = max(self._last_s, now_s + self._delay_s())
         self._waiting.append(deliver)
@@ -118,10 +119,10 @@ class _Interest:
     handlers: list[Callable[[Any], None]] = field(default_factory=list)
     inner: Subscription | None = None
 
-    def deliver(self, message: Message) -> None:
+    def deliver(self, sent: Delivery[Any]) -> None:
         for handler in tuple(self.handlers):
             if handler in self.handlers:  # one of those before may have closed it
-                handler(message)
+                handler(sent)
 
 
 Interests = dict[tuple[str, type[Message], bool], _Interest]
@@ -132,7 +133,7 @@ class _Share:
 
     def __init__(self, interests: Interests, key: tuple[str, type[Message], bool], handler: Callable[[Any], None]):
         # Not the handler itself: the same one may be subscribed twice.
-        self._interests, self._key, self._handler = interests, key, lambda message: handler(message)
+        self._interests, self._key, self._handler = interests, key, lambda sent: handler(sent)
         interests[key].handlers.append(self._handler)
 
     def close(self) -> None:
@@ -155,7 +156,7 @@ class FaultyBus:
     """
 
     def __init__(
-        self, bus: Bus, scheduler: Scheduler, network: Network, seed: int, name: str, since_s: float = 0.0
+        self, bus: SenderBus, scheduler: Scheduler, network: Network, seed: int, name: str, since_s: float = 0.0
     ) -> None:
         self.counts = Counts()
         self._bus, self._scheduler, self._network = bus, scheduler, network
@@ -163,37 +164,44 @@ class FaultyBus:
         self._links: dict[str, Link] = {}
         self._interests: Interests = {}
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Send `message`; what becomes of it is decided where it arrives."""
-        self._bus.publish(key, message)
+        self._bus.publish(key, message, sender=sender or self._name)
 
     def subscribe(
         self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
     ) -> Subscription:
         """Have `handler` called for what arrives; see :class:`~fullswarm.bus.base.Bus`."""
+        return self.subscribe_with_sender(expression, kind, lambda sent: handler(sent.message), latest=latest)
+
+    def subscribe_with_sender(
+        self, expression: str, kind: type[M], handler: Callable[[Delivery[M]], None], *, latest: bool = False
+    ) -> Subscription:
+        """Have `handler` called for what arrives; see :class:`~fullswarm.bus.base.SenderBus`."""
         key = (expression, kind, latest)
         if key in self._interests:
             return _Share(self._interests, key, handler)
         interest = self._interests[key] = _Interest()
         share = _Share(self._interests, key, handler)
         try:
-            interest.inner = self._bus.subscribe(expression, kind, partial(self._receive, interest), latest=latest)
+            receive = partial(self._receive, interest)
+            interest.inner = self._bus.subscribe_with_sender(expression, kind, receive, latest=latest)
         except BaseException:
             share.close()
             raise
         return share
 
-    def _receive(self, interest: _Interest, message: Message) -> None:
-        sender = sender_of(message)
+    def _receive(self, interest: _Interest, sent: Delivery[Any]) -> None:
+        sender = sent.sender
         if sender == self._name:
-            interest.deliver(message)
+            interest.deliver(sent)
             return
         self.counts.sent += 1
         time_s = self._scheduler.now_s() - self._since_s
         if any(each.parts(sender, self._name, time_s) for each in self._network.partitions):
             self.counts.cut += 1
             return
-        self._link(sender).carry(partial(interest.deliver, message))
+        self._link(sender).carry(partial(interest.deliver, sent))
 
     def _link(self, sender: str) -> Link:
         link = self._links.get(sender)

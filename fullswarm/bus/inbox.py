@@ -8,11 +8,15 @@ from typing import Any
 
 import zenoh
 
+from fullswarm.bus.base import Delivery
 from fullswarm.bus.codec import decode
 from fullswarm.bus.session import reason_of, untyped
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
+
+LONGEST_NAME = 128
+"""Bytes of a sender's name; what is longer is not one."""
 
 
 class Inbox:
@@ -23,9 +27,11 @@ class Inbox:
     mailbox
         Where the messages wait for the node.
     expression, kind, handler
-        What to listen to, the type to decode, whom to call.
+        What to listen to, the type to decode, what to call.
     latest
         Keep one message per key: a newer one takes the place of one that still waits.
+    with_sender
+        Give the handler a :class:`~fullswarm.bus.base.Delivery` in place of the message.
     urgent
         Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
     on_bad
@@ -47,6 +53,7 @@ class Inbox:
         handler: Callable[[Any], None],
         *,
         latest: bool,
+        with_sender: bool,
         urgent: bool,
         on_bad: Callable[[str, MessageError], None],
         on_close: Callable[[Inbox], None],
@@ -58,8 +65,8 @@ class Inbox:
         self.expression, self.kind = expression, kind
         self._mailbox, self._handler, self._latest = mailbox, handler, latest
         self._on_bad, self._on_close = on_bad, on_close
-        self._urgent = urgent
-        self._waiting: dict[str, Message] = {}
+        self._urgent, self._with_sender = urgent, with_sender
+        self._waiting: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._declared: zenoh.Subscriber[None] | None = None
         self._active = True
@@ -78,39 +85,42 @@ class Inbox:
         except MessageError as error:
             self._on_bad(str(sample.key_expr), error)
             return
-        if self._urgent and self._mailbox.run_now(self._deliver, message):
+        item = Delivery(message, _sender(sample)) if self._with_sender else message
+        if self._urgent and self._mailbox.run_now(self._deliver, item):
             return
         if self._latest:
-            self._replace(str(sample.key_expr), message)
+            self._replace(str(sample.key_expr), item)
         else:
-            self._mailbox.put(self._deliver, message)
+            self._mailbox.put(self._deliver, item)
 
-    def offer(self, key: str, message: Message) -> None:
+    def offer(self, key: str, message: Message, sender: str) -> None:
         """Take a message of the same process, as it is."""
         if not isinstance(message, self.kind):
             error = MessageError(f"got {type(message).__name__}", where=self.kind.__name__)
             self._on_bad(key, error)
-        elif self._latest:
-            self._replace(key, message)
+            return
+        item = Delivery(message, sender) if self._with_sender else message
+        if self._latest:
+            self._replace(key, item)
         else:
-            self._mailbox.put(self._deliver, message)
+            self._mailbox.put(self._deliver, item)
 
-    def _replace(self, key: str, message: Message) -> None:
+    def _replace(self, key: str, item: Any) -> None:
         with self._lock:
             is_new = key not in self._waiting
-            self._waiting[key] = message
+            self._waiting[key] = item
         if is_new:
             self._mailbox.put(self._deliver_key, key)
 
-    def _deliver(self, message: Message) -> None:
+    def _deliver(self, item: Any) -> None:
         if self._active:
-            self._handler(message)
+            self._handler(item)
 
     def _deliver_key(self, key: str) -> None:
         with self._lock:
-            message = self._waiting.pop(key)
+            item = self._waiting.pop(key)
         if self._active:
-            self._handler(message)
+            self._handler(item)
 
     def close(self) -> None:
         """Stop delivering; closing twice is fine."""
@@ -124,3 +134,12 @@ class Inbox:
         declared, self._declared = self._declared, None
         if declared is not None:
             untyped(declared.undeclare)
+
+
+def _sender(sample: zenoh.Sample) -> str:
+    """Return the sender's name that travels as the attachment; empty where there is none, or it is not a name."""
+    attached = sample.attachment
+    if attached is None:
+        return ""
+    data = attached.to_bytes()
+    return data.decode("ascii", "replace") if len(data) <= LONGEST_NAME else ""

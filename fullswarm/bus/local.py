@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from fullswarm.bus.base import Subscription, matches
+from fullswarm.bus.base import Delivery, Subscription, matches
 from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
@@ -13,13 +13,15 @@ M = TypeVar("M", bound=Message)
 
 
 class _Subscription:
-    def __init__(self, bus: LocalBus, expression: str, kind: type[Message], handler: Callable[[Any], None]) -> None:
+    def __init__(
+        self, bus: LocalBus, expression: str, kind: type[Message], handler: Callable[[Any], None], with_sender: bool
+    ) -> None:
         self._bus, self.expression, self.kind, self._handler = bus, expression, kind, handler
-        self.active = True
+        self.with_sender, self.active = with_sender, True
 
-    def __call__(self, message: Message) -> None:
+    def __call__(self, item: Any) -> None:  # a message, or a `Delivery` with_sender
         if self.active:
-            self._handler(message)
+            self._handler(item)
 
     def close(self) -> None:
         if self.active:
@@ -40,7 +42,7 @@ class LocalBus:
         self._routes: dict[str, tuple[_Subscription, ...]] = {}
         self._closed = False
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Put `message` into the mailbox once per matching subscription, in the order of subscribing."""
         if self._closed:
             return
@@ -50,14 +52,23 @@ class LocalBus:
             self._routes[key] = route
         for subscription in route:
             if isinstance(message, subscription.kind):
-                self._mailbox.put(subscription, message)
+                self._mailbox.put(subscription, Delivery(message, sender) if subscription.with_sender else message)
 
     def subscribe(
         self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
     ) -> Subscription:
         """Deliver messages of type `kind` on matching keys to `handler`."""
         del latest
-        subscription = _Subscription(self, expression, kind, handler)
+        return self._add(_Subscription(self, expression, kind, handler, with_sender=False))
+
+    def subscribe_with_sender(
+        self, expression: str, kind: type[M], handler: Callable[[Delivery[M]], None], *, latest: bool = False
+    ) -> Subscription:
+        """Deliver messages of type `kind` on matching keys to `handler`, each with its sender's name."""
+        del latest
+        return self._add(_Subscription(self, expression, kind, handler, with_sender=True))
+
+    def _add(self, subscription: _Subscription) -> _Subscription:
         self._subscriptions.append(subscription)
         self._routes.clear()
         return subscription

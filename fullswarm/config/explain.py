@@ -11,6 +11,7 @@ from pydantic_core import ErrorDetails
 
 from fullswarm.config.positions import KeyPath
 from fullswarm.errors import did_you_mean
+from fullswarm.units import unit_of
 
 MUST_BE = {
     "bool_parsing": "must be true or false",
@@ -27,12 +28,6 @@ MUST_BE = {
     "model_attributes_type": "must be a table",
     "tuple_type": "must be a list",
 }
-
-UNITS = {
-    "_m_s": "m/s", "_m_s2": "m/s²", "_rad_s": "rad/s", "_rad_s2": "rad/s²", "_per_s": "1/s", "_m": "m", "_s": "s",
-    "_hz": "Hz", "_rad": "rad", "_kg": "kg",
-}  # fmt: skip
-"""What the end of a key stands for: who writes 3000 for a radius thinks of millimetres."""
 
 
 def dotted(path: KeyPath) -> str:
@@ -66,8 +61,9 @@ def explain(error: ErrorDetails, schema: type[BaseModel], extra_keys: Sequence[s
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         return path, f"{_text(error)}{_not(given)}, {did_you_mean(str(given), choices)}"
-    unit = next((unit for end, unit in UNITS.items() if str(path[-1]).endswith(end)), "")
-    return path, f"{_text(error)}{f' {unit}' if unit and kind == 'less_than_equal' else ''}{_not(given)}"
+    # A radius of 3000 was meant in millimetres.
+    unit = unit_of(str(path[-1])) if kind == "less_than_equal" else ""
+    return path, f"{_text(error)}{f' {unit}' if unit else ''}{_not(given)}"
 
 
 def _unknown_key(path: KeyPath, schema: type[BaseModel], extra_keys: Sequence[str]) -> str:

@@ -4,7 +4,6 @@
 ``robot/``        what stands on a robot outside every release: the installer, ``fullswarm-robot``, units, udev rules
 ``flash/``        writes a card whose first boot needs no network but the lab's
 ``fleet/``        the same over SSH, many robots at a time: deploy, update in waves, roll back, look
-``preflight.py``  is this robot fit to drive today? (``fullswarm doctor --robot``)
 
 In flows a fleet file (who, where) and wheels; out flow releases, cards and robots that run an agent. Nothing here
 runs on board but the shell scripts in ``robot/``: whether a release is good is the agent's own word

@@ -1,7 +1,7 @@
 """A whole swarm in one process on a simulated clock: deterministic to the byte, as fast as the machine goes.
 
 The nodes are those of the live processes. One agent carries all robots, so that laws, filter, controller and
-calculators are evaluated once per tick for everybody. On a bad network each robot has an agent of its own, as on
+calculators are evaluated once per tick for all robots. On a bad network each robot has an agent of its own, as on
 board: what one robot misses another one hears.
 """
 
@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm import kernels
-from fullswarm.agent.node import AgentNode, Identity
-from fullswarm.bus.base import Bus
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
+from fullswarm.bus.base import CENTRALISED, CORE, SenderBus
 from fullswarm.bus.local import LocalBus
-from fullswarm.bus.senders import CENTRALISED, CORE
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.node import CoreNode
@@ -34,7 +34,7 @@ class Lockstep:
 
     Attributes
     ----------
-    bus : carries every message unharmed, for those who look on; nodes are on :meth:`bus_of` their name
+    bus : carries every message unharmed, for onlookers; nodes are on :meth:`bus_of` their name
     agents : one that carries all robots; on a bad network one per robot, in the order of the file
     """
 
@@ -53,7 +53,7 @@ class Lockstep:
             network = self.config.network.model_copy(update={"since_s": 0.0})
             self.config = self.config.model_copy(update={"network": network})
         else:
-            # One host carries everybody, so there is nothing to split by place.
+            # One host carries all robots, so there is nothing to split by place.
             agent = self.config.agent.model_copy(update={"state_cell_m": 0.0})
             self.config = self.config.model_copy(update={"agent": agent})
         config = self.config
@@ -78,8 +78,8 @@ class Lockstep:
         """The one agent that carries all robots; on a bad network that of the first robot."""
         return self.agents[0]
 
-    def bus_of(self, name: str) -> Bus:
-        """Return the bus as process `name` has it: on a bad network it suffers."""
+    def bus_of(self, name: str) -> SenderBus:
+        """Return the bus as process `name` uses it."""
         return on_network(self.bus, self.runtime, self.config, name)
 
     def _agent_of_all(self) -> AgentNode:

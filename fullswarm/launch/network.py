@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import PROCESSES, NamedBus, SenderBus
 from fullswarm.bus.faulty import faulty
 from fullswarm.bus.network import Network, check_names, parse_network
-from fullswarm.bus.senders import PROCESSES
 from fullswarm.config import SwarmConfig
 from fullswarm.runtime import Scheduler
 
@@ -43,10 +42,10 @@ def network_of(config: SwarmConfig) -> Network | None:
     return network
 
 
-def on_network(bus: Bus, scheduler: Scheduler, config: SwarmConfig, name: str) -> Bus:
-    """Return the bus of process `name` on the network of the settings: `bus` itself when that is a good one."""
+def on_network(bus: SenderBus, scheduler: Scheduler, config: SwarmConfig, name: str) -> SenderBus:
+    """Return the bus of process `name` on the network of the settings."""
     network = network_of(config)
     if network is None:
-        return bus
+        return NamedBus(bus, name)
     since_s = config.network.since_s
     return faulty(bus, scheduler, network, config.network.seed, name, scheduler.now_s() if since_s is None else since_s)

@@ -19,7 +19,8 @@ from fullswarm.keys import Keys
 from fullswarm.runtime import LoopStats, Scheduler
 
 if TYPE_CHECKING:
-    from fullswarm.agent.node import AgentNode, Identity
+    from fullswarm.agent.node import AgentNode
+    from fullswarm.agent.state import Identity
 
 
 class Node(Protocol):

@@ -1,11 +1,12 @@
 """What the agent's process does on a robot's own computer: it tells systemd and the health file how it is.
 
-Only where somebody asks: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
+Only on demand: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
 loop that drives the wheels: when that hangs, nothing is said, and systemd starts the agent again.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,8 +18,8 @@ import fullswarm
 from fullswarm.agent import health_file
 from fullswarm.agent.health_file import Process, Rate
 from fullswarm.config import AgentConfig
+from fullswarm.launch import HEALTH
 from fullswarm.launch.notify import Notifier
-from fullswarm.launch.unit import HEALTH
 from fullswarm.runtime import Runtime, Timer
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class OnBoard:
     Parameters
     ----------
     path
-        The health file; None: nobody reads one.
+        The health file; None: none is wanted.
     notifier
         The way to systemd; None: it did not start this process.
     """
@@ -117,12 +118,16 @@ class OnBoard:
         return f"{agent.fleet.lifecycle(0)} {agent.fleet.fault(0)}".strip() if agent else ""
 
     def _tell(self) -> None:
-        """Write the health file; a disk that does not take it ends nobody."""
+        """Write the health file; a disk that does not take it ends no agent."""
         if self._path is None or self._agent is None or self._control is None:
             return
         now_s, settings = self.now_s(), self._settings
+        agent = self._agent
+        (report,) = agent.health(now_s).robots
+        reading_age_s = math.inf if agent.reading is None else now_s - float(agent.reading.stamp_s[0])
         vitals = health_file.vitals_of(
-            self._agent, now_s, self._rate.see(now_s, self._control.ticks), settings.control_rate_hz,
+            report, reading_age_s, agent.inbox.core_age_s(now_s), agent.neighbours.ages_s(now_s),
+            self._rate.see(now_s, self._control.ticks), settings.control_rate_hz,
             (settings.reading_timeout_s, settings.neighbour_timeout_s),
         )  # fmt: skip
         process = Process(

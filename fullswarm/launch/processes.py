@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable
 from urllib.parse import urlsplit
 
 from fullswarm import registry
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
 from fullswarm.bus.endpoint import host_of, is_loopback
-from fullswarm.bus.senders import CENTRALISED, CORE, OPERATOR, WORLD
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.frames import check_frames, in_frame
@@ -22,13 +21,13 @@ from fullswarm.runtime import Mailbox, Runtime
 INTERRUPTED = 130
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
-"""Process id of who started this one. Asking the system would come too late: he may die while this one imports."""
+"""Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
     """Serve as the hub at a zenoh endpoint such as ``tcp/127.0.0.1:7447``."""
     from fullswarm.bus.hub import Hub
-    from fullswarm.operator.output import progress
+    from fullswarm.output import progress
 
     runtime = Runtime(MonotonicClock())
     with Hub(endpoint, insecure_network=insecure_network):
@@ -61,7 +60,7 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
 def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     """Serve as the agent of one robot."""
     from fullswarm.agent.latch_folder import LatchFolder
-    from fullswarm.agent.node import Identity
+    from fullswarm.agent.state import Identity
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
     from fullswarm.launch import nodes
@@ -119,7 +118,7 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
 
 
 def serve_on_bus(
-    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str = OPERATOR
+    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str
 ) -> int:
     """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
 

@@ -10,8 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-HEALTH = "FULLSWARM_HEALTH"
-"""Path of the health file, set by the unit."""
+from fullswarm.launch import HEALTH
 
 
 def plain_logs() -> None:
@@ -46,7 +45,7 @@ def asked_for(arguments: Sequence[str]) -> tuple[str, str] | None:
 def main(robot: str, fleet: str) -> int:
     """Run the agent of `robot` as its unit does: what ``fullswarm agent`` is, without the rest of the command line."""
     plain_logs()
-    from fullswarm.operator.guard import run_guarded
+    from fullswarm.launch.guard import run_guarded
 
     def command() -> int:
         from fullswarm.config import load_swarm

@@ -12,7 +12,7 @@ from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
-from fullswarm.operator.output import progress
+from fullswarm.output import progress
 from fullswarm.runtime import Runtime
 
 SETTLED_S = 1.0

@@ -62,12 +62,12 @@ def from_fleet(file: Path, known: Known) -> Known:
 def from_swarm(hub: str | None, swarm: str, *, robots: bool) -> Known | None:
     """Return what a running swarm knows; None when its hub, or its core, does not answer at once.
 
-    Without `robots` nobody waits for their states.
+    Without `robots` their states are not waited for.
     """
     endpoint = hub or HUB
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
-        # Before anything heavy is imported: mostly nobody is there, which takes a millisecond to learn.
+        # Before anything heavy is imported: mostly there is no hub, which takes a millisecond to learn.
         socket.create_connection((host.strip("[]"), int(port)), PROBE_S).close()
     except (OSError, ValueError):
         return None
@@ -78,12 +78,13 @@ def from_swarm(hub: str | None, swarm: str, *, robots: bool) -> Known | None:
 
 
 def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
+    from fullswarm.bus.base import OPERATOR, NamedBus
     from fullswarm.bus.zenoh_bus import ZenohBus
     from fullswarm.clock import MonotonicClock
     from fullswarm.keys import Keys
     from fullswarm.messages import ParamReply, RobotStates
-    from fullswarm.operator.output import log_to_stderr
     from fullswarm.operator.params import ParamClient
+    from fullswarm.output import log_to_stderr
     from fullswarm.runtime import Runtime
 
     log_to_stderr()
@@ -110,7 +111,7 @@ def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
         bus.wait_connected(CONNECT_S)
         if wanted:
             bus.subscribe(keys.state(), RobotStates, hear)
-        ParamClient(bus, keys, runtime, "completion").ask("get", "*", receive)
+        ParamClient(NamedBus(bus, OPERATOR), keys, runtime, "completion").ask("get", "*", receive)
         runtime.run(LISTEN_S)
     finally:
         bus.close()

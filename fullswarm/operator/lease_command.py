@@ -8,9 +8,10 @@ import msgspec
 from rich.markup import escape
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.messages import Lease, Leases
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.leases import SETTLE_S, LeaseHolder
 from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.session import Session, Target

@@ -13,9 +13,10 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.errors import ConfigError, Unreachable, did_you_mean
 from fullswarm.messages import ParamEntry, ParamReply
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.leases import GROUP
 from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.params import ParamClient, Stored
@@ -81,7 +82,7 @@ def watch(target: Target, robots: Iterable[str] = (), *, as_json: bool) -> int:
 
 
 def named(target: Target, robots: Iterable[str]) -> tuple[str, ...]:
-    """Return the ids that `robots` stand for; the core knows who is in a group. None: the whole swarm.
+    """Return the ids that `robots` stand for; the core knows the members of a group. None: the whole swarm.
 
     Raises
     ------

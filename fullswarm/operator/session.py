@@ -18,7 +18,7 @@ from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
-from fullswarm.operator.output import log_to_stderr
+from fullswarm.output import log_to_stderr
 from fullswarm.runtime import Runtime
 
 CONNECT_S = 3.0
@@ -27,7 +27,7 @@ _NAME = re.compile(r"[^\s,;()]{1,64}\Z")
 
 
 def operator_name(given: str) -> str:
-    """Return the name that somebody gave himself, if it reads well in ``r1 is held by …``.
+    """Return the name that an operator chose, if it reads well in ``r1 is held by …``.
 
     Raises
     ------
@@ -123,6 +123,7 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     ConfigError
         The hub's address or the swarm's name is malformed.
     """
+    from fullswarm.bus.base import OPERATOR, NamedBus
     from fullswarm.bus.zenoh_bus import ZenohBus
 
     log_to_stderr()
@@ -132,6 +133,6 @@ def connect(target: Target, within_s: float | None = None) -> Iterator[Session]:
     bus = ZenohBus(runtime.mailbox, hub=hub)
     try:
         bus.wait_connected(CONNECT_S if within_s is None else within_s)
-        yield Session(bus, keys, runtime, hub, target.operator)
+        yield Session(NamedBus(bus, OPERATOR), keys, runtime, hub, target.operator)
     finally:
         bus.close()

@@ -1,4 +1,4 @@
-"""How well the swarm did (paper II.F). In: poses and contacts of the robots. Out: numbers, files, scenarios.
+"""How well the swarm did (paper II.F). In: poses and contacts of the robots. Out: numbers, files.
 
 ======================  ==========================================================  =============
 file                    what it holds                                               runs in
@@ -8,13 +8,15 @@ file                    what it holds                                           
 ``metrics.py``          what else is measured: columns, quantities, their meaning   core
 ``robot_tally.py``      joins those columns; ``shape.py``: order, spacing, …        core
 ``truth.py``            what the true bodies did; ``supervisor.py`` publishes it    base station
-``approach.py``         how near each pair of robots came                           base station
 ``coverage.py``         the coverage grid and how it travels on the bus             agent, core
 ``summarizers.py``      one node per metric: measurements of all hosts → Summary    core
 ``termination.py``      when a trial is over                                        core
 ``performance_node.py`` newest summaries → ``performance.json``, tables             core, operator
-``scenarios/``          arenas, obstacles, spawn regions, goals                     base station
 ======================  ==========================================================  =============
 
 Nothing is imported here, so that a robot loads its calculators without the rest.
+
+Further files:
+
+``tallies.py``  Tallies: how each metric's measurements of many hosts become one result
 """

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.launch.main import app
-from fullswarm.operator import output
+from fullswarm import output
+from fullswarm.cli.main import app
 from fullswarm.operator.joystick import devices, mapping
 from fullswarm.operator.joystick.wizard import CONTROLS
 from fullswarm.testing.pad import VirtualPad

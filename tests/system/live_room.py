@@ -9,9 +9,9 @@ from typing import Any
 
 import psutil
 
+from fullswarm.evaluate.experiment import Trial, load_experiment, plan
+from fullswarm.evaluate.scenarios import parse_scenario
 from fullswarm.launch.processes import PARENT
-from fullswarm.perf.experiment import Trial, load_experiment, plan
-from fullswarm.perf.scenarios import parse_scenario
 
 ROOM = """
 name = "room"

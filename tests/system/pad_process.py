@@ -12,7 +12,7 @@ import sys
 import threading
 from typing import Any
 
-from fullswarm.launch.main import main
+from fullswarm.cli.main import main
 from fullswarm.testing.pad import VirtualPad
 
 

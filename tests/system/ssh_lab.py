@@ -8,9 +8,9 @@ from typing import Any
 
 from typer.testing import CliRunner, Result
 
+from fullswarm.cli.main import app
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
-from fullswarm.launch.main import app
 from tests.system.ssh_robots import SshRobot, fleet_file, make_release, make_robot
 
 

@@ -174,7 +174,7 @@ def test_bad_input_gets_a_clear_error(arguments: tuple[str, ...], complaint: str
 @pytest.mark.untimed
 def test_help_imports_nothing_heavy() -> None:
     script = (
-        "import sys\nfrom fullswarm.launch.main import app\n"
+        "import sys\nfrom fullswarm.cli.main import app\n"
         "try: app(['--help'])\nexcept SystemExit: pass\n"
         "heavy = {'numpy', 'scipy', 'pybullet', 'matplotlib', 'pymavlink', 'zenoh', 'numba', 'osqp', 'pydantic'}\n"
         "print('HEAVY', sorted(heavy & set(sys.modules)))"

@@ -13,9 +13,9 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from typer.testing import CliRunner
 
+from fullswarm.cli.main import app
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
-from fullswarm.launch.main import app
 from tests.system.live import LiveSwarm
 from tests.system.ssh_robots import SshRobot, fleet_file, make_release, make_robot, needs_sshd
 

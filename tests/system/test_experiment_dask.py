@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.launch.evaluate.experiment import Options, run
-from fullswarm.perf.experiment.record import PROVENANCE_FILE, TRIALS
+from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, TRIALS
+from fullswarm.evaluate.experiment.run import Options, run
 from tests.unit.experiment_work import Trouble
 
 pytest.importorskip("distributed")

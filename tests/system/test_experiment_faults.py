@@ -18,9 +18,9 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.experiment import Options, run
-from fullswarm.perf.experiment import load_experiment, plan
-from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS, Record, trial_id
+from fullswarm.evaluate.experiment import load_experiment, plan
+from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS, Record, trial_id
+from fullswarm.evaluate.experiment.run import Options, run
 from tests.unit.experiment_work import Trouble, answer
 
 pytestmark = [pytest.mark.system, pytest.mark.untimed]
@@ -30,7 +30,7 @@ PROGRAM = """
 import signal
 import sys
 from pathlib import Path
-from fullswarm.launch.evaluate.experiment import Options, run
+from fullswarm.evaluate.experiment.run import Options, run
 from tests.unit.experiment_work import Trouble
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
@@ -215,7 +215,7 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path, engine: str) -> None:
     assert run(options(tmp_path / "out", "3", engine=engine, cells=("robots=8,uniform,move_to_goal_bc",))) == 0
     (folder,) = (tmp_path / "out" / TRIALS).iterdir()
-    program = "from fullswarm.launch.evaluate.experiment_cli import experiment_app; experiment_app()"
+    program = "from fullswarm.cli.experiment import experiment_app; experiment_app()"
     command = [sys.executable, "-c", program, "trial", str(folder), "--out", str(tmp_path / "again"), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr

@@ -14,14 +14,14 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.live_run import Asked, drive
-from fullswarm.launch.evaluate.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.launch.evaluate.live_trial import measure_live, with_make
-from fullswarm.launch.evaluate.trial import TrialFailed, configure, parameters
-from fullswarm.launch.evaluate.trial_watch import Measurement
-from fullswarm.launch.evaluate.witness import WorldWitness
+from fullswarm.evaluate.experiment import scenario_of
+from fullswarm.evaluate.live_run import Asked, drive
+from fullswarm.evaluate.live_swarm import LiveSwarm, TrialHeld
+from fullswarm.evaluate.live_trial import measure_live, with_make
+from fullswarm.evaluate.trial import TrialFailed, configure, parameters
+from fullswarm.evaluate.trial_watch import Measurement
+from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.ports import on_free_ports
-from fullswarm.perf.experiment import scenario_of
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
 pytestmark = pytest.mark.system
@@ -153,7 +153,7 @@ def test_what_happens_in_mid_trial_ends_it_and_is_named(
 
 
 ALONE = """
-from fullswarm.launch.evaluate.live_trial import measure_live
+from fullswarm.evaluate.live_trial import measure_live
 from tests.system.live_room import FAR, trial
 measure_live(trial(2, FAR))
 """

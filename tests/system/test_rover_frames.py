@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.evaluate.live_swarm import LiveSwarm
+from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.launch.ports import on_free_ports
 
 pytestmark = pytest.mark.system

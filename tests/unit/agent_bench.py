@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus import LocalBus
 from fullswarm.bus.codec import decode, encode
 from fullswarm.clock import SimClock
@@ -36,9 +37,9 @@ class CuttableBus(LocalBus):
 
     hub = True
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         """Deliver what would come off a wire: all that an agent says must survive it."""
-        super().publish(key, decode(encode(message), type(message)))
+        super().publish(key, decode(encode(message), type(message)), sender=sender)
 
     def connected(self) -> bool:
         return self.hub and super().connected()
@@ -52,12 +53,14 @@ class Bench:
     world: dict[str, Any] = field(default_factory=dict)
     agent_settings: dict[str, Any] = field(default_factory=dict)
     beating: bool = True
+    performance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.config = SwarmConfig.model_validate(
             {
                 "world": {"engine": "kinematic", **self.world},
                 "agent": self.agent_settings,
+                "performance": self.performance,
                 "robot": [{"id": f"r{row + 1}", "pose": pose} for row, pose in enumerate(self.poses)],
             }
         )

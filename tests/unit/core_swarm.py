@@ -44,9 +44,9 @@ class LossyBus(LocalBus):
 
     drop: Drop = staticmethod(lambda _key, _message: False)
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         if not self.drop(key, message):
-            super().publish(key, message)
+            super().publish(key, message, sender=sender)
 
 
 class Robot:

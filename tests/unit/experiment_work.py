@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fullswarm.launch.evaluate.trial_watch import Measurement
+from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult
+from fullswarm.evaluate.experiment.record import Trajectory
+from fullswarm.evaluate.trial_watch import Measurement
 from fullswarm.perf.coverage import GridFrame
-from fullswarm.perf.experiment import Outcome, Trial, TrialResult
-from fullswarm.perf.experiment.record import Trajectory
 
 
 def answer(trial: Trial) -> Measurement:

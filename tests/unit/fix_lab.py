@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig

@@ -18,11 +18,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from fullswarm.cli.main import app
 from fullswarm.deploy.release import signing, sums
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest, Target, id_for
 from fullswarm.deploy.release.store import Store
-from fullswarm.launch.main import app
 
 PACKAGES = {
     "mcopy": "mtools",

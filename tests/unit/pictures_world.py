@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from fullswarm.perf.experiment.plan import Cell, Trial
-from fullswarm.perf.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory, trial_id
-from fullswarm.perf.experiment.results import Outcome
+from fullswarm.evaluate.experiment.plan import Cell, Trial
+from fullswarm.evaluate.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory, trial_id
+from fullswarm.evaluate.experiment.results import Outcome
 
 PERIOD_S = 0.1
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from fullswarm.perf.experiment import Cell, Outcome, Trial
-from fullswarm.perf.experiment.record import (
+from fullswarm.evaluate.experiment import Cell, Outcome, Trial
+from fullswarm.evaluate.experiment.record import (
     COVERAGE_FILE,
     PROVENANCE_FILE,
     RESULT_FILE,
@@ -22,7 +22,7 @@ from fullswarm.perf.experiment.record import (
     Trajectory,
     trial_id,
 )
-from fullswarm.perf.scenarios import boxes_for, load_scenario, spawn
+from fullswarm.evaluate.scenarios import boxes_for, load_scenario, spawn
 
 BEHAVIOURS = ("move_to_goal", "move_to_goal_bc")
 SCENARIOS = ("concave", "uniform")

@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
 from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import Clock, SimClock
 from fullswarm.config import SwarmConfig

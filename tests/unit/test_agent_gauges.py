@@ -103,9 +103,8 @@ def test_energy_deadlines_and_messages_go_along() -> None:
 
 
 def test_the_file_may_say_how_near_is_there() -> None:
-    bench = Bench([(2.0, 2.0, 0.0)])
+    bench = Bench([(2.0, 2.0, 0.0)], performance={"arrive_radius_m": 3.0})
     heard = listen(bench)
-    bench.agent.gauges = Gauges(bench.agent, arrive_radius_m=3.0)
     bench.enable("move_to_goal", {"goal": [4.5, 2.0], "gain": 1.0, "arrive_radius_m": 0.1})
     bench.run(0.6)
     assert column(heard[-1], "arrived_s")[0] < 0.3

@@ -65,7 +65,7 @@ def test_two_robots_in_one_place_are_an_alarm_that_ends_what_they_do(bench: Benc
         bench.run(0.1)
     assert not bench.commanded.any()
     assert bench.agent.tasks.of[0] is None
-    assert "ghost" in bench.agent.ended[0]
+    assert "ghost" in bench.agent.inbox.ended[0]
     bench.enable("move_to_goal", FAR, request_id="q2")
     assert not bench.acks[-1].accepted
     assert "by hand" in bench.acks[-1].reason
@@ -138,7 +138,7 @@ def test_a_robot_in_a_frame_of_its_own_bars_whoever_hears_it(bench: Bench) -> No
     ghost.place = (15.0, 3.0)  # far away, as it says
     bench.run(0.5)
     assert not bench.commanded.any()
-    assert "[world] origin" in bench.agent.ended[0]
+    assert "[world] origin" in bench.agent.inbox.ended[0]
 
 
 def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Bench) -> None:
@@ -152,7 +152,7 @@ def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Benc
     ghost.place = (15.0, 3.0)
     bench.run(0.5)
     assert not bench.commanded.any()
-    assert "switched on" in bench.agent.ended[0]
+    assert "switched on" in bench.agent.inbox.ended[0]
     bench.run(TICK_S)
 
 

@@ -45,7 +45,7 @@ def test_a_low_battery_ends_the_task_at_once_and_says_so(bench: Bench) -> None:
     assert bench.time_to_zero_s() <= TICK_S + 1e-9
     bench.run(TICK_S)
     assert bench.agent.tasks.of[0] is None
-    assert bench.agent.ended[0] == EXPLAIN[Reason.BATTERY]
+    assert bench.agent.inbox.ended[0] == EXPLAIN[Reason.BATTERY]
     bench.enable("move_to_goal", FAR, request_id="q2")
     assert not bench.acks[-1].accepted
     assert bench.acks[-1].reason == EXPLAIN[Reason.BATTERY]

@@ -14,10 +14,9 @@ from fullswarm.bus.base import Bus
 from fullswarm.bus.faulty import DETOUR_S, FaultyBus, faulty
 from fullswarm.bus.local import LocalBus
 from fullswarm.bus.network import EXAMPLE, Network, Partition, check_names, parse_network
-from fullswarm.bus.senders import CORE, OPERATOR, WORLD, sender_of
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.messages import EStop, HealthReport, Heartbeat, ParamEntry, ParamReply, PoseFix, StopRequest
+from fullswarm.messages import Heartbeat
 from fullswarm.runtime import Mailbox, Runtime
 
 PERIOD_S = 0.01
@@ -123,20 +122,6 @@ def test_sides(spec: str, one: str, other: str, parted: bool) -> None:
     assert partition.parts(one, other, 0.0) is partition.parts(other, one, 0.0) is parted
 
 
-# ---------------------------------------------------------------- whose message it is
-def test_senders() -> None:
-    fix = PoseFix(robot="r1", x_m=0.0, y_m=0.0, heading_rad=0.0, position_sigma_m=0.1, heading_sigma_rad=0.1,
-                  source="world-1a", stamp_s=0.0)  # fmt: skip
-    assert sender_of(fix) == WORLD
-    assert sender_of(Heartbeat(node="core", process="core-1", sequence=1)) == CORE
-    assert sender_of(HealthReport(host="r7", process="p", version="1", robots=())) == "r7"
-    assert sender_of(StopRequest(id="a", source="cli@here:1")) == OPERATOR
-    assert sender_of(StopRequest(id="a@r1", robots=("r1",), source="r1")) == "r1"
-    assert sender_of(EStop(id="a", engaged=True, robots=("r1",), source="core-12ab")) == CORE
-    entry = ParamEntry(key="k", value=1, author="", changed=0.0)
-    assert sender_of(ParamReply(id="a", ok=True, entries=(entry,))) == CORE
-
-
 # ---------------------------------------------------------------- the model
 class Post:
     """Numbered messages from one process to another, sent every 10 ms on a simulated clock."""
@@ -161,7 +146,8 @@ class Post:
             number = next(numbers)
             if number < messages:
                 self.sent_s.append(self.runtime.now_s())
-                self.local.publish(f"s/heartbeat/{node}", Heartbeat(node=node, process="p", sequence=number))
+                beat = Heartbeat(node=node, process="p", sequence=number)
+                self.local.publish(f"s/heartbeat/{node}", beat, sender=node)
 
         timer = self.runtime.every(PERIOD_S, tick)
         self.runtime.run(messages * PERIOD_S + 1.0)
@@ -314,7 +300,7 @@ def test_the_same_handler_may_listen_twice() -> None:
 
 def test_a_refused_expression_leaves_nothing_behind() -> None:
     class Picky(LocalBus):
-        def subscribe(self, *_: object, **__: object) -> object:  # type: ignore[override]  # refuses everything
+        def subscribe_with_sender(self, *_: object, **__: object) -> object:  # type: ignore[override]  # refuses everything
             raise ConfigError("no")
 
     runtime = Runtime(SimClock(), Mailbox())

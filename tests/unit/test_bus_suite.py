@@ -15,10 +15,12 @@ import pytest
 import zenoh
 
 from fullswarm import config
-from fullswarm.bus import Bus, LocalBus
+from fullswarm.bus import LocalBus
+from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
+from fullswarm.bus.inbox import LONGEST_NAME
 from fullswarm.bus.session import client_config, untyped
 from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
 from fullswarm.clock import SimClock
@@ -45,8 +47,8 @@ def beat(sequence: int, node: str = "core") -> Heartbeat:
 class Pair:
     """Who publishes, who subscribes (maybe the same bus), and the subscriber's mailbox."""
 
-    publisher: Bus
-    subscriber: Bus
+    publisher: SenderBus
+    subscriber: SenderBus
     mailbox: Mailbox
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -114,6 +116,37 @@ def test_messages_arrive_whole_and_in_order(pair: Pair) -> None:
         pair.publisher.publish(KEYS.heartbeat("core"), message)
     pair.until(lambda: len(seen) == len(sent))
     assert seen == sent
+
+
+@pytest.mark.parametrize("latest", [False, True])
+def test_the_sender_arrives_beside_the_message(pair: Pair, latest: bool) -> None:
+    seen: list[tuple[int, str]] = []
+    pair.subscriber.subscribe_with_sender(
+        KEYS.heartbeat(), Heartbeat, lambda got: seen.append((got.message.sequence, got.sender)), latest=latest
+    )
+    pair.settle()
+    named = NamedBus(pair.publisher, "r1")
+    for number, (bus, sender) in enumerate(((named, ""), (pair.publisher, ""), (named, "core"), (pair.publisher, "é"))):
+        bus.publish(KEYS.heartbeat(f"n{number}"), beat(number), sender=sender)
+    pair.until(lambda: len(seen) == 4)
+    assert seen[:3] == [(0, "r1"), (1, ""), (2, "core")]
+
+
+def test_a_stranger_cannot_send_a_name_without_end(remote: tuple[ZenohBus, ZenohBus, Pair], hub: str) -> None:
+    _, subscriber, pair = remote
+    seen: list[str] = []
+    subscriber.subscribe_with_sender(KEYS.heartbeat(), Heartbeat, lambda got: seen.append(got.sender))
+    pair.settle()
+    session = zenoh.open(client_config(hub, multicast=False))
+    try:
+        for attached in (b"x" * 1_000_000, bytes(range(256))[:LONGEST_NAME], b"\xff\xfe", b"", b"r7"):
+            session.put(KEYS.heartbeat("core"), encode(beat(1)), attachment=attached)
+        pair.until(lambda: len(seen) == 5)
+    finally:
+        untyped(session.close)
+    assert seen[0] == seen[3] == ""
+    assert all(len(each) <= LONGEST_NAME for each in seen)
+    assert seen[4] == "r7"
 
 
 def test_wildcards_select(pair: Pair) -> None:

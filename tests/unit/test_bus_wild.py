@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
@@ -112,4 +113,4 @@ def assert_obeys(swarm: Swarm) -> None:
     for robot, agent in swarm.agents.items():
         before = float(np.hypot(*(began[robot][:2] - goal)))
         now = float(np.hypot(*(agent.pose[0, :2] - goal)))
-        assert now < before - 0.5 or now < 0.3, (robot, before, now, agent.tasks.of[0], agent.ended)
+        assert now < before - 0.5 or now < 0.3, (robot, before, now, agent.tasks.of[0], agent.inbox.ended)

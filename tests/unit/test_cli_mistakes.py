@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from fullswarm.bringup.init import lab_files
 from fullswarm.bus.endpoint import DEFAULT_HUB
-from fullswarm.launch.init import lab_files
-from fullswarm.launch.main import app
+from fullswarm.cli.main import app
 from fullswarm.operator import session
 
 MISTAKES = [

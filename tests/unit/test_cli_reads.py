@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from fullswarm.launch.main import app
+from fullswarm.cli.main import app
 
 DOERS = {
     *("up", "hub", "core", "centralised", "agent", "sim", "console", "fixes", "init"),  # run, or make, something

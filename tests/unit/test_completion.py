@@ -5,7 +5,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.operator.completion import mended
+from fullswarm.cli.completion import mended
 from fullswarm.operator.known import Known, from_fleet, known_from, resolved
 
 FLEET = """

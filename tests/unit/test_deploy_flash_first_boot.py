@@ -11,10 +11,10 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from fullswarm.deploy.flash.seed import HOME
+from fullswarm.cli.main import app
+from fullswarm.deploy.flash.seed_rules import HOME
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.store import Store
-from fullswarm.launch.main import app
 from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, make_image, make_release, tool
 
 SYSTEMCTL = """\

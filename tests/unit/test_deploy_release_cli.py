@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.deploy.cli import deploy_app
+from fullswarm.cli.deploy import deploy_app
 from fullswarm.deploy.release import layers
 from tests.unit import wheelhouse
 

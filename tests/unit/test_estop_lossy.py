@@ -15,7 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.latch_folder import LatchFolder
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus import Subscription
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
@@ -271,12 +272,12 @@ def test_one_order_is_repeated_until_the_core_gets_through() -> None:
         deaf = it.bus._local.publish
         heard: list[str] = []
 
-        def lose(key: str, message: Message) -> None:
+        def lose(key: str, message: Message, *, sender: str = "") -> None:
             if isinstance(message, EStop) and message.source.startswith("core"):
                 heard.append(message.id)
                 if len(heard) < 3:
                     return
-            deaf(key, message)
+            deaf(key, message, sender=sender)
 
         it.bus._local.publish = lose  # type: ignore[method-assign]  # a network that picks
         it.restart("r1")
@@ -303,10 +304,10 @@ def test_a_release_that_the_core_missed_is_learned_from_the_receipts() -> None:
         assert it.core is not None
         publish = it.bus._local.publish
 
-        def lose(key: str, message: Message) -> None:
+        def lose(key: str, message: Message, *, sender: str = "") -> None:
             if isinstance(message, HealthReport):
                 return
-            publish(key, message)
+            publish(key, message, sender=sender)
 
         it.bus._local.publish = lose  # type: ignore[method-assign]  # the core has the receipts alone
         it.bus._loss = 0.0

@@ -14,8 +14,7 @@ import pytest
 from rich.console import Console
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.experiment_table import closing, table
-from fullswarm.perf.experiment import (
+from fullswarm.evaluate.experiment import (
     Outcome,
     Trial,
     TrialResult,
@@ -28,9 +27,10 @@ from fullswarm.perf.experiment import (
     summarise,
     world_of,
 )
-from fullswarm.perf.experiment.plan import differ_by_group
-from fullswarm.perf.experiment.record import trial_id
-from fullswarm.perf.scenarios import load_scenario
+from fullswarm.evaluate.experiment.plan import differ_by_group
+from fullswarm.evaluate.experiment.record import trial_id
+from fullswarm.evaluate.experiment.table import closing, table
+from fullswarm.evaluate.scenarios import load_scenario
 
 TEXT = """
 name = "mine"

@@ -10,15 +10,15 @@ import msgspec
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate.experiment import Options, run
-from fullswarm.launch.evaluate.experiment_check import check_behaviours
-from fullswarm.launch.evaluate.experiment_folder import Asked, configuration_of, open_folder, other_code, read_asked
-from fullswarm.launch.evaluate.trial_folder import Keeper
-from fullswarm.perf.experiment import Experiment, load_experiment, on_network, parse_experiment, plan
-from fullswarm.perf.experiment.record import PROVENANCE_FILE, TRIALS, Provenance, trial_id
-from fullswarm.perf.results import read_folder
-from fullswarm.perf.scenarios import load_scenario
-from fullswarm.perf.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.experiment import Experiment, load_experiment, on_network, parse_experiment, plan
+from fullswarm.evaluate.experiment.check import check_behaviours
+from fullswarm.evaluate.experiment.folder import Asked, configuration_of, open_folder, other_code, read_asked
+from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, TRIALS, Provenance, trial_id
+from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.results import read_folder
+from fullswarm.evaluate.scenarios import load_scenario
+from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.trial_folder import Keeper
 from tests.unit.experiment_work import answer
 
 TEXT = """

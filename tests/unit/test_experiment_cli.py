@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.launch.evaluate import experiment, experiment_trial
-from fullswarm.launch.evaluate.experiment_cli import experiment_app
+from fullswarm.cli.experiment import experiment_app
+from fullswarm.evaluate.experiment import one_trial as experiment_trial
+from fullswarm.evaluate.experiment import run as experiment
 
 
 def call(*words: str) -> tuple[int, str]:

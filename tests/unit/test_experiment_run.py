@@ -13,12 +13,12 @@ import pytest
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.sim.world import World
-from fullswarm.launch.evaluate.experiment import Options, run
-from fullswarm.launch.evaluate.experiment_pool import Pool
-from fullswarm.launch.evaluate.trial import Referee, in_safe_set, run_trial, widened
-from fullswarm.perf.experiment import Outcome, Trial, TrialResult, load_experiment, plan
-from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS
-from fullswarm.perf.results.folder import read_records
+from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult, load_experiment, plan
+from fullswarm.evaluate.experiment.pool import Pool
+from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS
+from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.results.folder import read_records
+from fullswarm.evaluate.trial import Referee, in_safe_set, run_trial, widened
 from tests.unit.experiment_work import answer, misbehave
 
 FILTERS = ("engine=kinematic", "limits=paper", "robots=8", "scenario=empty_dense", "move_to_goal_bc")

@@ -14,13 +14,13 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+from fullswarm.cli import experiment as commands
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate import watch as commands
-from fullswarm.launch.evaluate.watch_folder import ExperimentFolder, progress_of
-from fullswarm.launch.evaluate.watch_run import Watch, watch
-from fullswarm.launch.evaluate.watch_view import headline, span, view
-from fullswarm.perf.experiment.record import RESULT_FILE, TRIALS, trial_id
+from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS, trial_id
+from fullswarm.evaluate.experiment.watch import Watch, watch
+from fullswarm.evaluate.experiment.watch_folder import ExperimentFolder, progress_of
+from fullswarm.evaluate.experiment.watch_view import headline, span, view
 from fullswarm.runtime import Runtime
 from tests.unit.pictures_world import a_trial, write_trial
 

@@ -17,8 +17,8 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.launch.fixes import WAITING, Datagram, FixesNode, Options, Port, parse_map, unit_of
-from fullswarm.launch.mocap import FIELDS, Format, Refused, Sighting
+from fullswarm.localization.fixes import WAITING, Datagram, FixesNode, Options, Port, parse_map, unit_of
+from fullswarm.localization.mocap import FIELDS, Format, Refused, Sighting
 from fullswarm.messages import HealthReport, PoseFix, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime
 

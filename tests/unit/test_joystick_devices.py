@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from fullswarm.bringup import gamepad
 from fullswarm.errors import MissingExtra
-from fullswarm.launch import gamepad
 from fullswarm.operator.joystick import pads
 
 LISTING = """I: Bus=0011 Vendor=0001 Product=0001 Version=ab41

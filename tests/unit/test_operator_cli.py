@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from fullswarm.bus import LocalBus
+from fullswarm.cli.main import app
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import (
@@ -24,7 +25,6 @@ from fullswarm.messages import (
     StopRequest,
 )
 from fullswarm.operator import session
-from fullswarm.operator.cli import operator_app
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
 from fullswarm.words import ESTOP_LATCHED
@@ -156,7 +156,7 @@ def swarm(monkeypatch: pytest.MonkeyPatch) -> FakeSwarm:
 
 
 def run(*args: str) -> Result:
-    result = CliRunner().invoke(operator_app, list(args), env={"COLUMNS": "80"})
+    result = CliRunner().invoke(app, list(args), env={"COLUMNS": "80"})
     assert "Traceback" not in result.output
     return result
 
@@ -407,7 +407,7 @@ def test_the_mock_publisher_tells_what_became_of_each_request(swarm: FakeSwarm) 
 
 
 def test_hub_and_swarm_come_from_the_environment(swarm: FakeSwarm) -> None:
-    CliRunner().invoke(operator_app, ["stop"], env={"FULLSWARM_HUB": "tcp/h:1", "FULLSWARM_SWARM": "other"})
+    CliRunner().invoke(app, ["stop"], env={"FULLSWARM_HUB": "tcp/h:1", "FULLSWARM_SWARM": "other"})
     assert swarm.targets == [Target("tcp/h:1", "other")]
 
 

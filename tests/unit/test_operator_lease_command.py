@@ -10,9 +10,9 @@ from contextlib import contextmanager
 import pytest
 from typer.testing import CliRunner, Result
 
+from fullswarm.cli.operate import operator_app
 from fullswarm.messages import BehaviourRequest, LeaseRequest, StopRequest
 from fullswarm.operator import session
-from fullswarm.operator.cli import operator_app
 from fullswarm.operator.lease_command import duration
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.session import OPERATOR, Session, Target, usual_name

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fullswarm.launch.evaluate.results_cli import results_app
-from fullswarm.perf.coverage_map import FREE, OCCUPIED, occupied_cells, read_map
-from fullswarm.perf.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
+from fullswarm.cli.results import results_app
+from fullswarm.evaluate.coverage_map import FREE, OCCUPIED, occupied_cells, read_map
+from fullswarm.evaluate.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
 from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
 
 run = CliRunner()

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.perf.experiment import Trial
-from fullswarm.perf.experiment.record import trial_id
-from fullswarm.perf.results.compare import Comparison, MetricComparison, compare, compare_by
+from fullswarm.evaluate.experiment import Trial
+from fullswarm.evaluate.experiment.record import trial_id
+from fullswarm.evaluate.results.compare import Comparison, MetricComparison, compare, compare_by
 from tests.unit.results_fixture import a_record, a_trial, write_folder, write_trial
 
 

@@ -13,8 +13,8 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from fullswarm.errors import ConfigError
-from fullswarm.perf.results import read_records
-from fullswarm.perf.results.export import Table, Value, column_of, long, wide, write_table
+from fullswarm.evaluate.results import read_records
+from fullswarm.evaluate.results.export import Table, Value, column_of, long, wide, write_table
 from tests.unit.results_fixture import a_record, a_trial, write_folder, write_trial
 
 FORMS = ("csv", "xlsx", "parquet", "mat")

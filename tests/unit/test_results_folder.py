@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.perf.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
-from fullswarm.perf.results import read_folder, read_records
-from fullswarm.perf.results.folder import older_in
-from fullswarm.perf.results.quantities import unit_of, values_of
+from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
+from fullswarm.evaluate.results import read_folder, read_records
+from fullswarm.evaluate.results.folder import older_in
+from fullswarm.evaluate.results.quantities import values_of
+from fullswarm.units import unit_of
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 
 

@@ -12,12 +12,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from fullswarm.perf.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
-from fullswarm.perf.results import read_records, write_plots, write_report
-from fullswarm.perf.results.maps import trajectories_plot
-from fullswarm.perf.results.plots import collisions_plot, means_plot
-from fullswarm.perf.results.sample import bare, conditions, is_filtered
-from fullswarm.perf.results.tables import cells_grid, filter_grid, interval, p_text, trials_grid
+from fullswarm.evaluate.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
+from fullswarm.evaluate.results import read_records, write_plots, write_report
+from fullswarm.evaluate.results.maps import trajectories_plot
+from fullswarm.evaluate.results.plots import collisions_plot, means_plot
+from fullswarm.evaluate.results.sample import bare, conditions, is_filtered
+from fullswarm.evaluate.results.tables import cells_grid, filter_grid, interval, p_text, trials_grid
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -252,6 +252,6 @@ def test_labels() -> None:
 def test_of_many_conditions_only_so_many_arenas_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for engine in ("kinematic", "pybullet"):
         write_trial(tmp_path, a_trial("move_to_goal", "empty", 4, 0, engine))
-    monkeypatch.setattr("fullswarm.perf.results.report.MOST_ARENAS", 1)
+    monkeypatch.setattr("fullswarm.evaluate.results.report.MOST_ARENAS", 1)
     ids = Page(write_report(tmp_path).read_text("utf-8")).of("id")
     assert [each for each in ids if each.startswith(("trajectories", "coverage"))] == ["trajectories-empty-title"]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from fullswarm.perf.results.statistics import describe, paired, wilson
+from fullswarm.evaluate.results.statistics import describe, paired, wilson
 
 COUNTS = st.lists(st.integers(0, 6), min_size=1, max_size=12)
 REALS = st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=2, max_size=30)

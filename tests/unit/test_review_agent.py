@@ -29,9 +29,7 @@ def drive(bench: Bench, request_id: str, **fields: Any) -> bool:
 
 
 def health(bench: Bench) -> RobotHealth:
-    from fullswarm.agent import reports
-
-    return reports.health(bench.agent, bench.runtime.stats(), "", 0.0).robots[0]
+    return bench.agent.health(0.0).robots[0]
 
 
 # ------------------------------------------------------------------ e-stop

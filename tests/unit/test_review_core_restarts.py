@@ -20,9 +20,9 @@ def test_a_request_is_kept_before_it_is_sent(tmp_path: Path) -> None:
     swarm.store.watch(lambda entry: order.append("kept") if entry.key.startswith("wanted/") else None)
     publish = swarm.bus.publish
 
-    def note(key: str, message: Message) -> None:
+    def note(key: str, message: Message, *, sender: str = "") -> None:
         order.append(type(message).__name__) if isinstance(message, ControlRequest | RequestStatus) else None
-        publish(key, message)
+        publish(key, message, sender=sender)
 
     swarm.bus.publish = note  # type: ignore[method-assign]  # listens at the very call, not after the mailbox
     swarm.ask("a", "flocking")

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from fullswarm.launch.evaluate.scenario_cli import scenario_app
-from fullswarm.launch.evaluate.scenario_map import BOX, GOAL, ROBOT, START, text_map
-from fullswarm.perf.coverage_map import read_map
-from fullswarm.perf.scenarios import boxes_for, load_scenario, scenario_names
+from fullswarm.cli.scenario import scenario_app
+from fullswarm.evaluate.coverage_map import read_map
+from fullswarm.evaluate.scenarios import boxes_for, load_scenario, scenario_names
+from fullswarm.evaluate.scenarios.text_map import BOX, GOAL, ROBOT, START, text_map
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

@@ -12,9 +12,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
-from fullswarm.perf.coverage import GridFrame
-from fullswarm.perf.coverage_map import FREE, OCCUPIED, UNKNOWN, Map, coverage_map, read_map, scenario_map, write_map
-from fullswarm.perf.scenarios import (
+from fullswarm.evaluate.coverage_map import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    Map,
+    coverage_map,
+    read_map,
+    scenario_map,
+    write_map,
+)
+from fullswarm.evaluate.scenarios import (
     Box,
     Goal,
     RandomBoxes,
@@ -27,9 +35,10 @@ from fullswarm.perf.scenarios import (
     scenario_names,
     spawn,
 )
-from fullswarm.perf.scenarios.export_sdf import scenario_to_sdf
-from fullswarm.perf.scenarios.importers import read_world
-from fullswarm.perf.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.scenarios.export_sdf import scenario_to_sdf
+from fullswarm.evaluate.scenarios.importers import read_world
+from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
+from fullswarm.perf.coverage import GridFrame
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

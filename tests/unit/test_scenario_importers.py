@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.perf.scenarios import Box, boxes_for, distance_to_box, load_scenario, spawn
-from fullswarm.perf.scenarios.importers import FORMATS, Imported, guess_format, read_world
-from fullswarm.perf.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.scenarios import Box, boxes_for, distance_to_box, load_scenario, spawn
+from fullswarm.evaluate.scenarios.importers import FORMATS, Imported, guess_format, read_world
+from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError, MissingExtra
-from fullswarm.perf.scenarios.importers import FORMATS, read_world
+from fullswarm.evaluate.scenarios.importers import FORMATS, read_world
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

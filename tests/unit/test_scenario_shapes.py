@@ -10,8 +10,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fullswarm.perf.scenarios import Box, distance_to_box
-from fullswarm.perf.scenarios.importers.shapes import (
+from fullswarm.evaluate.scenarios import Box, distance_to_box
+from fullswarm.evaluate.scenarios.importers.shapes import (
     OVERSHOOT_M,
     Planar,
     disc_boxes,

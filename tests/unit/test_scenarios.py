@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fullswarm.config import NoiseConfig, WorldConfig
 from fullswarm.errors import ConfigError
-from fullswarm.perf.scenarios import (
+from fullswarm.evaluate.scenarios import (
     Box,
     Scenario,
     boxes_for,

@@ -12,7 +12,8 @@ import pytest
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.engine import Engine, make_engine, static_obstacles
+from fullswarm.drivers.sim.engine import Engine, make_engine
+from fullswarm.drivers.sim.obstacles import static_obstacles
 from fullswarm.errors import ConfigError, MissingExtra
 
 R = 0.17

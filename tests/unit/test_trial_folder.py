@@ -14,11 +14,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
-from fullswarm.launch.evaluate import experiment_trial
-from fullswarm.launch.evaluate.trial_file import launch_text, load_trial, parse_trial
-from fullswarm.launch.evaluate.trial_folder import Keeper, read_kept, read_record, sweep, write_files
-from fullswarm.perf.experiment import Trial, arena_of, load_experiment, plan
-from fullswarm.perf.experiment.record import (
+from fullswarm.evaluate.experiment import Trial, arena_of, load_experiment, plan
+from fullswarm.evaluate.experiment import one_trial as experiment_trial
+from fullswarm.evaluate.experiment.record import (
     COVERAGE_FILE,
     PROVENANCE_FILE,
     RESULT_FILE,
@@ -29,6 +27,8 @@ from fullswarm.perf.experiment.record import (
     Trajectory,
     trial_id,
 )
+from fullswarm.evaluate.trial_file import launch_text, load_trial, parse_trial
+from fullswarm.evaluate.trial_folder import Keeper, read_kept, read_record, sweep, write_files
 from tests.unit.experiment_work import Trouble, answer
 
 ALL_FILES = sorted((TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE, TRAJECTORY_FILE, COVERAGE_FILE))

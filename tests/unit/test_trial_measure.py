@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.launch.evaluate.trial import measure, run_trial
-from fullswarm.perf.experiment import Trial, load_experiment, plan, scenario_of
+from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
+from fullswarm.evaluate.trial import measure, run_trial
 
 WALL = ("robots=4,scenario=concave,engine=kinematic,behaviour=move_to_goal",)
 OPEN = ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal_bc",)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fullswarm.agent.node import AgentNode, Identity
+from fullswarm.agent.node import AgentNode
+from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
@@ -55,13 +56,13 @@ class ShakyBus(LocalBus):
         self.shaken: tuple[type[Message], ...] = SHAKEN
         self.answers: list[ControlAck] = []  # before anything happens to them
 
-    def publish(self, key: str, message: Message) -> None:
+    def publish(self, key: str, message: Message, *, sender: str = "") -> None:
         if isinstance(message, ControlAck):
             self.answers.append(message)
         if not self.hub:
             return
         if not self.shaking or not isinstance(message, self.shaken):
-            super().publish(key, message)
+            super().publish(key, message, sender=sender)
             return
         lost, late, again = (self.chance.random() < self.shaking for _ in range(3))
         if lost:
@@ -72,7 +73,7 @@ class ShakyBus(LocalBus):
             if is_late:
                 self.runtime.after(self.chance.uniform(0.0, self.delay_s), lambda: self._late(key, message))
             else:
-                super().publish(key, message)
+                super().publish(key, message, sender=sender)
 
     def _late(self, key: str, message: Message) -> None:
         if self.hub:

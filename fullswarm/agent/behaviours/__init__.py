@@ -7,4 +7,18 @@ robot. What the parameters are is said in ``core/behaviours.toml``; ``_bc`` is a
 
 The paper prints the update as ``v_{k+1} = v_k + dv``. Taken to the letter that integrates the error and orbits the
 goal; the laws here take ``dv`` as the desired velocity itself, which is what the differential equations beside it say.
+
+Files:
+
+``drive.py``             Teleoperation in the robot's own frame: a stick for speed, one for turning
+``flocking.py``          Flocking: separation, alignment and cohesion, each within its radius (paper III.A.2,
+                         Reynolds' boids)
+``formation.py``         Formation: each robot has its own target (paper III.A.4), ``ṗ_i = -K (p_i - E_i)``
+``move.py``              Teleoperated moves (paper II.B): ``move_left`` and so on, with a magnitude from the stick
+``move_to_goal.py``      Move to goal: a proportional law (paper III.A.1)
+``navigate.py``          Navigate: to a goal around the obstacles that are known, where a proportional law is caught
+                         (paper IV.A, scenario 4)
+``rendezvous.py``        Rendezvous: meet at a common point (paper III.A.3)
+``stop.py``              Stand still
+``voronoi_coverage.py``  Voronoi static coverage: Lloyd's law on exact bounded cells (paper III.A.5)
 """

@@ -84,9 +84,9 @@ def guard(
                 speed, turn = unicycle(scale * ux, scale * uy, pose[i, 2], speed_gain, turn_gain_per_s)
                 twists[i, 0] = clamp(speed, low, top)
                 twists[i, 1] = clamp(turn, -turn_limit, turn_limit)
-            if verdict[i] != 0:
-                news += verdict[i] > 1
-                verdict[i] = 0
+            if verdict[i] != FREE:
+                news += verdict[i] > LIMITED
+                verdict[i] = FREE
                 deviation[i, 0] = 0.0
             continue
         x = pose[i, 0]
@@ -97,9 +97,9 @@ def guard(
         accel = make[i, 4]
         age = now_s - stamp_s[i]
         count = 0
-        why = 0
+        why = FREE
         if not math.isfinite(x + y + heading + speed_now + turn_now + age):
-            why = 2
+            why = BLIND
         else:
             # Where it has got to since it was measured: it may have sped up or turned, too.
             age = max(age, 0.0)
@@ -111,8 +111,8 @@ def guard(
                 blur, room,
             )  # fmt: skip
             if count < 0:
-                why = 3
-        if why != 0:
+                why = CROWDED
+        if why != FREE:
             off = math.hypot(ux, uy) if planar else math.fabs(twists[i, 0])
             deviation[i, 2] = -ux if planar else -twists[i, 0] * math.cos(heading)
             deviation[i, 3] = -uy if planar else -twists[i, 0] * math.sin(heading)
@@ -151,21 +151,21 @@ def guard(
                     heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, make[i, 5], period_s,
                     normal_x, normal_y, room, blur, count,
                 )  # fmt: skip
-                why = 0 if fits else 4
+                why = FREE if fits else TOO_FAST
                 step = accel * period_s
                 faster = towards(speed_now, speed, step) - towards(speed_now, wish_speed, step)
                 if math.fabs(faster) > off:
                     off = math.fabs(faster)
                     deviation[i, 2] = faster * ahead_x
                     deviation[i, 3] = faster * ahead_y
-            if why == 0 and off > 1e-6:
-                why = 1
+            if why == FREE and off > 1e-6:
+                why = LIMITED
             twists[i, 0] = speed
             twists[i, 1] = turn
         deviation[i, 0] = off
         if off > 0.0 and math.isfinite(off):
             deviation[i, 1] += off * dt_s
-        news += why != verdict[i] and (why > 1 or verdict[i] > 1)
+        news += why != verdict[i] and (why > LIMITED or verdict[i] > LIMITED)
         verdict[i] = why
     return news
 
@@ -263,7 +263,7 @@ class SafetyFilter:
         return self._views
 
     def _tell(self, now_s: float) -> None:
-        """Log who brakes and why, each reason not again before `QUIET_S` have passed: in a crowd it is often so."""
+        """Log which robots brake and why, each reason once in `QUIET_S`: in a crowd it is often so."""
         for why in np.unique(self.verdict[self.verdict > LIMITED]).tolist():
             if now_s - self._told_s.get(why, -math.inf) >= QUIET_S:
                 self._told_s[why] = now_s

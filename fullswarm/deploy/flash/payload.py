@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.flash import firstrun, seed
+from fullswarm.deploy.flash import firstrun, seed, seed_rules
 from fullswarm.deploy.flash.seed import Static, Wish
 from fullswarm.deploy.flash.wifi import Network
 from fullswarm.errors import ConfigError
@@ -72,7 +72,7 @@ def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> Wish:
     ConfigError
         Its name, user or address cannot be.
     """
-    if not seed.valid_user(robot.ssh_user):
+    if not seed_rules.valid_user(robot.ssh_user):
         hint = "a plain Linux login: a-z, 0-9, '-' and '_'"
         raise ConfigError(f"'{robot.ssh_user}' cannot be a user", where=f"robot {robot.id}: ssh_user", hint=hint)
     static: Static | None = seed.static_of(robot.host, around.router, robot.id)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fullswarm import output
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.deploy.flash import fat, image, mtools, payload
 from fullswarm.deploy.flash.fat import Volume
@@ -16,7 +17,6 @@ from fullswarm.deploy.fleet.choose import with_
 from fullswarm.deploy.release.keys import Keys, fingerprint, public
 from fullswarm.deploy.robot import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.operator import output
 
 _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
 

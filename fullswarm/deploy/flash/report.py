@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from fullswarm import output
 from fullswarm.deploy.flash import mtools
 from fullswarm.deploy.flash.fat import boot_volume
 from fullswarm.deploy.flash.payload import FOLDER, REPORT
 from fullswarm.deploy.flash.write import explain
 from fullswarm.errors import ConfigError
-from fullswarm.operator import output
 
 OK = ": OK"
 

@@ -11,61 +11,25 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.config import RobotConfig
 from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
 from fullswarm.deploy.flash.card import Card
+from fullswarm.deploy.flash.order import Line, Request, agree
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
 from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.release.keys import Keys, usable
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 
 TELL_S = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What the command line says."""
-
-    robots: tuple[str, ...]
-    fleet: Path
-    image: Path | None = None
-    devices: tuple[str, ...] = ()
-    outputs: tuple[Path, ...] = ()
-    seed_only: bool = False
-    release: str | None = None
-    target: str = "rpi-arm64"
-    wifi: tuple[str, ...] = ()
-    wifi_file: Path | None = None
-    country: str | None = None
-    static: str | None = None
-    sha256: str | None = None
-    first_boot: str = "auto"
-    agreed: tuple[str, ...] = ()
-    most_bytes: int = card.MOST_BYTES
-    wait_minutes: float | None = None
-    hub: str | None = None
-    dry_run: bool = False
-    as_json: bool = False
-
-
-@dataclass(slots=True)
-class Line:
-    """One row of the result: a robot, its card, and how it went."""
-
-    robot: str
-    target: str
-    state: str = "planned"
-    note: str = ""
-    details: dict[str, Any] = field(default_factory=dict)
 
 
 def run(request: Request) -> int:
@@ -244,38 +208,6 @@ def _flash(
     for line, outcome in zip(lines, outcomes, strict=True):
         _tell_outcome(line, outcome)
     return lines
-
-
-def agree(
-    targets: Sequence[Card | Path],
-    agreed: Sequence[str],
-    loss: str = "its system stays, the files that tell which robot it is will be lost",
-) -> None:
-    """Have somebody agree to lose something of each card, by its serial number.
-
-    Parameters
-    ----------
-    loss
-        What; by default no more than ``--seed-only`` writes over.
-
-    Raises
-    ------
-    ConfigError
-        Somebody did not, or a card is not the same any more.
-    """
-    cards = [each for each in targets if isinstance(each, Card)]
-    for each in card.check_agreed(cards, agreed):
-        what = f"{loss}: {each.title}"
-        if not sys.stdin.isatty():
-            raise ConfigError(what, where=each.path, hint=f"if that is meant: --yes {each.token}")
-        output.progress(what)
-        sys.stderr.write(f"Type {each.token} to write it: ")
-        sys.stderr.flush()
-        if sys.stdin.readline().strip() != each.token:
-            raise ConfigError("not confirmed; nothing was written", where=each.path, hint=f"type {each.token}")
-    for each in cards:
-        if not card.same_card(each):
-            raise ConfigError("is not the card that it was a moment ago", where=each.path, hint="start again")
 
 
 def _check_sizes(targets: Sequence[Card | Path], needed: int) -> None:

@@ -6,22 +6,18 @@ Only standard keys are used, so that Raspberry Pi OS, Ubuntu and Debian understa
 from __future__ import annotations
 
 import ipaddress
-import re
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+from fullswarm.deploy.flash import seed_rules
+from fullswarm.deploy.flash.seed_rules import HOME, SERVICE, valid_hostname
 from fullswarm.deploy.flash.wifi import Network
 from fullswarm.errors import ConfigError, MissingExtra
 
-HOME = "/opt/fullswarm/flash"
-"""Where the first boot keeps its script on the robot."""
-SERVICE = "fullswarm-first-boot.service"
 WIRED, WIRELESS = "eth0", "wlan0"
-_HOSTNAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?\Z")
-_USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 
 # Each boot, before anything else. A radio that was never given a country comes up blocked, and Raspberry Pi OS asks for
 # a user on the screen until it has one; both are nobody's wish on a robot.
@@ -99,9 +95,9 @@ def hostname_of(robot: str, host: str) -> str:
         Its id cannot be a host's name, and the fleet file has no other way to reach it.
     """
     name = robot.replace("_", "-").strip("-").lower()
-    if _HOSTNAME.match(robot):
+    if valid_hostname(robot):
         return robot
-    if not host or not _HOSTNAME.match(name):
+    if not host or not valid_hostname(name):
         hint = f'give it an id of letters, digits and "-", or write host = "10.0.0.11" for {robot}'
         raise ConfigError(f"'{robot}' cannot be the name of a computer", where=f"robot {robot}", hint=hint)
     return name
@@ -274,8 +270,6 @@ def check(seed: Mapping[str, bytes]) -> None:
     ConfigError
         All that would leave a robot unreachable, insecure or not installed, one line each.
     """
-    from fullswarm.deploy.flash import seed_rules
-
     documents = {}
     for name in ("user-data", "meta-data", "network-config"):
         try:
@@ -289,13 +283,3 @@ def check(seed: Mapping[str, bytes]) -> None:
         problems.append("user-data: its first line is not #cloud-config")
     if problems:
         raise ConfigError("\n".join(problems))
-
-
-def valid_user(name: str) -> bool:
-    """Tell whether Linux takes a name for a user."""
-    return _USER.match(name) is not None
-
-
-def valid_hostname(name: str) -> bool:
-    """Tell whether RFC 1123 takes a name for a host."""
-    return _HOSTNAME.match(name) is not None

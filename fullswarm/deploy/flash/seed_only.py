@@ -6,19 +6,16 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fullswarm.config import RobotConfig
 from fullswarm.deploy.flash import mtools, payload, plan
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.fat import Volume, boot_volume
+from fullswarm.deploy.flash.order import Line, Request, agree
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
 from fullswarm.deploy.flash.write import explain
 from fullswarm.deploy.release.keys import Keys, fingerprint
 from fullswarm.errors import ConfigError
-
-if TYPE_CHECKING:
-    from fullswarm.deploy.flash.run import Line, Request
 
 
 def run(
@@ -37,8 +34,6 @@ def run(
     ConfigError
         Anything is wrong; partitions before the one named may have been written then.
     """
-    from fullswarm.deploy.flash.run import Line, agree
-
     work = [_Place.of(robot, target) for robot, target in zip(robots, targets, strict=True)]
     built = [place.build(around, keys, shipment, request.first_boot) for place in work]
     if not request.dry_run:

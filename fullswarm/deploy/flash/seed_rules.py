@@ -7,9 +7,13 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fullswarm.deploy.flash import seed
 from fullswarm.deploy.flash.wifi import COUNTRIES
 
+HOME = "/opt/fullswarm/flash"
+"""Where the first boot keeps its script on the robot."""
+SERVICE = "fullswarm-first-boot.service"
+_HOSTNAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?\Z")
+_USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 _LOGIN_KEY = re.compile(r"(ssh-ed25519|ssh-rsa|ecdsa-sha2-\S+|sk-ssh-\S+) [A-Za-z0-9+/=]+( .*)?\Z")
 _NETWORK_KEY = re.compile(r"[0-9a-f]{64}\Z")
 _PASSWORDS = frozenset({"passwd", "hashed_passwd", "plain_text_passwd", "password", "chpasswd"})
@@ -30,7 +34,7 @@ def problems(documents: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _user(document: dict[str, Any]) -> Iterator[str]:
-    if not isinstance(document.get("hostname"), str) or not seed.valid_hostname(document["hostname"]):
+    if not isinstance(document.get("hostname"), str) or not valid_hostname(document["hostname"]):
         yield f"'{document.get('hostname')}' cannot be a hostname"
     if document.get("ssh_pwauth") is not False:
         yield "ssh_pwauth must be false: robots are entered by key"
@@ -40,7 +44,7 @@ def _user(document: dict[str, Any]) -> Iterator[str]:
     if not users:
         yield "nobody could log in: users is empty"
     for user in users:
-        if not seed.valid_user(user["name"]):
+        if not valid_user(user["name"]):
             yield f"'{user['name']}' cannot be a user"
         if user.get("lock_passwd") is not True or _PASSWORDS & set(user):
             yield f"user {user['name']} must have no password"
@@ -55,10 +59,10 @@ def _user(document: dict[str, Any]) -> Iterator[str]:
     if not str(keys["ed25519_public"]).startswith("ssh-ed25519 "):
         yield "ssh_keys: not a public host key"
     paths = {each["path"] for each in document["write_files"]}
-    if not {f"{seed.HOME}/first_boot.sh", f"{seed.HOME}/card.env", f"/etc/systemd/system/{seed.SERVICE}"} <= paths:
+    if not {f"{HOME}/first_boot.sh", f"{HOME}/card.env", f"/etc/systemd/system/{SERVICE}"} <= paths:
         yield "write_files lacks a part of the first boot"
-    if not any(seed.SERVICE in command for command in document["runcmd"]):
-        yield f"runcmd does not start {seed.SERVICE}"
+    if not any(SERVICE in command for command in document["runcmd"]):
+        yield f"runcmd does not start {SERVICE}"
 
 
 def _meta(document: dict[str, Any]) -> Iterator[str]:
@@ -102,3 +106,13 @@ def _fixed(interface: dict[str, Any]) -> Iterator[str]:
     for route in interface.get("routes", ()):
         if not any(ipaddress.ip_address(route["via"]) in network for network in networks):
             yield f"its router {route['via']} is not in its own network"
+
+
+def valid_user(name: str) -> bool:
+    """Tell whether Linux takes a name for a user."""
+    return _USER.match(name) is not None
+
+
+def valid_hostname(name: str) -> bool:
+    """Tell whether RFC 1123 takes a name for a host."""
+    return _HOSTNAME.match(name) is not None

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fullswarm.operator import output, session
+from fullswarm import output
+from fullswarm.operator import session
 
 if TYPE_CHECKING:
     from fullswarm.operator.session import Session

@@ -17,4 +17,9 @@
 In flow a fleet file, a release and keys; out flow robots that run it, and a table that says of each what happened
 and what to do. What a robot does with a release (signature, links, guard, rollback) is the script
 ``fullswarm-robot`` on the robot: nothing here is needed for a robot to go back by itself.
+
+Further files:
+
+``people.py``  Robots by name, keys, and the questions that only a person can answer
+``report.py``  The result of a command, robot by robot: what happened, and what to do
 """

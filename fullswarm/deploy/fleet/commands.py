@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fullswarm import output
 from fullswarm.deploy.fleet import people
 from fullswarm.deploy.fleet.choose import needs
 from fullswarm.deploy.fleet.desired import Desired
@@ -23,7 +24,6 @@ from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import FullswarmError, Unreachable
-from fullswarm.operator import output
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig

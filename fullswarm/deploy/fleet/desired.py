@@ -10,8 +10,8 @@ from pathlib import Path
 
 import platformdirs
 
+from fullswarm import output
 from fullswarm.deploy.release import manifest
-from fullswarm.operator import output
 
 
 @dataclass(frozen=True, slots=True)

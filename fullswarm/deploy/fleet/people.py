@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from fullswarm import output
 from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint
 from fullswarm.deploy.fleet.login import Address, Login
 from fullswarm.deploy.release.keys import usable
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
-from fullswarm.operator import output
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 from rich.markup import escape
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.deploy.fleet.rollout import GOOD
 from fullswarm.deploy.fleet.work import Outcome
-from fullswarm.operator import output
 
 MANY = 110
 """Columns into a file: a reason that is broken in five is hard to find again."""

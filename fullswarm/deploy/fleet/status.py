@@ -6,6 +6,7 @@ import asyncio
 import math
 from dataclasses import asdict, dataclass
 
+from fullswarm import output
 from fullswarm.deploy.fleet.commands import Fleet, Order
 from fullswarm.deploy.fleet.desired import Desired
 from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
@@ -13,7 +14,6 @@ from fullswarm.deploy.fleet.login import Address
 from fullswarm.deploy.fleet.report import MANY, table
 from fullswarm.deploy.fleet.untrusted import clean
 from fullswarm.errors import FullswarmError, Unreachable
-from fullswarm.operator import output
 
 CLOCK_S = 60.0
 LOW_DISK_BYTES = 500_000_000

@@ -8,11 +8,11 @@ import os
 import shlex
 import shutil
 
+from fullswarm import output
 from fullswarm.deploy.fleet.commands import Fleet, Order
 from fullswarm.deploy.fleet.login import Address
 from fullswarm.deploy.fleet.untrusted import clean_log_line
 from fullswarm.errors import ConfigError, FullswarmError
-from fullswarm.operator import output
 
 
 def logs(order: Order, lines: int, *, follow: bool) -> int:

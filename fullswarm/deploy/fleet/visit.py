@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 
+from fullswarm import output
 from fullswarm.deploy.fleet import steps
 from fullswarm.deploy.fleet.commands import Fleet, Order
 from fullswarm.deploy.fleet.desired import Desired
@@ -13,7 +14,6 @@ from fullswarm.deploy.fleet.login import Address, Login
 from fullswarm.deploy.fleet.remote import LinkBroke, Remote
 from fullswarm.deploy.fleet.report import Row, tell
 from fullswarm.errors import FullswarmError, Unreachable
-from fullswarm.operator import output
 
 AGENT_S = 40.0
 POLL_S = 1.0

@@ -14,4 +14,8 @@ target and unpacked · ``trim.py`` ``layers.py`` what goes on board · ``bundle.
 ``signing.py`` ``keys.py`` ``openssh.py`` make it trustworthy · ``store.py`` keeps releases side by side ·
 ``pack.py`` tar streams of parts. In flow wheels and code; out flows a folder, its files hard-linked to the release
 before where they did not change.
+
+Further files:
+
+``manifest.py``  What a release says about itself: ``manifest.json``, the first file a robot reads
 """

@@ -10,4 +10,9 @@ and ``waits`` (Create 1); ``emulator`` puts it on a ``pty_port`` and over a body
 
 The Open Interface has no command timeout: a robot goes on with its last drive command for ever. Everything here
 that sends zero by itself exists for that reason.
+
+Further files:
+
+``surroundings.py``  Holds what an emulated Create's light, infrared and cliff sensors see, and returns their packets'
+                     values
 """

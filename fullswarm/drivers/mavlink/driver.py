@@ -50,8 +50,8 @@ class MavlinkDriver:
 
     `activate` starts an attempt and returns: ACTIVE follows once the vehicle's heartbeats show GUIDED (PX4: OFFBOARD)
     and armed. When it refuses, the state stays READY and `fault` holds the firmware's words. When a pilot changes the
-    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands it back, or
-    until `activate` comes after a pause of a second.
+    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until the pilot hands it
+    back, or until `activate` comes after a pause of a second.
 
     Parameters
     ----------

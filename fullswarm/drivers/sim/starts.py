@@ -9,7 +9,7 @@ import numpy as np
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contact_kernels import obstacle_gap
-from fullswarm.drivers.sim.engine import static_obstacles, with_trigonometry
+from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
 from fullswarm.errors import ConfigError
 
 SPACINGS_RADII = (3.5, 2.6)  # 0.6 m for a Create; tighter only when the arena asks for it

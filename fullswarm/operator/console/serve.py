@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fullswarm import __version__
+from fullswarm import __version__, output
+from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.bus.endpoint import is_loopback
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.keys import Keys
-from fullswarm.operator import output
 from fullswarm.operator.session import Target
 from fullswarm.runtime import Runtime, Scheduler
 
@@ -168,7 +168,7 @@ async def _serve(
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
         identity = Identity(socket.gethostname(), process, __version__, options.read_only)
-        gateway = Gateway(bus, keys, runtime, identity, wall_time_s)
+        gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
         names = Names(host, port, lower(options.allow_hosts))
 
         def fail(error: BaseException) -> None:

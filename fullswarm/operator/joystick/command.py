@@ -7,9 +7,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from fullswarm import output
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
-from fullswarm.operator import output, session
+from fullswarm.operator import session
 from fullswarm.operator.joystick import devices, mapping
 from fullswarm.operator.joystick.bindings import load_bindings
 from fullswarm.operator.joystick.pads import Pads

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import NoReturn, Self
 
-from fullswarm.launch.main import main
+from fullswarm.cli.main import main
 
 DEADLINE_S = 20.0
 """For one event, in the guest's own time, in which its processor is always equally fast."""

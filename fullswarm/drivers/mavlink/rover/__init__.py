@@ -16,4 +16,9 @@
     ports.py       the ports' real ends: UDP, TCP, pseudo-terminal
 
 Messages of the dialect flow in, frames and the body's speed flow out. Only ports.py does I/O.
+
+Further files:
+
+``chart.py``  Where an emulated rover stands on earth, and on the map that its autopilot began where it was switched
+              on
 """

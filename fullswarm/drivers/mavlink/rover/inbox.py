@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.rover import commands, parameters, setpoints
-from fullswarm.drivers.mavlink.rover.channel import Channel
-
-if TYPE_CHECKING:
-    from fullswarm.drivers.mavlink.firmware import Firmware
+from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
+from fullswarm.drivers.mavlink.rover.pilot import Sticks
+from fullswarm.drivers.mavlink.rover.position import Position
+from fullswarm.drivers.mavlink.rover.setpoints import Limits
 
 ORIGIN_MESSAGE = 49
 
@@ -30,35 +32,68 @@ class SetpointRecord:
     turn_rad_s: float  # counter-clockwise
 
 
-def take(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+class Rover(commands.Autopilot, Protocol):
+    """What messages act upon."""
+
+    body: Body
+    aborted: bool
+    parameters: dict[str, float]
+    setpoints: deque[SetpointRecord]
+    sticks: Sticks
+    position: Position
+    keys: KeyRing
+
+    @property
+    def limits(self) -> Limits:
+        """What bounds a set-point now."""
+        ...
+
+    def state(self) -> BodyState:
+        """Return where the rover believes the body to be."""
+        ...
+
+    def boot_ms(self, now_s: float) -> int:
+        """Return milliseconds since power-on."""
+        ...
+
+    def station_alive(self, now_s: float) -> None:
+        """Take note of a heartbeat of the controlling station."""
+        ...
+
+    def tell(self, message: Any) -> None:
+        """Send a message on all ports."""
+        ...
+
+
+def take(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Act on a message that came in by a port; one that the rover does not know is dropped."""
     handler = _HANDLERS.get(message.get_type())
     if handler is not None:
         handler(rover, message, channel, now_s)
 
 
-def _from_station(rover: Firmware, message: Any) -> bool:
+def _from_station(rover: Rover, message: Any) -> bool:
     return bool(message.get_srcSystem() == int(rover.parameters["SYSID_MYGCS"]))
 
 
-def _heartbeat(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _heartbeat(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     if _from_station(rover, message):
         rover.station_alive(now_s)
 
 
-def _command(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+def _command(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Answer a command on the port it came from."""
     ack = commands.run(rover, message, channel, now_s)
     if not rover.aborted:
         channel.send(ack, now_s)
 
 
-def _set_mode(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _set_mode(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Obey the legacy message, which has no answer."""
     rover.request_mode(message.custom_mode, now_s)
 
 
-def _parameter(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+def _parameter(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Read or set a parameter."""
     deal = parameters.store if message.get_type() == "PARAM_SET" else parameters.answer
     answer = deal(rover.parameters, message)
@@ -66,27 +101,27 @@ def _parameter(rover: Firmware, message: Any, channel: Channel, now_s: float) ->
         channel.send(answer, now_s)
 
 
-def _parameter_list(rover: Firmware, _: Any, channel: Channel, now_s: float) -> None:
+def _parameter_list(rover: Rover, _: Any, channel: Channel, now_s: float) -> None:
     """Send all parameters."""
     for answer in parameters.listing(rover.parameters):
         channel.send(answer, now_s)
 
 
-def _data_stream(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+def _data_stream(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Serve the legacy request for rates: no answer, and it writes parameters."""
     rate = message.req_message_rate if message.start_stop else 0
     for name in channel.streams.set_group(message.req_stream_id, rate, now_s) if channel.streams else []:
         rover.parameters[f"SR{channel.number}_{name}"] = float(rate)
 
 
-def _timesync(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+def _timesync(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Answer a request (tc1 = 0) with the time since boot."""
     if message.tc1 == 0:
         stamp_ns = rover.boot_ms(now_s) * 1_000_000
         channel.send(dialect().MAVLink_timesync_message(stamp_ns, message.ts1), now_s)
 
 
-def _setpoint(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _setpoint(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Take a set-point; in GUIDED it is stored even while disarmed: arming then drives off."""
     record = SetpointRecord(
         now_s, rover.armed, rover.mode, message.type_mask, message.coordinate_frame, message.vx, -message.yaw_rate
@@ -100,31 +135,31 @@ def _setpoint(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
     _accept(rover, read(message, rover.state(), rover.limits, rover.chart), now_s)
 
 
-def _attitude(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _attitude(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Take SET_ATTITUDE_TARGET."""
     if rover.mode == p.Mode.GUIDED:
         _accept(rover, setpoints.from_attitude(message, rover.limits), now_s)
 
 
-def _accept(rover: Firmware, target: setpoints.Target | None, now_s: float) -> None:
+def _accept(rover: Rover, target: setpoints.Target | None, now_s: float) -> None:
     if target is not None and not rover.aborted:
         rover.aim(target, now_s)
 
 
-def _sticks(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _sticks(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Take a pilot's sticks, the controlling station's only."""
     if _from_station(rover, message):
         whole = message.get_type() == "MANUAL_CONTROL"
         (rover.sticks.manual_control if whole else rover.sticks.override)(message, now_s)
 
 
-def _pose(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _pose(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Take a pose that somebody else measured."""
     take = rover.position.odometry if message.get_type() == "ODOMETRY" else rover.position.vision
     take(message, rover.body.state(), now_s)
 
 
-def _origin(rover: Firmware, message: Any, channel: Channel, now_s: float) -> None:
+def _origin(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
     """Take the origin of the map; it cannot be moved later, nor does it count for one that has GPS."""
     if not rover.position.origin:
         rover.position.given = message.latitude / 1e7, message.longitude / 1e7
@@ -133,7 +168,7 @@ def _origin(rover: Firmware, message: Any, channel: Channel, now_s: float) -> No
         rover.tell(message)
 
 
-def _signing(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
+def _signing(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
     """Take a key, or with a zero key and time stamp none; never while armed."""
     if rover.armed:
         rover.text("ERROR: Won't setup signing when armed", severity=2)
@@ -141,7 +176,7 @@ def _signing(rover: Firmware, message: Any, _: Channel, now_s: float) -> None:
         rover.keys.set_up(bytes(message.secret_key), message.initial_timestamp, now_s)
 
 
-_HANDLERS: dict[str, Callable[[Firmware, Any, Channel, float], None]] = {
+_HANDLERS: dict[str, Callable[[Rover, Any, Channel, float], None]] = {
     "HEARTBEAT": _heartbeat,
     "COMMAND_LONG": _command,
     "COMMAND_INT": _command,

@@ -1,0 +1,51 @@
+"""One line of a check-up: what was looked at, how it is, and what mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from fullswarm import output
+
+Status = Literal["ok", "warning", "failure"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the report; `mend` is a command or an advice, empty when nothing is to be done."""
+
+    name: str
+    status: Status
+    what: str
+    mend: str = ""
+
+    @property
+    def line(self) -> str:
+        """Return it for people: one line, or two with what mends it."""
+        text = f"{self.status:8} {self.name}: {self.what}"
+        return f"{text}\n{'':8} mend it: {self.mend}" if self.mend else text
+
+
+def show(checks: Iterable[Check], *, as_json: bool, about: dict[str, Any] | None = None) -> int:
+    """Print each check as it comes, or all as JSON behind what they are `about`; return how many failed.
+
+    `about` is read at the end: who checks may fill it meanwhile.
+    """
+    done = []
+    for check in checks:
+        done.append(check)
+        if not as_json:
+            output.data(check.line)
+    failed = sum(each.status == "failure" for each in done)
+    if as_json:
+        output.data_json({**(about or {}), "ok": not failed, "checks": [asdict(each) for each in done]})
+    else:
+        warned = sum(each.status == "warning" for each in done)
+        output.progress(f"{len(done)} checks: {failed} failures, {warned} warnings")
+    return failed
+
+
+def took(seconds: float) -> str:
+    """Return a duration as people write it: ``3.4 ms``, ``1.25 s``."""
+    return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"

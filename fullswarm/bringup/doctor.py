@@ -1,0 +1,186 @@
+"""`fullswarm doctor`: is this machine, and a fleet's hub and robots, fit to drive? What mends it if not.
+
+Nothing moves and nothing is changed. The machine's own checks are in :mod:`.machine`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import typer
+
+from fullswarm.bringup import checks, gamepad, machine
+from fullswarm.bringup.checks import Check
+from fullswarm.clock import MonotonicClock, wall_time_s
+from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.drivers.fleet_file import load_fleet
+from fullswarm.drivers.frames import check_frames
+from fullswarm.errors import ConfigError, FullswarmError, Unreachable
+
+HUB_S = 1.5
+LOW_BATTERY = 0.2
+_EXTRA_OF = {"sim": "sim", "mavlink": "mavlink", "can": "can"}
+
+
+def preflight(fleet: Path | None, robot: str, *, press: bool, yes: bool, as_json: bool) -> int:
+    """Print the checks of one robot and its computer; see :mod:`fullswarm.bringup.preflight`.
+
+    Parameters
+    ----------
+    press, yes
+        Its e-stop may be pressed for a moment; without a question.
+
+    Raises
+    ------
+    ConfigError
+        No fleet file, a wrong one, or one without this robot.
+    """
+    from fullswarm.bringup import preflight
+
+    if fleet is None:
+        hint = "fullswarm doctor --robot r1 --fleet lab.toml, or FULLSWARM_FLEET"
+        raise ConfigError("the fleet file says where a robot is: name it", where="--robot", hint=hint)
+    agree = (lambda _: True) if yes else _ask
+    return preflight.run(load_fleet(fleet), robot, agree if press else None, as_json=as_json)
+
+
+def _ask(question: str) -> bool | None:
+    """Ask at the terminal; None: there is none."""
+    return typer.confirm(question, err=True) if sys.stdin.isatty() else None
+
+
+def run(fleet: Path | None, *, as_json: bool) -> int:
+    """Print the checks; return 0 without a failure, else 1.
+
+    Raises
+    ------
+    ConfigError
+        The fleet file is wrong.
+    """
+    config = None if fleet is None else load_fleet(fleet)
+    return 1 if checks.show(_checks(config), as_json=as_json) else 0
+
+
+def _checks(config: SwarmConfig | None) -> Iterator[Check]:
+    clock = MonotonicClock()
+    began_s, began_wall_s = clock.now_s(), wall_time_s()
+    yield machine.python()
+    yield from machine.extras(_needed_extras(config))
+    yield from machine.serial_ports()
+    yield machine.interferer()
+    yield from gamepad.checks()
+    yield from machine.resources()
+    yield machine.network_time()
+    if config is not None:
+        yield from _frame(config)
+        yield _hub(config)
+        for robot in config.robot:
+            yield from _robot(config, robot)
+    # Compared over all the checks before: no need to wait just for this.
+    yield machine.clocks(clock.now_s() - began_s, wall_time_s() - began_wall_s, wall_time_s())
+
+
+def _needed_extras(config: SwarmConfig | None) -> frozenset[str]:
+    if config is None:
+        return frozenset()
+    needed = {_EXTRA_OF[family] for each in config.robot if (family := _family(each.url)) in _EXTRA_OF}
+    emulated = {"rover": "mavlink", "odrive": "can", "vesc": "can"}
+    needed |= {emulated[each.emulate] for each in config.robot if each.emulate in emulated}
+    if any(each.emulate for each in config.robot):
+        needed.add("sim")
+    if config.agent.estimator == "ekf":
+        needed.add("estimation")
+    return frozenset(needed)
+
+
+def _family(url: str) -> str:
+    return urlsplit(url).scheme.partition("+")[0]
+
+
+def _hub(config: SwarmConfig) -> Check:
+    from fullswarm.bus.endpoint import host_of, is_loopback
+    from fullswarm.bus.zenoh_bus import ZenohBus
+    from fullswarm.runtime import Mailbox
+
+    endpoint = config.hub.endpoint
+    bus = ZenohBus(Mailbox(), hub=endpoint)
+    try:
+        bus.wait_connected(HUB_S)
+    except Unreachable as error:
+        if is_loopback(host_of(endpoint)):
+            what = f"nobody listens on {endpoint}: fine until the swarm is started"
+            return Check("hub", "warning", what, "fullswarm up FLEET.toml")
+        return Check("hub", "failure", str(error), "start `fullswarm hub` there; check network and firewall")
+    finally:
+        bus.close()
+    return Check("hub", "ok", f"{endpoint} answers")
+
+
+# ---------------------------------------------------------------- robots of the fleet
+def _robot(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
+    from fullswarm import registry
+
+    name, url = f"robot {robot.id}", robot.url
+    if robot.emulate is not None:
+        yield Check(name, "ok", f"emulated by the world: {robot.emulate}")
+        return
+    try:
+        driver = registry.driver_class(url)(url)  # touches nothing, but refuses a wrong URL
+        warning = getattr(driver, "warning", "")
+        if warning:
+            yield Check(name, "warning", warning)
+        if _family(url) in ("sim", "null"):
+            yield Check(name, "ok", f"simulated: {url}")
+            return
+        device = list(_device(config, robot))
+        yield from device
+        if all(each.status != "failure" for each in device):
+            yield from _answer(name, url)
+    except FullswarmError as error:
+        yield Check(name, "failure", error.what, error.hint)
+
+
+def _frame(config: SwarmConfig) -> Iterator[Check]:
+    """Check that robots which know their own position know it in the swarm's frame."""
+    try:
+        check_frames(config)
+    except ConfigError as error:
+        yield Check("frame", "failure", error.what, error.hint)
+
+
+def _device(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
+    """Check the serial device that a URL names, if it names one."""
+    path = unquote(urlsplit(robot.url).path)
+    if not path.startswith("/dev/"):
+        return
+    others = [each.id for each in config.robot if each.id != robot.id and unquote(urlsplit(each.url).path) == path]
+    if others:
+        yield Check(f"robot {robot.id}", "failure", f"{path} is also the port of {', '.join(others)}", "one port each")
+    if not Path(path).exists():
+        yield Check(f"robot {robot.id}", "failure", f"{path} does not exist", "plug it in; see `fullswarm robots find`")
+        return
+    yield machine.access(path)
+
+
+def _answer(name: str, url: str) -> Iterator[Check]:
+    from fullswarm.drivers.probe import ask
+
+    asked = ask.ask_url(url)
+    if not asked.robots:
+        held = "held by" in asked.problem
+        mend = "" if held else "fullswarm robots find"
+        yield Check(name, "warning" if held else "failure", f"not asked: {asked.problem}", mend)
+        return
+    for each in asked.robots:
+        if _family(each.url) != _family(url):
+            yield Check(name, "failure", f"{each.make} {each.model} answers: another robot", each.url)
+            continue
+        parts = [f"{each.make} {each.model}", f"firmware {each.firmware}" if each.firmware else "", each.note]
+        if each.battery is not None:
+            parts.insert(2, f"battery {each.battery:.0%}")
+        low = each.battery is not None and each.battery < LOW_BATTERY
+        what = ", ".join(filter(None, parts))
+        yield Check(name, "warning" if low else "ok", what, "charge it" if low else "")

@@ -1,0 +1,246 @@
+"""The steps of `fullswarm robots test`: each drives or asks a little and gives a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+from fullswarm import output
+from fullswarm.bringup.bench import Bench, moved
+from fullswarm.clock import Clock
+from fullswarm.drivers.base import STAND, Driver, Hazard, Lifecycle, Reading, Twist
+
+Verdict = Literal["passed", "failed", "skipped"]
+ACTIVATE_S, DEACTIVATE_S, STAND_S = 15.0, 10.0, 2.0
+SETTLE_S, LONGEST_SETTLE_S, WINDOW_S = 0.4, 2.0, 0.6
+SETTLED = 0.9
+"""Share of the commanded speed that a robot has to measure first: an autopilot's regulator is slow at low speeds."""
+LEAST, MOST, NOTHING = 0.7, 1.3, 0.1
+"""Shares of the commanded way that the odometry may show; below the last it does not move at all."""
+HALF = 0.45, 0.55
+SLOWEST_HZ = 4.0
+"""An agent stops its robot when readings are older than 0.5 s."""
+SILENCE_S = 1.0
+"""Within which a robot whose driver hears nothing stands: 0.5 s, and as much to roll out."""
+PRESS_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One line of the result."""
+
+    name: str
+    verdict: Verdict
+    what: str
+
+
+def steps(bench: Bench, clock: Clock, speed_m_s: float, ready_s: float, hertz: list[float]) -> Iterator[Step]:
+    """Yield verdicts in order; ends early where going on makes no sense."""
+    yield (ready := _ready(bench, clock, ready_s))
+    if ready.verdict == "failed":
+        return
+    yield (state := _identity(bench))
+    if state.verdict == "failed":
+        return
+    yield (rate := _rate(bench, hertz))
+    if rate.verdict == "failed":
+        return
+    yield from _sensors(bench)
+    yield (active := _activated(bench))
+    if active.verdict == "failed":
+        return
+    limits = bench.driver.description.limits
+    turn_rad_s = speed_m_s * limits.turn_rad_s / limits.speed_m_s  # a differential drive's wheels at that speed
+    moves = [
+        ("forwards", Twist(speed_m_s, 0.0)),
+        ("backwards", Twist(-speed_m_s, 0.0)),
+        ("left", Twist(0.0, turn_rad_s)),
+        ("right", Twist(0.0, -turn_rad_s)),
+    ]
+    blind = False
+    for name, wished in moves:
+        step = _move(bench, name, wished)
+        blind = blind or (step.verdict == "skipped" and wished.linear_m_s >= 0.0)
+        yield step
+        if bench.driver.state is not Lifecycle.ACTIVE:
+            yield Step("stays active", "failed", _why(bench.driver))
+            return
+    yield _watchdog(bench, clock, Twist(speed_m_s, 0.0), blind=blind)
+    yield _deactivated(bench)
+
+
+def _ready(bench: Bench, clock: Clock, limit_s: float) -> Step:
+    told, began_s = "", clock.now_s()
+
+    def tell() -> None:
+        nonlocal told
+        why = bench.driver.fault or getattr(bench.driver, "why", "")
+        if why and why != told:
+            told = why
+            output.progress(f"waiting: {why}")
+
+    if bench.reach(Lifecycle.READY, limit_s, tell):
+        return Step("ready", "passed", f"{clock.now_s() - began_s:.1f} s after opening")
+    return Step("ready", "failed", f"not READY within {limit_s:g} s: {told or _why(bench.driver)}")
+
+
+def _identity(bench: Bench) -> Step:
+    reading, firmware = bench.fresh(), bench.driver.firmware
+    battery = None if reading is None else reading.battery
+    charge = "battery unknown" if battery is None else f"battery {battery:.0%}"
+    hazards = Hazard.NONE if reading is None else reading.hazards
+    what = f"firmware {firmware or 'not told'}, {charge}"
+    if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT | Hazard.MOTORS_OFF):
+        return Step("state", "failed", f"{what}, {_names(hazards)}: mend that first")
+    return Step("state", "passed", f"{what}, {_names(hazards)}" if hazards else what)
+
+
+def _rate(bench: Bench, hertz: list[float]) -> Step:
+    before = bench.readings
+    bench.wait(lambda: False, 1.0)
+    rate = float(bench.readings - before)
+    hertz.append(rate)
+    # Looked at 50 times a second: a faster robot counts as 50.
+    what = f"{rate:.0f} a second" if rate < 45.0 else "45 a second or more"
+    return Step("readings", "passed" if rate >= SLOWEST_HZ else "failed", what)
+
+
+def _activated(bench: Bench) -> Step:
+    bench.driver.activate()
+    if not bench.reach(Lifecycle.ACTIVE, ACTIVATE_S):
+        return Step("activate", "failed", _why(bench.driver))
+    if not bench.halt(STAND_S):
+        return Step("activate", "failed", "it moves although nothing but zero was commanded")
+    return Step("activate", "passed", "ACTIVE, and it stands")
+
+
+def _move(bench: Bench, name: str, wished: Twist) -> Step:
+    """Drive for a second and compare the way by odometry with what was applied; then it must stand."""
+    driver, limits = bench.driver, bench.driver.description.limits
+    if wished.linear_m_s < 0.0 and not limits.can_reverse:
+        return Step(name, "skipped", "this robot cannot reverse")
+    applied = driver.command(wished)
+    if applied == STAND:
+        reason = _why(driver) if driver.state is not Lifecycle.ACTIVE else "too slow for its controllers: raise --speed"
+        return Step(name, "failed", f"the driver applies zero ({reason})")
+    bench.drive(wished, SETTLE_S)
+    bench.wait(partial(_settled, bench, applied), LONGEST_SETTLE_S - SETTLE_S, partial(driver.command, wished))
+    begin = bench.newest
+    bench.drive(wished, WINDOW_S)
+    end = bench.newest
+    stands = bench.halt(STAND_S)
+    if begin is None or end is None or end.stamp_s <= begin.stamp_s:
+        return Step(name, "failed", f"no readings while it drives ({_why(driver)})")
+    forward_m, turned_rad = moved(begin, end)
+    passed_s = end.stamp_s - begin.stamp_s
+    if wished.linear_m_s:
+        gone, expected, other, unit = forward_m, applied.linear_m_s * passed_s, turned_rad, "m"
+    else:
+        gone, expected, other, unit = turned_rad, applied.angular_rad_s * passed_s, forward_m, "rad"
+    what = f"{gone:+.3f} {unit} by odometry where {expected:+.3f} were commanded"
+    share = gone / expected
+    if abs(share) < NOTHING and abs(other) < NOTHING * abs(expected):
+        return _unmoved(bench, name, what)
+    if not LEAST <= share <= MOST:
+        return Step(name, "failed", f"{what}: {_blame(share, wished)}")
+    if not stands:
+        return Step(name, "failed", f"{what}, but it does not stand {STAND_S:g} s after zero")
+    return Step(name, "passed", f"{what}, stands after zero")
+
+
+def _settled(bench: Bench, applied: Twist) -> bool:
+    measured = STAND if bench.newest is None else bench.newest.twist
+    along = measured.linear_m_s * applied.linear_m_s >= SETTLED * applied.linear_m_s**2
+    return along and measured.angular_rad_s * applied.angular_rad_s >= SETTLED * applied.angular_rad_s**2
+
+
+def _unmoved(bench: Bench, name: str, what: str) -> Step:
+    if not bench.driver.description.senses_pose:
+        return Step(name, "failed", f"{what}: motors or encoders are not connected, or the brakes are on")
+    seen = bench.answers(f"Its position does not move. Did the wheels turn {name}?")
+    if seen is None:
+        return Step(
+            name, "skipped", "its position does not move: with the wheels in the air it may not know; see to it"
+        )
+    return Step(name, "passed" if seen else "failed", f"the operator {'saw' if seen else 'did not see'} it")
+
+
+def _blame(share: float, wished: Twist) -> str:
+    if share < -NOTHING:
+        wrong = "wheels run backwards" if wished.linear_m_s else "left and right are swapped"
+        return f"{wrong}, or the odometry's sign is wrong"
+    if share < NOTHING:
+        return "it turns instead: one wheel runs the wrong way round" if wished.linear_m_s else "it does not turn"
+    if HALF[0] < share < HALF[1]:
+        return "half the way: one wheel does not turn"
+    return "the scale is wrong: check wheel radius, gear and the distance between the wheels"
+
+
+def _watchdog(bench: Bench, clock: Clock, wished: Twist, *, blind: bool) -> Step:
+    """Say nothing while it drives: the driver must stop it."""
+    bench.drive(wished, SETTLE_S + WINDOW_S)
+    began_s = clock.now_s()
+    if blind:
+        bench.wait(lambda: False, SILENCE_S)
+        seen = bench.answers("Commands have ended a second ago. Do the wheels stand?")
+        if seen is None:
+            return Step("silence stops it", "skipped", "its position does not move: see to it")
+        return Step("silence stops it", "passed" if seen else "failed", "by the operator's eyes")
+    if bench.standing():
+        return Step("silence stops it", "failed", "it did not drive")
+    stands = bench.wait(bench.standing, SILENCE_S)
+    took_s = clock.now_s() - began_s
+    bench.halt(STAND_S)
+    if not stands:
+        return Step("silence stops it", "failed", f"it still drives {SILENCE_S:g} s after the last command: DANGEROUS")
+    return Step("silence stops it", "passed", f"stands {took_s:.2f} s after the last command")
+
+
+def _sensors(bench: Bench) -> Iterator[Step]:
+    """Let the operator press the bumper and lift the robot, wheels off."""
+    if not bench.driver.description.senses_bumps:
+        return
+    tests = (
+        ("bumper", "Press the front bumper.", Hazard.BUMP),
+        ("cliff, wheel drop", "Lift the robot until its wheels hang.", Hazard.CLIFF | Hazard.WHEEL_DROP),
+    )
+    for name, instruction, wanted in tests:
+        seen = bench.sees(instruction, partial(_reported, wanted), PRESS_S)
+        if seen is None:
+            yield Step(name, "skipped", "nobody tried")
+        elif not seen:
+            yield Step(name, "failed", f"nothing was reported within {PRESS_S:g} s")
+        elif bench.sees("Let go, and put it down.", partial(_over, wanted), PRESS_S) is False:
+            yield Step(name, "failed", "it is still reported")
+        else:
+            yield Step(name, "passed", "reported")
+
+
+def _reported(wanted: Hazard, reading: Reading) -> bool:
+    return bool(reading.hazards & wanted)
+
+
+def _over(wanted: Hazard, reading: Reading) -> bool:
+    return not reading.hazards & wanted
+
+
+def _deactivated(bench: Bench) -> Step:
+    bench.driver.deactivate()
+    if not bench.reach(Lifecycle.READY, DEACTIVATE_S):
+        return Step("deactivate", "failed", f"not READY: {_why(bench.driver)}")
+    fastest = Twist(bench.driver.description.limits.speed_m_s, 0.0)
+    if bench.driver.command(fastest) != STAND:
+        return Step("deactivate", "failed", "it applies commands although it is not ACTIVE")
+    return Step("deactivate", "passed", "READY, commands apply zero")
+
+
+def _why(driver: Driver) -> str:
+    """Return the driver's own words for where it stands."""
+    words = driver.fault or getattr(driver, "blocked", "") or getattr(driver, "why", "")
+    return f"{driver.state}: {words}" if words else str(driver.state)
+
+
+def _names(hazards: Hazard) -> str:
+    return ", ".join(each.name.lower().replace("_", " ") for each in hazards if each.name)

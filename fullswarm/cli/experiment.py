@@ -1,0 +1,159 @@
+"""The verbs of ``fullswarm experiment``: `run` and `trial`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fullswarm.cli import completion
+from fullswarm.cli.options import Json, shell_command
+
+experiment_app = typer.Typer(no_args_is_help=True)
+
+
+@experiment_app.command("run")
+@shell_command(logs=True)
+def run_experiment(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE.toml",
+            help="One of the package: paper, safety; or your own.",
+            autocompletion=completion.experiments,
+        ),
+    ],
+    seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
+    cells: Annotated[
+        list[str] | None,
+        typer.Option("--cells", metavar="FILTER", help="Only these: 'behaviour=navigate_bc,robots=32'; may repeat."),
+    ] = None,
+    small: Annotated[bool, typer.Option("--small", help="The file's small version: a minute or two.")] = False,
+    engine: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Instead of the file's: kinematic, pybullet, pybullet-wheels.")
+    ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(metavar="SPEC", help="A bad network for all: loss=20%,delay=100ms±50."),
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
+    timeout_s: Annotated[
+        float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
+    ] = 600.0,
+    retries: Annotated[
+        int, typer.Option(min=0, max=10, help="Run a trial again whose process died or ran out of time.")
+    ] = 1,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="Only every Nth trial from the Ith on, for N machines.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to go on.")
+    ] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="local|ADDRESS", help="Run by Dask, here or where its scheduler is.")
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Real processes in real time instead of lockstep, one trial at a time.")
+    ] = False,
+    emulate: Annotated[
+        str | None, typer.Option(metavar="MAKE", help="With --live: robots of this make, behind emulated ports.")
+    ] = None,
+    fleet: Annotated[
+        Path | None, typer.Option("--fleet", metavar="FILE", help="On the robots of a fleet file; pauses to set up.")
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="With --fleet: robots stand in their places and may drive; ask nobody.")
+    ] = False,
+    insecure_network: Annotated[
+        bool, typer.Option("--insecure-network", help="With --fleet: listen beyond this machine.")
+    ] = False,
+    as_json: Json = False,
+) -> int:
+    """Run an experiment. Exit code 0: none failed, and none collided but where the file expects it; 1 otherwise."""
+    from fullswarm.evaluate.experiment import run as experiment
+
+    options = experiment.Options(
+        experiment=name,
+        seeds=seeds,
+        cells=tuple(cells or ()),
+        small=small,
+        jobs=jobs,
+        timeout_s=timeout_s,
+        folder=folder,
+        as_json=as_json,
+        engine=engine,
+        network=network,
+        shard=shard,
+        retries=retries,
+        dask=dask,
+        live=live,
+        emulate=emulate,
+        fleet=fleet,
+        yes=yes,
+        insecure_network=insecure_network,
+    )
+    return experiment.run(options)
+
+
+@experiment_app.command("trial")
+@shell_command(logs=True)
+def run_trial(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A trial.toml, or the directory that holds it.")],
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep the trial here, in FOLDER/trials.")
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
+    from fullswarm.evaluate.experiment import one_trial as experiment_trial
+
+    return experiment_trial.run(file, folder, as_json)
+
+
+@experiment_app.command()
+@shell_command()
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the experiment keeps its trials (--out).")],
+    once: Annotated[bool, typer.Option("--once", help="As it is now, then end.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="JSON: one document with --once, else a line at each change.")
+    ] = False,
+) -> int:
+    """Show how an experiment goes, until all its trials have ended or Ctrl-C, which leaves it running."""
+    from fullswarm.evaluate.experiment import watch as watch_run
+
+    return watch_run.watch(watch_run.Watch(folder, once, as_json))
+
+
+@experiment_app.command()
+@shell_command()
+def replay(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
+    to: Annotated[
+        Path,
+        typer.Option("--to", metavar="FILE", help="A picture (.png, .svg) of the whole way, or a film (.gif, .mp4)."),
+    ],
+    trial: Annotated[
+        str, typer.Option("--trial", metavar="ID", help="Which one: how its id begins; * fits anything.")
+    ] = "",
+    speed: Annotated[
+        float, typer.Option("--speed", min=0.01, max=1000.0, help="Seconds of the trial in one of the film.")
+    ] = 4.0,
+    fps: Annotated[float, typer.Option("--fps", min=0.1, max=120.0, help="Frames per second of the film.")] = 10.0,
+    from_s: Annotated[
+        float | None, typer.Option("--from", metavar="SECONDS", help="Begin here; none: at the start.")
+    ] = None,
+    until_s: Annotated[
+        float | None, typer.Option("--until", metavar="SECONDS", help="End here; a picture shows the robots then.")
+    ] = None,
+    width_px: Annotated[
+        int, typer.Option("--width", metavar="PIXELS", help="Of the picture or film, 320 to 3840.")
+    ] = 720,
+) -> int:
+    """Draw or film a trial: the world from above."""
+    from fullswarm.evaluate.pictures import Film
+    from fullswarm.evaluate.pictures import replay as replays
+
+    film = Film(speed=speed, fps=fps, from_s=from_s, until_s=until_s, width_px=width_px)
+    return replays.replay(replays.Replay(folder, to, film, trial))

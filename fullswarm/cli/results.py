@@ -1,0 +1,113 @@
+"""`fullswarm results`: look at, compare, export and report what an experiment left in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fullswarm.cli.options import shell_command
+
+results_app = typer.Typer(no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The results folder (--out of the experiment).")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document.")]
+
+
+@results_app.command("list")
+@shell_command()
+def list_cells(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="The results folder; else this one.")] = Path(),
+    as_json: AsJson = False,
+) -> int:
+    """List the cells of a results folder with counts."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.list_cells(folder, as_json)
+
+
+@results_app.command()
+@shell_command()
+def show(
+    folder: Folder,
+    what: Annotated[str, typer.Argument(metavar="ID|FILTER", help="A trial's id, or 'scenario=concave,robots=32'.")],
+    as_json: AsJson = False,
+) -> int:
+    """Show all figures of one trial, or of a cell: means with intervals."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.show(folder, what, as_json)
+
+
+@results_app.command()
+@shell_command()
+def export(
+    folder: Folder,
+    form: Annotated[str, typer.Option("--format", metavar="csv|xlsx|parquet|mat", help="The kind of file.")] = "csv",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Where to; else results.FORMAT in the folder.")
+    ] = None,
+    long: Annotated[bool, typer.Option("--long", help="A row per trial and quantity instead of per trial.")] = False,
+) -> int:
+    """Write all figures of all trials as a table; prints the file's name."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.export(folder, form, out, long)
+
+
+@results_app.command("map")
+@shell_command()
+def coverage(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
+    trial: Annotated[str, typer.Option("--trial", metavar="ID", help="Which one: how its id begins.")] = "",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Where to; else coverage.pgm in the trial's folder.")
+    ] = None,
+) -> int:
+    """Write what a trial's robots have covered as a map: PGM and YAML, as ROS's map_server reads them."""
+    from fullswarm.evaluate.results import coverage_map as results_map
+
+    return results_map.write(folder, trial, out)
+
+
+@results_app.command()
+@shell_command()
+def compare(
+    words: Annotated[
+        list[str], typer.Argument(metavar="A B | FOLDER A B", help="Two folders; with --by: a folder and two values.")
+    ],
+    by: Annotated[
+        str | None, typer.Option("--by", metavar="FIELD", help="Compare within a folder: behaviour, engine, limits, …")
+    ] = None,
+    cells: Annotated[bool, typer.Option("--cells", help="Also each cell by itself.")] = False,
+    as_json: AsJson = False,
+) -> int:
+    """Compare trials in pairs of the same seed: differences B - A with intervals, effect sizes, tests."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.compare(words, by, cells, as_json)
+
+
+@results_app.command()
+@shell_command()
+def report(
+    folder: Folder,
+    open_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="Also write plots (SVG) and tables (Markdown) there.")
+    ] = None,
+) -> int:
+    """Write report.html, one self-contained file, into the folder; prints its name."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.report(folder, open_it, plots)
+
+
+@results_app.command()
+@shell_command()
+def index(folder: Folder, as_json: AsJson = False) -> int:
+    """Make the SQLite index anew from the trials' directories. Exit code 1: some cannot be read."""
+    from fullswarm.evaluate.results import commands as results
+
+    return results.index(folder, as_json)

@@ -1,0 +1,176 @@
+"""The commands that deal with robots and ports: ``robots find|test|check``, ``doctor``, ``emulate``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fullswarm import registry
+from fullswarm.cli import completion
+from fullswarm.cli.options import Json, shell_command
+
+if TYPE_CHECKING:
+    from fullswarm.cli.options import Target
+
+hardware_app = typer.Typer()
+robots_app = typer.Typer(invoke_without_command=True)
+hardware_app.add_typer(robots_app, name="robots")
+PANEL = "Robots and ports"
+
+
+class Make(StrEnum):
+    """What can be emulated."""
+
+    CREATE = "create"
+    MAVLINK = "mavlink"
+    ODRIVE = "odrive"
+    VESC = "vesc"
+
+
+@robots_app.callback()
+@shell_command()
+def robots(context: typer.Context, target: Target, as_json: Json = False) -> int:
+    """List the robots of the running swarm; `find` and `test` look at robots on cables."""
+    if context.invoked_subcommand is None:
+        from fullswarm.operator import reads
+
+        return reads.robots(target, as_json=as_json)
+    return 0
+
+
+@robots_app.command()
+@shell_command(logs=True)
+def find(
+    port: Annotated[list[str] | None, typer.Option("--port", metavar="PATH", help="Only this serial port.")] = None,
+    can: Annotated[
+        list[str] | None,
+        typer.Option("--can", metavar="CHANNEL", help="Only this bus: can0, slcan:/dev/ttyACM0@250000, ..."),
+    ] = None,
+    udp: Annotated[
+        list[str] | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Only rovers that send here.")
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Ask all ports what robot is there; nothing moves. Exit code 0: robots found; 1: none."""
+    from fullswarm.bringup.find import find as run
+
+    return run(port or (), can or (), udp or (), as_json=as_json)
+
+
+@robots_app.command("test")
+@shell_command(logs=True)
+def bring_up(
+    url: Annotated[str, typer.Argument(metavar="URL", help="The driver's, as in a fleet file.")],
+    speed: Annotated[float, typer.Option(min=0.02, max=0.5, help="Of the wheels, m/s.")] = 0.1,
+    yes: Annotated[bool, typer.Option("--yes", help="Nobody is asked: it is safe to drive.")] = False,
+    timeout: Annotated[float, typer.Option(metavar="SECONDS", min=1, max=600, help="For it to be READY.")] = 60.0,
+    as_json: Json = False,
+) -> int:
+    """Drive one robot a little and check signs, scale, stops and sensors. Exit code 0: passed; 1: failed."""
+    registry.driver_target(url)  # before anything is imported
+    from fullswarm.bringup.robot_test import run
+
+    return run(url, speed_m_s=speed, confirmed=yes, ready_s=timeout, as_json=as_json)
+
+
+@robots_app.command("check")
+@shell_command(logs=True)
+def check(
+    url: Annotated[
+        str | None, typer.Argument(metavar="[URL]", help="The driver's, as in a fleet file; of any package.")
+    ] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(metavar="MODULE:FUNCTION", help="Instead: a context manager that yields a fullswarm.testing.Rig."),
+    ] = None,
+    wire: Annotated[
+        bool, typer.Option("--wire", help="Put a relay into the link, and unplug, mute and disturb it there.")
+    ] = False,
+    baud: Annotated[int, typer.Option(min=300, help="Of a serial line with --wire.")] = 115200,
+    still: Annotated[
+        bool, typer.Option("--still", help="Do not move the robot: lifecycle and promptness only.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation prompt.")] = False,
+    settle: Annotated[
+        float, typer.Option(metavar="SECONDS", min=0.1, max=60, help="To reach or leave half its speed.")
+    ] = 2.0,
+    timeout: Annotated[
+        float, typer.Option(metavar="SECONDS", min=1, max=600, help="For each step that the robot confirms.")
+    ] = 10.0,
+    as_json: Json = False,
+) -> int:
+    """Run the published check of drivers on one robot or emulator. Exit code 0: passed; 1: failed, says what and why.
+
+    For those who write drivers. Operators want `robots test`.
+    """
+    from fullswarm.bringup.robot_check import run
+
+    return run(
+        url, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle, deadline_s=timeout,
+        as_json=as_json,
+    )  # fmt: skip
+
+
+@hardware_app.command(rich_help_panel=PANEL)
+@shell_command(logs=True)
+def doctor(
+    fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Also its hub and robots.")] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT", help="This robot and its computer instead.", autocompletion=completion.fleet_robots
+        ),
+    ] = None,
+    fleet_option: Annotated[
+        Path | None,
+        typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="Where --robot is to be found."),
+    ] = None,
+    press: Annotated[
+        bool, typer.Option("--estop/--no-estop", help="With --robot: offer to press its e-stop for a moment.")
+    ] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="Press it without a question. Nothing moves by it.")] = False,
+    as_json: Json = False,
+) -> int:
+    """Check this machine, and a fleet's hub and robots, or one --robot before it drives; says what mends it.
+
+    Exit code 1: something is broken; 3: nothing of the --robot answers.
+    """
+    from fullswarm.bringup import doctor
+
+    if robot is not None:
+        return doctor.preflight(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
+    return doctor.run(fleet, as_json=as_json)
+
+
+@hardware_app.command(rich_help_panel=PANEL)
+@shell_command(logs=True)
+def emulate(
+    make: Annotated[Make, typer.Argument(help="Whose firmware.")],
+    port: Annotated[Path | None, typer.Option(metavar="PATH", help="Where its serial port shall be.")] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="mavlink: udp://, udpin://, tcp://HOST:PORT or pty:")
+    ] = None,
+    url: Annotated[str | None, typer.Option(metavar="URL", help="The driver's URL: serve its other end.")] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="NAME", help="create: create1, roomba500, create2; mavlink: rover, px4.")
+    ] = None,
+    cliff: Annotated[bool, typer.Option("--cliff", help="No floor in front.")] = False,
+    drop: Annotated[float, typer.Option(min=0, max=1, help="Share of chunks lost.")] = 0.0,
+    corrupt: Annotated[float, typer.Option(min=0, max=1, help="Share of chunks with a flipped bit.")] = 0.0,
+    delay: Annotated[float, typer.Option(metavar="SECONDS", min=0, max=10, help="Of each direction.")] = 0.0,
+    inject: Annotated[
+        list[str] | None, typer.Option("--do", metavar="COMMAND", help="As typed while it runs: 'battery 0.1'.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="End after this; none: on Ctrl-C.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
+    from fullswarm.bringup.emulate import Wish, run
+    from fullswarm.drivers.faults import LinkFaults
+
+    orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
+    faults = LinkFaults(drop, corrupt, delay)
+    return run(Wish(make.value, port, listen, url, model), faults, orders, seconds, as_json=as_json)

@@ -1,0 +1,66 @@
+"""`fullswarm demo`: its settings, the run in lockstep, and the summary; live: `demo_live`."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from pathlib import Path
+
+from fullswarm.bus.base import OPERATOR
+from fullswarm.config import SwarmConfig
+from fullswarm.demo.show import Show, acts_for
+from fullswarm.demo.summary import print_summary
+from fullswarm.drivers.fleet_file import load_fleet
+from fullswarm.keys import Keys
+from fullswarm.launch.network import with_network
+from fullswarm.operator.client import Operator
+from fullswarm.output import progress
+
+DEMO_FILE = Path(__file__).with_name("demo.toml")
+NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
+"""Fleets that come with the package, besides the usual one."""
+
+
+def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | None = None) -> SwarmConfig:
+    """Return the demo's settings, or those of the user's own fleet file, on a bad network if one is wanted."""
+    named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
+    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True), network)
+
+
+def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:
+    """Run the show on a simulated clock; the JSON of two runs with one seed is the same to the byte."""
+    from fullswarm.launch.lockstep import Lockstep
+
+    if any(robot.emulate for robot in config.robot):
+        progress("in lockstep emulated robots run as simulated ones: ports and firmware live on the wall clock")
+    world = config.world_or_default.model_copy(update={"seed": seed})
+    section = config.network.model_copy(update={"seed": seed})
+    lockstep = Lockstep(config.model_copy(update={"world": world, "network": section}))
+    bus = lockstep.bus_of(OPERATOR)
+    numbers = itertools.count(1)
+    keys = Keys(config.swarm)
+    operator = Operator(bus, keys, lockstep.runtime, "demo", new_id=lambda: f"demo-{seed}-{next(numbers)}")
+    show = Show(bus, lockstep.runtime, config, operator, seconds, acts_for(config))
+    try:
+        lockstep.run(1.0)
+        show.start()
+        lockstep.run(seconds)
+        # A wall-clock figure would make two runs differ, so it goes to stderr.
+        print(f"{lockstep.real_time_factor:.0f} times faster than real time", file=sys.stderr)  # noqa: T201
+        return report(show, as_json, None)
+    finally:
+        lockstep.close()
+
+
+def report(show: Show, as_json: bool, real_time_factor: float | None) -> int:
+    """Print what came of the show; return the exit code: 1 if an act was not answered or not even asked for."""
+    document = show.document(real_time_factor)
+    if as_json:
+        print(json.dumps(document, indent=2))  # noqa: T201
+    else:
+        print_summary(document, show.view.snapshot())
+    if show.yielded_to:
+        return 0  # whatever was asked after that is not the show's to judge
+    answered = all(each.acknowledged_s is not None for each in show.sent)
+    return 0 if answered and len(show.sent) == len(show.acts) else 1

@@ -1,0 +1,177 @@
+"""What an experiment is, and how its file is read."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
+
+from fullswarm.bus.network import parse_network
+from fullswarm.config import AgentConfig, NoiseConfig, PerformanceConfig, Section
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.evaluate.scenarios.files import package_names, read_named
+from fullswarm.evaluate.scenarios.model import parse_section, scenario_names
+
+Engine = Literal["kinematic", "pybullet", "pybullet-wheels"]
+Parameter = bool | int | float | str
+T = TypeVar("T")
+LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
+"""What a file of results can hold, and a table of trials."""
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Return the seeds that ``"7"`` or ``"0-19"`` names; anything else is a ``ValueError``."""
+    first, dash, last = text.partition("-")
+    if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
+        raise ValueError(f"'{text}' is no range of seeds: write 7 or 0-19")
+    least, most = int(first), int(last or first)
+    if least > most:
+        raise ValueError(f"'{text}' holds no seed: the smaller one comes first")
+    if most > LARGEST_SEED:
+        raise ValueError(f"the largest seed is {LARGEST_SEED}, not {most}")
+    if most - least >= MOST_SEEDS:
+        raise ValueError(f"'{text}' holds {most - least + 1} seeds: {MOST_SEEDS} at most")
+    return tuple(range(least, most + 1))
+
+
+def _seeds(text: str) -> str:
+    parse_seeds(text)
+    return text
+
+
+Seeds = Annotated[str, AfterValidator(_seeds)]
+
+
+def _check_network(text: str) -> None:
+    try:
+        parse_network(text, where="network")
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
+
+
+class Body(Section):
+    """What the simulated robots can do; named in ``[limits.<name>]``."""
+
+    speed_limit_m_s: PositiveFloat
+    turn_limit_rad_s: PositiveFloat
+    accel_limit_m_s2: PositiveFloat = 2.0
+    turn_accel_limit_rad_s2: PositiveFloat = 20.0
+    radius_m: PositiveFloat = 0.17
+
+
+class Behaviour(Section):
+    """A behaviour and what it is asked with, besides the goal."""
+
+    name: str = Field(min_length=1)
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+    collisions_expected: bool = False  # they do not make the experiment fail, e.g. without a filter
+
+
+def _no_twins(values: tuple[T, ...]) -> tuple[T, ...]:
+    """Refuse what would count each of its trials twice."""
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            raise ValueError(f"{value!r} is there twice")
+    return values
+
+
+def _no_twin_behaviours(values: tuple[Behaviour, ...]) -> tuple[Behaviour, ...]:
+    known = [(each.name, each.parameters) for each in values]
+    for place, (name, parameters) in enumerate(known):
+        if (name, parameters) in known[:place]:
+            words = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
+            raise ValueError(f"'{words}' is there twice")
+    return values
+
+
+Unique = AfterValidator(_no_twins)
+
+
+class Group(Section):
+    """Cells: every combination of what is listed here."""
+
+    name: str = Field(min_length=1)
+    behaviours: Annotated[tuple[Behaviour, ...], Field(min_length=1), AfterValidator(_no_twin_behaviours)]
+    scenarios: Annotated[tuple[str, ...], Field(min_length=1), Unique]
+    robots: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Unique]
+    engines: Annotated[tuple[Engine, ...], Field(min_length=1), Unique]
+    limits: Annotated[tuple[str, ...], Field(min_length=1), Unique]
+    time_limit_s: PositiveFloat | None = None  # None: the scenario's
+    seeds_at_most: PositiveInt | None = None  # slow cells: only so many of the seeds
+    noise: NoiseConfig = NoiseConfig()
+    network: str = ""  # as in --network
+    agent: dict[str, Parameter] = Field(default_factory=dict)  # settings of the agents that differ from the usual ones
+    stop: PerformanceConfig = PerformanceConfig()  # ends a trial before its time limit, as the summarizers see it
+    collisions_expected: bool = False  # of all behaviours
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        known = scenario_names()
+        for scenario in self.scenarios:
+            if scenario not in known and not scenario.endswith(".toml"):
+                raise ValueError(f"there is no scenario '{scenario}'; {did_you_mean(scenario, known)}")
+        AgentConfig.model_validate(self.agent)
+        if self.network:
+            _check_network(self.network)
+        return self
+
+
+class Small(Section):
+    """What `--small` leaves of the experiment."""
+
+    seeds: Seeds = "0"
+    robots_at_most: PositiveInt = 10
+    groups: tuple[str, ...] | None = None  # None: all
+    engines: tuple[Engine, ...] = ("kinematic", "pybullet")
+
+
+class Experiment(Section):
+    """An experiment file; immutable."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    seeds: Seeds
+    limits: dict[str, Body] = Field(min_length=1)
+    groups: tuple[Group, ...] = Field(min_length=1)
+    small: Small = Small()
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        for group in self.groups:
+            for name in group.limits:
+                if name not in self.limits:
+                    raise ValueError(f"group '{group.name}': no [limits.{name}]; {did_you_mean(name, self.limits)}")
+        known = [group.name for group in self.groups]
+        for name in (*(self.small.groups or ()), *(each for each in known if known.count(each) > 1)):
+            if known.count(name) != 1:
+                raise ValueError(f"there must be one group '{name}', not {known.count(name)}")
+        return self
+
+
+def experiment_names() -> tuple[str, ...]:
+    """Return the names of the experiments that come with the package."""
+    return package_names(resources.files(__package__))
+
+
+def load_experiment(name_or_path: str | Path) -> Experiment:
+    """Return an experiment of the package by its name, or one from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        No such experiment or file, or errors in it: all of them at once, with file and line.
+    """
+    return parse_experiment(*read_named(name_or_path, resources.files(__package__), "experiment"))
+
+
+def parse_experiment(text: str, where: str) -> Experiment:
+    """Return the experiment that TOML `text` describes; `where` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML, or not an experiment.
+    """
+    return parse_section(text, where, Experiment)

@@ -1,0 +1,191 @@
+"""The trials of an experiment: every cell with every seed, in the order of the file."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from itertools import product
+from typing import get_args
+
+from fullswarm.bus.network import parse_network
+from fullswarm.config import WorldConfig
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.evaluate.experiment.model import Engine, Experiment, Group, Parameter, Small, parse_seeds
+from fullswarm.evaluate.scenarios import Scenario, load_scenario
+
+Settings = tuple[tuple[str, Parameter], ...]
+"""Names and values; a tuple, so that a cell can be the key of a dictionary."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One combination; its trials differ by the seed alone."""
+
+    group: str
+    behaviour: str
+    parameters: Settings
+    scenario: str
+    robots: int
+    engine: str
+    limits: str
+    network: str = ""
+    noise_m: float = 0.0
+    noise_rad: float = 0.0
+    collisions_expected: bool = False
+
+    @property
+    def label(self) -> str:
+        """The behaviour with its parameters, for people."""
+        return " ".join((self.behaviour, *(f"{name}={value}" for name, value in self.parameters)))
+
+    def fields(self) -> dict[str, Parameter]:
+        """Return what a filter can look at."""
+        fields: dict[str, Parameter] = asdict(self)
+        del fields["parameters"]
+        return {**dict(self.parameters), **fields}
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What one run needs to know; everything, so that any process can run it."""
+
+    cell: Cell
+    seed: int
+    time_limit_s: float | None  # None: the scenario's
+    body: Settings  # of the world
+    agent: Settings  # of the agents
+    stop: Settings = ()  # termination conditions, as in a fleet file's table [performance]
+    arena: str = ""  # the scenario as JSON: its file may change or be elsewhere; empty: the cell's, by its name
+
+    @property
+    def label(self) -> str:
+        """Its name in progress and error lines."""
+        cell = self.cell
+        words = (cell.label, cell.scenario, f"N={cell.robots}", cell.engine, cell.limits, cell.network)
+        return " ".join((*filter(None, words), f"seed {self.seed}"))
+
+
+def differ_by_group(cells: Iterable[Cell]) -> bool:
+    """Tell whether some cells differ by their group alone: by settings of agents, ends or time limits."""
+    distinct = {(each.group, replace(each, group="", collisions_expected=False)) for each in cells}
+    return len({each for _, each in distinct}) < len(distinct)
+
+
+def plan(
+    experiment: Experiment,
+    seeds: tuple[int, ...] | None = None,
+    cells: tuple[str, ...] = (),
+    small: bool = False,
+    engine: str | None = None,
+) -> list[Trial]:
+    """Return the trials.
+
+    Parameters
+    ----------
+    seeds : instead of the file's
+    cells : filters, all of which must hold: a word that any field of a cell equals, or ``field=value``; several
+        may stand in one text with commas, ``*`` and ``?`` fit anything
+    small : only what the file's table ``[small]`` leaves
+    engine : instead of all groups' engines
+
+    Raises
+    ------
+    ConfigError
+        A filter names no field, nothing is left, a scenario's file is wrong, or there is no such engine.
+    """
+    if engine is not None and engine not in get_args(Engine):
+        raise ConfigError(
+            f"there is no engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(Engine))
+        )
+    shrunk = experiment.small if small else None
+    wanted = seeds or parse_seeds(shrunk.seeds if shrunk else experiment.seeds)
+    filters = [part.strip() for text in cells for part in text.split(",") if part.strip()]
+    trials, names, arena = [], set[str](), cache(arena_of)
+    for group in experiment.groups:
+        stop = tuple(group.stop.model_dump(exclude_defaults=True).items())
+        for cell in _cells(group, shrunk, engine):
+            fields = cell.fields()
+            names |= fields.keys()
+            if all(_fits(fields, each) for each in filters):
+                body = tuple(experiment.limits[cell.limits].model_dump().items())
+                agent = tuple(group.agent.items())
+                few = wanted[: group.seeds_at_most]
+                settings = group.time_limit_s, body, agent, stop, arena(cell.scenario)
+                trials += [Trial(cell, seed, *settings) for seed in few]
+    for each in filters:
+        field, equals, _ = each.partition("=")
+        if equals and field not in names:
+            raise ConfigError(f"no cell has a '{field}'", where=f"--cells {each}", hint=did_you_mean(field, names))
+    if not trials:
+        raise ConfigError(f"no cell of '{experiment.name}' fits", where=f"--cells {','.join(filters)}")
+    return trials
+
+
+def on_network(experiment: Experiment, conditions: str) -> Experiment:
+    """Return the experiment with these conditions of the network in all its groups; empty: a good one.
+
+    Raises
+    ------
+    ConfigError
+        They are wrong.
+    """
+    if conditions:
+        parse_network(conditions, where="--network")
+    groups = tuple(group.model_copy(update={"network": conditions}) for group in experiment.groups)
+    return experiment.model_copy(update={"groups": groups})
+
+
+def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
+    if small and small.groups is not None and group.name not in small.groups:
+        return []
+    return [
+        Cell(
+            group=group.name,
+            behaviour=behaviour.name,
+            parameters=tuple(behaviour.parameters.items()),
+            scenario=scenario,
+            robots=robots,
+            engine=each,
+            limits=limits,
+            network=group.network,
+            noise_m=group.noise.position_m,
+            noise_rad=group.noise.heading_rad,
+            collisions_expected=group.collisions_expected or behaviour.collisions_expected,
+        )
+        for each, limits, behaviour, scenario, robots in product(
+            group.engines if engine is None else (engine,),
+            group.limits,
+            group.behaviours,
+            group.scenarios,
+            group.robots,
+        )
+        if small is None or (robots <= small.robots_at_most and (engine is not None or each in small.engines))
+    ]
+
+
+def _fits(fields: dict[str, Parameter], text: str) -> bool:
+    name, equals, pattern = text.partition("=")
+    if equals:
+        return name in fields and fnmatch.fnmatchcase(str(fields[name]), pattern)
+    return any(fnmatch.fnmatchcase(str(value), text) for value in fields.values())
+
+
+def world_of(trial: Trial) -> WorldConfig:
+    """Return the world of a trial, still without a scenario."""
+    cell = trial.cell
+    noise = {"position_m": cell.noise_m, "heading_rad": cell.noise_rad}
+    return WorldConfig.model_validate({**dict(trial.body), "engine": cell.engine, "noise": noise, "seed": trial.seed})
+
+
+def arena_of(scenario: str) -> str:
+    """Return a scenario, by name or path, as the text that a trial carries; `ConfigError` as `load_scenario`."""
+    return load_scenario(scenario).model_dump_json(exclude_none=True)
+
+
+def scenario_of(trial: Trial) -> Scenario:
+    """Return the scenario of a trial; `ConfigError` as `load_scenario` when the trial does not carry it."""
+    if not trial.arena:
+        return load_scenario(trial.cell.scenario)
+    return Scenario.model_validate_json(trial.arena, strict=True)

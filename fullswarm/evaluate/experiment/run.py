@@ -1,0 +1,305 @@
+"""`fullswarm experiment run`: all trials of an experiment in worker processes, then a table or JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from fullswarm import output
+from fullswarm.clock import MonotonicClock
+from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.evaluate.experiment import Experiment, Trial, TrialResult, load_experiment, on_network, plan, summarise
+from fullswarm.evaluate.experiment.check import check_behaviours
+from fullswarm.evaluate.experiment.folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder, other_code
+from fullswarm.evaluate.experiment.model import parse_seeds
+from fullswarm.evaluate.experiment.pool import Pool
+from fullswarm.evaluate.experiment.table import closing, table
+from fullswarm.evaluate.provenance import provenance
+from fullswarm.evaluate.results.folder import older_in, older_text
+from fullswarm.evaluate.trial import Measure, attempt, measure
+from fullswarm.evaluate.trial_file import launch_text
+from fullswarm.evaluate.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
+
+TELL_S = 5.0
+"""How often progress is told."""
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line says."""
+
+    experiment: str
+    seeds: str | None = None
+    cells: tuple[str, ...] = ()
+    small: bool = False
+    jobs: int = 2
+    timeout_s: float = 600.0
+    folder: Path | None = None
+    as_json: bool = False
+    engine: str | None = None  # instead of all groups' engines
+    network: str | None = None  # instead of all groups' conditions of the network
+    shard: str | None = None  # "1/4": the first of four parts
+    retries: int = 1
+    dask: str | None = None  # "local", or a scheduler's address
+    live: bool = False  # real processes in real time
+    emulate: str | None = None  # with `live`: the make behind whose emulated ports the robots are
+    fleet: Path | None = None  # the robots of a fleet file, one trial after the other
+    yes: bool = False  # with `fleet`: nobody is asked whether it may drive
+    insecure_network: bool = False  # with `fleet`
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTrials:
+    """Runs trials on the robots of a fleet file, in this process: somebody sets them up and is asked."""
+
+    options: Options
+    fleet: Path
+    experiment: str
+
+    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        """Yield the trials that the fleet can run."""
+        from fullswarm.evaluate.fleet_trial import run_fleet
+
+        options = self.options
+        return run_fleet(
+            trials,
+            self.fleet,
+            self.experiment,
+            options.folder,
+            yes=options.yes,
+            insecure_network=options.insecure_network,
+        )
+
+
+class Runner(Protocol):
+    """Runs trials somewhere."""
+
+    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        """Yield each trial once, with its result, as it ends; those that it cannot run at all are left out."""
+        ...
+
+
+def run(options: Options, run_one: Measure = measure) -> int:
+    """Run the experiment; return 0 when no trial failed and none collided but where that was expected, else 1.
+
+    Ctrl-C ends it at once with 130; what is done is kept.
+
+    Raises
+    ------
+    ConfigError
+        The experiment, a behaviour in it, a filter, the seeds, the shard or the folder are wrong.
+    """
+    _check(options)
+    experiment = load_experiment(options.experiment)
+    configuration = configuration_of(experiment)  # before --network: that makes other cells, not another experiment
+    if options.network is not None:
+        experiment = on_network(experiment, options.network)
+    everything = plan(experiment, _seeds(options.seeds), options.cells, options.small, options.engine)
+    if options.fleet is None:  # the core of a fleet may have behaviours of its own
+        check_behaviours(everything, options.experiment)
+    trials = shard_of(everything, options.shard)
+    results = _kept(options, experiment, configuration, everything, trials)
+    clock = MonotonicClock()
+    began_s = clock.now_s()
+    try:
+        for trial, result in _run_all([each for each in trials if each not in results], experiment, options, run_one):
+            results[trial] = result
+    except KeyboardInterrupt:
+        if options.folder is not None:
+            with suppress(ConfigError):
+                sweep(options.folder)  # the trials that the workers were writing when they were ended
+        _say_interrupted(options, results, trials)
+        return INTERRUPTED
+    report = summarise(((trial, results[trial]) for trial in trials if trial in results), clock.now_s() - began_s)
+    written = options.folder is None or _finish(options.folder)
+    if options.as_json:
+        output.data_json(report.to_json())
+    else:
+        output.data_table(table(report), into_file=130)
+        output.data(closing(report))
+    return 0 if report.passed and written else 1
+
+
+def shard_of(trials: list[Trial], text: str | None) -> list[Trial]:
+    """Return the trials of shard ``"i/n"``: every n-th, from the i-th on; together the n shards are all.
+
+    Raises
+    ------
+    ConfigError
+        It is no shard, or holds no trial.
+    """
+    if text is None:
+        return trials
+    part, slash, of = text.partition("/")
+    if not (slash and part.isdecimal() and of.isdecimal() and 1 <= int(part) <= int(of)):
+        raise ConfigError(f"'{text}' is no shard", where="--shard", hint="write 1/4 for the first of four")
+    found = trials[int(part) - 1 :: int(of)]
+    if not found:
+        raise ConfigError(f"shard {text} of {len(trials)} trials is empty", where="--shard")
+    return found
+
+
+def _check(options: Options) -> None:
+    chosen = [name for name in ("dask", "live", "fleet") if getattr(options, name)]
+    if len(chosen) > 1:
+        raise ConfigError(f"choose one of {', '.join(f'--{name}' for name in chosen)}")
+    for name, needed in (("emulate", "live"), ("yes", "fleet")):
+        if getattr(options, name) and not getattr(options, needed):
+            raise ConfigError(f"it needs --{needed}", where=f"--{name}")
+
+
+def _seeds(text: str | None) -> tuple[int, ...] | None:
+    try:
+        return None if text is None else parse_seeds(text)
+    except ValueError as error:
+        raise ConfigError(str(error), where="--seeds") from error
+
+
+def _kept(
+    options: Options, experiment: Experiment, configuration: str, everything: list[Trial], trials: list[Trial]
+) -> dict[Trial, TrialResult]:
+    """Make the folder ready; return the results that it holds."""
+    if options.folder is None:
+        return {}
+    asked = Asked(
+        name=experiment.name,
+        description=experiment.description,
+        configuration=configuration,
+        seeds=options.seeds,
+        cells=options.cells,
+        small=options.small,
+        engine=options.engine,
+        how=_how(options),
+        file=_from_anywhere(options.experiment),
+        network=options.network,
+        fleet=None if options.fleet is None else str(options.fleet.resolve()),
+    )
+    asked, swept = open_folder(options.folder, asked, everything)
+    if swept:
+        output.progress(f"{swept} half-written trials of a run that died are removed")
+    older = older_in(options.folder, asked.trials)
+    if older:
+        output.progress(older_text(older))
+    results = kept_of(options.folder, trials)
+    if results:
+        output.progress(f"{len(results)} of {len(trials)} trials are in {options.folder} already")
+    for code, count in other_code(options.folder, results).items():
+        output.progress(f"{count} of them were run by other code ({code}); another --out runs them anew")
+    return results
+
+
+def _from_anywhere(experiment: str) -> str:
+    """Return what names the experiment from any folder: that of the package by its name, a file by its whole path."""
+    return str(Path(experiment).resolve()) if experiment.endswith(".toml") else experiment
+
+
+def _how(options: Options) -> str:
+    if options.fleet is not None:
+        return "fleet"
+    return f"live {options.emulate or ''}".rstrip() if options.live else LOCKSTEP
+
+
+# ---------------------------------------------------------------------------------------------------- running
+def _run_all(
+    trials: list[Trial], experiment: Experiment, options: Options, run_one: Measure
+) -> Iterator[tuple[Trial, TrialResult]]:
+    """Yield every trial with its result; tell on stderr how it goes."""
+    if not trials:
+        return
+    clock = MonotonicClock()
+    began_s = told_s = clock.now_s()
+    collisions = failed = 0
+    with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as runner:
+        for done, (trial, result) in enumerate(runner.run(trials), 1):
+            if result.lost and options.folder is not None:
+                result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
+            failed += result.outcome is None
+            collisions += result.outcome.events if result.outcome and result.outcome.safe_start else 0
+            _tell_trouble(trial, result)
+            now_s = clock.now_s()
+            if now_s - told_s >= TELL_S or done == len(trials):
+                told_s = now_s
+                left_s = (now_s - began_s) / done * (len(trials) - done)
+                output.progress(
+                    f"{done} of {len(trials)} trials, {collisions} collisions, {failed} failed, "
+                    f"about {left_s:.0f} s left"
+                )
+            yield trial, result
+
+
+def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> AbstractContextManager[Runner]:
+    kind = "pool"
+    if options.fleet is not None:
+        return nullcontext(FleetTrials(options, options.fleet, experiment))
+    if options.live:
+        from fullswarm.evaluate.live_trial import measure_live
+
+        run_one = partial(measure_live, emulate=options.emulate)
+        kind, jobs = "live", 1  # in real time a machine has no room for two swarms
+    if options.dask is not None:
+        from fullswarm.evaluate.experiment.dask import Cluster, Task
+
+        task = Task(experiment, run_one, options.timeout_s)
+        return Cluster(options.dask, jobs, task, options.folder, options.retries)
+    keeper = (
+        partial(_run_only, run_one) if options.folder is None else Keeper(options.folder, experiment, run_one, kind)
+    )
+    return Pool(jobs, options.timeout_s, keeper, retries=options.retries)
+
+
+def _run_only(run_one: Measure, trial: Trial, attempts: int) -> TrialResult:
+    clock = MonotonicClock()
+    began_s = clock.now_s()
+    found = attempt(trial, run_one)
+    return result_of(trial, found, clock.now_s() - began_s, attempts)
+
+
+def _keep_lost(out: Path, experiment: str, runner: str, trial: Trial, result: TrialResult) -> TrialResult:
+    """Keep a trial whose process could not do so itself any more, as failed; return what counts."""
+    kept = read_kept(out, trial)  # it may have died between keeping and answering
+    if kept is not None:
+        return kept
+    try:
+        about = provenance(None, result.wall_s, result.attempts, launch_text(trial, experiment), runner)
+        write_trial(out, record_of(trial, experiment, result.failure), about)
+    except OSError as error:
+        output.progress(f"cannot keep that it failed: {trial.label}: {error.strerror or error}")
+    return result
+
+
+def _finish(folder: Path) -> bool:
+    """Tidy up and write the report; tell what is in the way."""
+    sweep(folder)
+    try:
+        from fullswarm.evaluate.results import write_report
+
+        output.progress(f"report: {write_report(folder)}")
+    except (FullswarmError, ImportError) as error:
+        output.progress(f"no report: {error}")
+    except OSError as error:
+        output.progress(f"no report: {folder}: {error.strerror or error}")
+        return False
+    return True
+
+
+def _tell_trouble(trial: Trial, result: TrialResult) -> None:
+    outcome = result.outcome
+    if outcome is None:
+        output.progress(f"failed: {trial.label}: {result.failure}")
+    elif outcome.events and not trial.cell.collisions_expected:
+        apart = "" if outcome.safe_start else " (it began outside the safe set)"
+        output.progress(f"{outcome.events} collisions: {trial.label}{apart}")
+
+
+def _say_interrupted(options: Options, results: dict[Trial, TrialResult], trials: list[Trial]) -> None:
+    done = sum(result.outcome is not None for result in results.values())
+    if options.folder is None:
+        then = "nothing is kept without --out FOLDER"
+    else:
+        then = f"they are in {options.folder}; the same command goes on from there"
+    output.progress(f"interrupted: {done} of {len(trials)} trials are done, {then}")

@@ -1,0 +1,159 @@
+"""What a scenario is, and how its file is read."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from fullswarm.config import Point, Section
+from fullswarm.config.explain import dotted, explain
+from fullswarm.config.positions import line_numbers
+from fullswarm.errors import ConfigError
+from fullswarm.evaluate.scenarios.files import package_names, read_named
+
+S = TypeVar("S", bound=Section)
+
+Box = tuple[float, float, float, float, float]
+"""Centre x, y, size x, y in metres, yaw in radians; as in `WorldConfig.boxes`."""
+
+MINIMUM_SPACING_M = 0.4
+"""Centres of robots at the start; below it a Create has no room to turn away."""
+
+
+def _ordered(rectangle: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    x_min, y_min, x_max, y_max = rectangle
+    if not (x_max > x_min and y_max > y_min):
+        raise ValueError("must be x_min, y_min, x_max, y_max, the minima first")
+    return rectangle
+
+
+def _solid(boxes: tuple[Box, ...]) -> tuple[Box, ...]:
+    for number, (_, _, size_x, size_y, _) in enumerate(boxes):
+        if not (size_x > 0.0 and size_y > 0.0):
+            raise ValueError(f"box {number} needs positive sizes; a box is x, y, size x, size y, yaw")
+    return boxes
+
+
+Rectangle = Annotated[tuple[float, float, float, float], AfterValidator(_ordered)]
+"""x_min, y_min, x_max, y_max in metres."""
+
+
+class Spawn(Section):
+    """Where robots stand at the start."""
+
+    region_m: Rectangle
+    shape: Literal["rectangle", "ellipse"] = "rectangle"  # ellipse: evenly by angle on the one inside the region
+    spacing_m: float = Field(0.6, ge=MINIMUM_SPACING_M)
+    heading_rad: float | None = None  # None: uniform at random; on an ellipse: towards its centre
+
+
+class RandomBoxes(Section):
+    """Boxes placed by the seed: centres uniform in the region, clear of each other and of the goal."""
+
+    count: int = Field(ge=1, le=1000)
+    size_m: tuple[PositiveFloat, PositiveFloat] = (1.0, 1.0)
+    region_m: Rectangle
+
+
+class Goal(Section):
+    """A disc that all robots shall reach; `antipodal`: each its own start mirrored at the centre."""
+
+    centre_m: Point
+    radius_m: PositiveFloat
+    antipodal: bool = False
+
+
+class Scenario(Section):
+    """An arena with obstacles, a start and a goal; immutable."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    bounds_m: Rectangle
+    walls: bool = True
+    boxes: Annotated[tuple[Box, ...], AfterValidator(_solid)] = ()
+    random_boxes: RandomBoxes | None = None
+    spawn: Spawn
+    goal: Goal
+    time_limit_s: PositiveFloat = 60.0
+
+    @model_validator(mode="after")
+    def _inside(self) -> Self:
+        regions = [("spawn", self.spawn.region_m)]
+        if self.random_boxes:
+            regions.append(("random_boxes", self.random_boxes.region_m))
+        x_min, y_min, x_max, y_max = self.bounds_m
+        for table, (left, low, right, high) in regions:
+            if left < x_min or low < y_min or right > x_max or high > y_max:
+                raise ValueError(f"{table}.region_m reaches out of bounds_m")
+        x, y = self.goal.centre_m
+        if not (x_min <= x <= x_max and y_min <= y <= y_max):
+            raise ValueError("goal.centre_m lies out of bounds_m")
+        return self
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Return the names of the scenarios that come with the package."""
+    return package_names(resources.files(__package__))
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Return a scenario of the package by its name, or one from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        No such scenario or file, or errors in it: all of them at once, with file and line.
+    """
+    return parse_scenario(*read_named(name_or_path, resources.files(__package__), "scenario"))
+
+
+def parse_scenario(text: str, where: str) -> Scenario:
+    """Return the scenario that TOML `text` describes; `where` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML, or not a scenario.
+    """
+    return parse_section(text, where, Scenario)
+
+
+def parse_section(text: str, where: str, kind: type[S]) -> S:
+    """Return the settings of type `kind` that TOML `text` describes; `where` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML, or not such settings: all errors at once, with their lines.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not valid TOML: {error}", where=where) from error
+    try:
+        # JSON mode is strict (no "5" for 5) and yet takes TOML's lists for tuples.
+        return kind.model_validate_json(json.dumps(document, default=str), strict=True)
+    except ValidationError as error:
+        lines, complaints = line_numbers(text), []
+        for details in _own(error.errors(include_url=False)):
+            path, what = explain(details, kind)
+            known = next((path[:size] for size in range(len(path), 0, -1) if path[:size] in lines), None)
+            line = f":{lines[known]}" if known else ""
+            complaints.append(f"{where}{line}: {dotted(path)}: {what}" if path else f"{where}: {what}")
+        raise ConfigError("\n".join(complaints)) from error
+
+
+def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """Leave out lists that are too short only because what stands in them is wrong, and so was not counted."""
+    paths = [each["loc"] for each in errors]
+
+    def holds_another(path: tuple[int | str, ...]) -> bool:
+        return any(len(other) > len(path) and other[: len(path)] == path for other in paths)
+
+    return [each for each in errors if each["type"] != "too_short" or not holds_another(each["loc"])]

@@ -1,0 +1,14 @@
+"""The numbers that the kernels write are those of the enum that the rest reads."""
+
+from __future__ import annotations
+
+import pytest
+
+from fullswarm.agent import robot_controller
+from fullswarm.agent.robot_controller import EXPLAIN, Reason
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_each_reason_has_its_number_in_the_kernels_and_its_words(reason: Reason) -> None:
+    assert getattr(robot_controller, reason.name) == reason.value
+    assert reason in EXPLAIN or reason is Reason.HAZARD  # whose words are those of the hazards

@@ -1,0 +1,157 @@
+"""Who watches the bodies of a live trial: a world, or the robots' own messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from fullswarm.bus.local import LocalBus
+from fullswarm.config import SwarmConfig, WorldConfig
+from fullswarm.drivers.sim.world import World
+from fullswarm.evaluate.witness import HeardWitness, WorldWitness
+from fullswarm.keys import Keys
+from fullswarm.messages import HealthReport, RobotHealth, RobotStates
+from fullswarm.runtime import Mailbox
+
+ROBOTS = ("a", "b", "c")
+
+
+class Robots:
+    """Say where they are and what they touch."""
+
+    def __init__(self) -> None:
+        self.mailbox = Mailbox()
+        self.bus = LocalBus(self.mailbox)
+        self.witness = HeardWitness(
+            self.bus, SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS]})
+        )
+
+    def stand(self, robot: str, x_m: float, y_m: float) -> None:
+        states = RobotStates(
+            host=robot, sequence=1, stamp_s=0.0, robots=(robot,), x_m=(x_m,), y_m=(y_m,), heading_rad=(0.0,),
+            speed_m_s=(0.0,), turn_rad_s=(0.0,), radius_m=(0.2,),
+        )  # fmt: skip
+        self.bus.publish(Keys().state("0_0", robot), states)
+        self.mailbox.drain()
+
+    def report(self, robot: str, collisions: int, contacts: int = 0) -> None:
+        health = RobotHealth(
+            robot=robot, driver="", make="", model="", firmware="", lifecycle="ACTIVE", collisions=collisions,
+            contacts=contacts,
+        )  # fmt: skip
+        report = HealthReport(host=robot, process="p", version="0", robots=(health,))
+        self.bus.publish(Keys().health(robot), report)
+        self.mailbox.drain()
+
+
+@pytest.fixture
+def robots() -> Iterator[Robots]:
+    found = Robots()
+    yield found
+    found.witness.close()
+    found.bus.close()
+
+
+def test_poses_are_unknown_until_they_are_told(robots: Robots) -> None:
+    robots.stand("b", 1.0, 2.0)
+    assert np.isnan(robots.witness.pose[[0, 2]]).all()
+    assert robots.witness.pose[1].tolist() == [1.0, 2.0, 0.0]
+    assert robots.witness.radius_m.tolist() == [0.17, 0.2, 0.17]
+
+
+def test_what_robots_counted_before_does_not_count(robots: Robots) -> None:
+    robots.report("a", 7)
+    assert robots.witness.events[1].tolist() == [0, 0, 0]
+    robots.report("a", 9)
+    assert robots.witness.events[1].tolist() == [2, 0, 0]
+
+
+def test_a_contact_beside_another_robot_is_one_with_it_else_with_an_obstacle(robots: Robots) -> None:
+    robots.stand("a", 0.0, 0.0)
+    robots.stand("b", 0.45, 0.0)
+    for robot in ROBOTS:
+        robots.report(robot, 0)
+    robots.report("a", 1)
+    robots.stand("b", 0.6, 0.0)
+    robots.report("b", 1)
+    robots.report("c", 1)  # nobody knows where it is
+    robot_events, obstacle_events = robots.witness.events
+    assert robot_events.tolist() == [1, 0, 0]
+    assert obstacle_events.tolist() == [0, 1, 1]
+
+
+def test_touched_is_asked_once(robots: Robots) -> None:
+    robots.report("a", 0, contacts=1)
+    robots.report("b", 0)
+    robots.report("b", 1)  # short: it was over before the report
+    assert robots.witness.touched().tolist() == [True, True, False]
+    assert robots.witness.touched().tolist() == [False, False, False]
+
+
+def test_a_world_is_seen_from_the_first_look_on_however_many_steps_pass_between_two() -> None:
+    config = WorldConfig(engine="kinematic", bounds_m=(0.0, 0.0, 4.0, 4.0), speed_limit_m_s=0.5)
+    world = World(config, ["a", "b"], [(0.5, 1.0, 0.0), (0.5, 2.0, 0.0)])
+    try:
+        world.set_twists(np.array([[0.5, 0.0], [0.0, 0.0]]))
+        world.step()
+        witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1)
+        witness.look()
+        began_m = world.pose[0, 0]
+        for count in (1, 3, 0, 6):
+            for _ in range(count):
+                world.set_twists(np.array([[0.5, 0.0], [0.0, 0.0]]))
+                world.step()
+            witness.look()
+        assert witness.truth.distance_m[1] == 0.0
+        way_m = world.pose[0, 0] - began_m
+        assert way_m > 0.05
+        # The first look has nothing to compare with: from the second on all is counted.
+        assert way_m - 0.5 * world.dt_s <= witness.truth.distance_m[0] <= way_m
+        assert not witness.touched().any()
+        assert witness.above_limits == 0
+    finally:
+        world.close()
+
+
+def test_a_graze_between_two_looks_is_counted() -> None:
+    config = WorldConfig(engine="kinematic", bounds_m=(0.0, 0.0, 9.0, 4.0), speed_limit_m_s=4.0, accel_limit_m_s2=500.0)
+    world = World(config, ["a", "b", "c"], [(1.0, 1.0, 0.0), (5.0, 1.33, math.pi), (8.0, 3.0, 0.0)])
+    try:
+        witness = WorldWitness(world, np.full((3, 2), 2.0), 0.5, 0.1)
+        witness.look()
+        for _ in range(80):
+            world.set_twists(np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
+            world.step()
+        assert world.contacts.tolist() == [0, 0, 0]
+        witness.look()
+        assert [each.tolist() for each in witness.events] == [[1, 1, 0], [0, 0, 0]]
+        assert (witness.pairs_touched, witness.robots_touched) == (1, 2)
+        assert witness.touched().tolist() == [True, True, False]
+        evidence = witness.evidence()
+        assert evidence.closest_m[0] <= evidence.touch_m < evidence.closest_m[1:].min()
+        assert len(evidence.bend) > 0
+    finally:
+        world.close()
+
+
+@pytest.mark.parametrize("emulated", [False, True])
+def test_contacts_and_commands_above_the_limits_of_a_world(emulated: bool) -> None:
+    config = WorldConfig(engine="kinematic", bounds_m=(0.0, 0.0, 4.0, 4.0), speed_limit_m_s=0.5)
+    world = World(config, ["a", "b"], [(0.5, 1.0, 0.0), (0.9, 1.0, 0.0)])
+    try:
+        witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1, emulated)
+        witness.look()
+        for _ in range(30):
+            world.set_twists(np.array([[0.6, 0.0], [0.0, 0.0]]))
+            world.step()
+            witness.look()
+        robot_events, obstacle_events = witness.events
+        assert robot_events.tolist() == [1, 1]
+        assert obstacle_events.tolist() == [0, 0]
+        assert witness.touched().all()
+        assert (witness.above_limits > 0) is not emulated
+    finally:
+        world.close()
