@@ -26,13 +26,13 @@ _PROVEN = (
 _BODY = "interface=slcan&left=1&right=2&wheel_radius=0.05&base=0.3&radius=0.17"
 
 
-def _base(controller: str, options: str) -> Make:
+def _base(controller: str, needed: str, options: str) -> Make:
     return Make(
         name=controller,
         robots="CAN bases",
         schemes=(f"can+{controller}",),
         driver="fullswarm.drivers.can.driver:CanBaseDriver",
-        example=f"can+{controller}://can0?left=1&right=2&wheel_radius=0.05&base=0.3",
+        example=f"can+{controller}://can0?left=1&right=2&wheel_radius=0.05&base=0.3{needed}",
         limits="two motor controllers, differential drive",
         extra="can",
         guarded=True,
@@ -49,5 +49,5 @@ def _base(controller: str, options: str) -> Make:
     )
 
 
-ODRIVE = _base("odrive", "watchdog=0.5&volts_empty=21&volts_full=29.4")
-VESC = _base("vesc", "pole_pairs=7&gear=10")
+ODRIVE = _base("odrive", "", "watchdog=0.5&volts_empty=21&volts_full=29.4")
+VESC = _base("vesc", "&pole_pairs=7&gear=10", "pole_pairs=7&gear=10")
