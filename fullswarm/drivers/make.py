@@ -305,7 +305,8 @@ def named(name: str) -> Make:
     """
     known = {each.name: each for each in makes() if each.emulation}
     if name not in known:
-        raise ConfigError(f"no make '{name}' can be emulated", where="emulate", hint=did_you_mean(name, known))
+        choice = ", ".join(f"'{each}'" for each in known)
+        raise ConfigError(f"'{name}' is not one of {choice}", where="emulate", hint=did_you_mean(name, known))
     return known[name]
 
 
