@@ -20,6 +20,7 @@ Further files:
                    themselves back
 ``earth.py``       Places on earth in a swarm's own frame: the plane that touches the WGS84 ellipsoid at the swarm's
                    origin
+``emulators/``     Emulated robots: the other end of the wire of each make, on real ports
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): worlds, trials, how they are run, and what came of them
 ``geometry.py``    Angles, the unicycle map and frame changes

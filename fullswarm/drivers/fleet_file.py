@@ -10,6 +10,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
+from fullswarm.drivers.make import emulated
 from fullswarm.errors import did_you_mean
 
 CAN_DEFAULT, CAN_PORT, SYSTEM = "socketcan", "43113", "1"
@@ -34,7 +35,10 @@ def load_fleet(path: Path | str, overrides: Iterable[str] = (), *, here: bool = 
 def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str]]:
     """Yield (robot, key, what is wrong)."""
     schemes: tuple[str, ...] = ()
+    words = emulated() if any(robot.emulate for robot in config.robot) else {}
     for robot in config.robot:
+        if robot.emulate and robot.emulate not in words:
+            yield robot.id, "emulate", f"no emulated robot '{robot.emulate}', {did_you_mean(robot.emulate, words)}"
         scheme = urlsplit(robot.url).scheme
         if scheme in registry.DRIVERS:
             continue

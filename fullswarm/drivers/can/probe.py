@@ -5,7 +5,9 @@ Nothing that is sent sets a motor: a remote request for the version (ODrive 0.6 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -15,6 +17,7 @@ from fullswarm.drivers.can.odrive_states import error_names, state_name
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import Settings, parse
+from fullswarm.drivers.make import Scope
 from fullswarm.drivers.probe.found import Asked, Found
 from fullswarm.errors import ConfigError, DriverError, did_you_mean
 
@@ -75,6 +78,20 @@ class _Bus:
                 self.axes[node].volts = power.volts
             case _:
                 return
+
+
+def questions(scope: Scope, clock: Clock) -> list[tuple[str, Callable[[], Asked]]]:
+    """Return the buses to ask, by default the interfaces of the kernel that are up.
+
+    Raises
+    ------
+    ConfigError
+        A bus is not written as it must be; see `channel_url`.
+    """
+    buses = interfaces_up() if scope.everything else scope.can
+    for each in buses:
+        channel_url(each)
+    return [(bus, partial(ask_channel, bus, clock)) for bus in buses]
 
 
 def interfaces_up() -> list[str]:
