@@ -30,7 +30,7 @@ class MonotonicClock:
 
 
 class SimClock:
-    """A clock that stands still until somebody moves it: lockstep runs and tests."""
+    """A clock that stands still until it is moved: lockstep runs and tests."""
 
     __slots__ = ("_now_s",)
 

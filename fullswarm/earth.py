@@ -13,7 +13,7 @@ FLATTENING = 1.0 / 298.257223563
 _ECC2 = FLATTENING * (2.0 - FLATTENING)
 _ROUNDS = 5  # each one of the way back to a latitude gains two digits and more near the ground
 SITL_ORIGIN_DEG = (-35.3632621, 149.1652374)
-"""Where the simulated world lies when nobody says: where ArduPilot's own simulator starts."""
+"""Where the simulated world lies by default: where ArduPilot's own simulator starts."""
 
 
 def ecef(latitude_deg: float, longitude_deg: float, height_m: float = 0.0) -> tuple[float, float, float]:

@@ -56,7 +56,7 @@ class RequestRefused(ConfigError):
 
 
 class Unreachable(FullswarmError):
-    """Nobody answered: hub, core or robot."""
+    """No answer: from hub, core or robot."""
 
     exit_code = 3
 

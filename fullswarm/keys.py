@@ -129,7 +129,7 @@ class Keys:
         return f"{self.swarm}/estop"
 
     def estop_receipt(self, robot: str = ANY) -> str:
-        """Who has stopped."""
+        """Orders to stop."""
         return f"{self.swarm}/estop/receipt/{robot}"
 
     def ping(self, robot: str = ANY) -> str:

@@ -53,7 +53,7 @@ Value = (
 )
 """A behaviour parameter: flag, number, word, point ``[x, y]`` or list of points.
 
-Its numbers may be anything: whoever would carry the request out refuses it, with a reason that the sender can read.
+Its numbers may be anything: the process that carries requests out refuses them, with a reason for the sender.
 """
 Parameters = Annotated[dict[str, Value], Meta(max_length=256)]
 
@@ -85,7 +85,7 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
     parameters: Parameters = {}
     source: str = ""  # which process asks: "cli@host:pid"
     operator: str = ""  # in whose name, for leases: "anna@lab1"
-    take: bool = False  # take the robots over from who holds them
+    take: bool = False  # take the robots over from the operator who holds them
     clock: str = ""  # which clock `stamp_s` was read off, see `clock_id`; empty: one that only `source` reads
     stamp_s: Stamp = 0.0  # orders the requests of one operator, and all stops, on one clock; others by arrival
 
@@ -97,10 +97,10 @@ class RequestStatus(Message, frozen=True, kw_only=True):
     behaviour: str
     phase: Phase
     reason: str = ""  # why it was refused or superseded
-    robots: Names = ()  # who shall run it
-    running: Names = ()  # who confirmed
+    robots: Names = ()  # which shall run it
+    running: Names = ()  # which confirmed
     missing: Names = ()  # addressed, but not present now; they get it when they join
-    refused_by: Names = ()  # who said no, e.g. latched e-stop
+    refused_by: Names = ()  # which refused, e.g. latched e-stop
     stamp_s: Stamp = 0.0
 
 
@@ -118,7 +118,7 @@ class LeaseRequest(Message, frozen=True, kw_only=True):
     operator: str
     robots: Names
     hold: bool  # False: give back what `operator` holds of them
-    take: bool = False  # also from who holds them now
+    take: bool = False  # also from the operator who holds them now
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -263,7 +263,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
-# ---------------------------------------------------------------- agents -> everybody
+# ---------------------------------------------------------------- agents -> all
 class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
 

@@ -38,7 +38,7 @@ def log_to_stderr(*, warnings_only: bool = False) -> None:
 
     import structlog
 
-    # Looked up at each line: whoever redirects stderr, a test for one, may close it again.
+    # Looked up at each line: a redirected stderr, a test's for one, may be closed again.
     structlog.configure(
         logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
         wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING if warnings_only else logging.NOTSET),

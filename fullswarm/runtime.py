@@ -218,7 +218,7 @@ class Runtime:
         def on_signal(number: int, _frame: FrameType | None) -> None:
             if self._stopping:
                 if number == signal.SIGHUP:
-                    return  # the shell sends one and the kernel another: nobody has asked twice
+                    return  # the shell sends one and the kernel another: that is one request
                 signal.signal(number, signal.SIG_DFL)
                 signal.raise_signal(number)
             self.exit_signal = number

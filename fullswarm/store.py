@@ -48,7 +48,7 @@ class Store:
     path
         SQLite file, made with its folder when missing; None keeps everything in memory.
     wall_s
-        Seconds since 1970, for the record of who changed what when.
+        Seconds since 1970, for the record of authors and changes.
 
     Raises
     ------
@@ -143,7 +143,7 @@ class Store:
         return entries
 
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
-        """Write what the TOML files say, where nobody else has written since; return the keys that changed."""
+        """Write what the TOML files say, where nothing else was written since; return the keys that changed."""
         changed: dict[str, Stored] = {}
         for key, value in entries.items():
             old = self.entry(key)
@@ -179,7 +179,7 @@ class Store:
         for row in rows:
             try:
                 entries.append(_entry(row))
-            except (ValueError, TypeError, RecursionError) as error:  # somebody else has written into the file
+            except (ValueError, TypeError, RecursionError) as error:  # another program has written into the file
                 raise self._unreadable(row[0], error) from None
         return tuple(entries)
 

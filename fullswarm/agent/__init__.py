@@ -28,7 +28,7 @@ pose
 ``pose_conflicts.py``    poses that cannot be right
 
 neighbours
-``neighbours.py``        states heard from others, with age; ``pairs.py``: who is near whom, and where it may be
+``neighbours.py``        states heard from others, with age; ``pairs.py``: robots near each other, where they may be
 ``atlas.py``             obstacles that the robots have seen
 
 telemetry

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
 MOST = 1000
-"""Obstacles at most: whoever may speak on the bus must not fill a robot's memory."""
+"""Most obstacles kept: a sender on the bus must not fill a robot's memory."""
 
 
 @kernel

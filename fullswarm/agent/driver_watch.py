@@ -40,7 +40,7 @@ class DriverWatch:
         return self.ready
 
     def _watch_engaged(self, state: Lifecycle) -> None:
-        """Notice a driver that fell from ACTIVE to READY although nobody let go of it: a fault that came and went."""
+        """Notice a driver that fell from ACTIVE to READY although its task goes on: a fault that came and went."""
         wished = bool(self._controller.drive_on[0])
         if self._engaged and wished and state is Lifecycle.READY:
             self._inbox.spend(0, self._fleet.fault(0) or "the robot stopped driving by itself")

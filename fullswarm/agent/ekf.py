@@ -24,7 +24,7 @@ class Corrector:
 
     def __init__(self) -> None:
         try:
-            from filterpy.kalman import ExtendedKalmanFilter  # half a second, with SciPy: only who asks for it
+            from filterpy.kalman import ExtendedKalmanFilter  # half a second, with SciPy: only on use
         except ImportError as error:
             raise MissingExtra(
                 "the estimator 'ekf' needs filterpy", hint="pip install 'fullswarm[estimation]'"
@@ -48,7 +48,7 @@ class EkfEstimator:
     ----------
     start : (n, 3) poses at ``open()``
     position_sigma_m, heading_sigma_rad : standard deviation of a pose that a driver senses
-    placed : (n,) whether somebody has put the robot on its start pose; all when None
+    placed : (n,) whether the robot was placed on its start pose; all when None
     top_speed_m_s : (n,)
     """
 

@@ -49,7 +49,7 @@ class DirectEstimator:
     Parameters
     ----------
     start : (n, 3) poses at `open()`, for robots that know their odometry only
-    placed : (n,) whether somebody has put the robot on its start pose; all when None
+    placed : (n,) whether the robot was placed on its start pose; all when None
     top_speed_m_s : (n,)
     """
 

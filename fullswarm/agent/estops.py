@@ -30,7 +30,7 @@ Key = tuple[str, bool]
 class Rolling:
     """A robot between an e-stop and standing.
 
-    The way is taken from odometry: a pose that is corrected or noisy adds metres that nobody rolled. It is summed
+    The way is taken from odometry: a pose that is corrected or noisy adds metres that no wheel rolled. It is summed
     over legs longer than the make's odometry wanders at standstill, so that noise is no way.
     """
 
@@ -65,7 +65,7 @@ class EStops:
     """Engages and releases, and confirms.
 
     Orders are remembered by id. Operators repeat theirs until every robot has confirmed, so copies of an order come
-    after somebody else's newer one: those must not undo it.
+    after another operator's newer one: those must not undo it.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class EStops:
         self._folder: LatchFolder | None = None
 
     def remember(self, folder: LatchFolder) -> None:
-        """Keep latches in `folder`, and latch whom it holds: a new process must not undo an e-stop."""
+        """Keep latches in `folder`, and latch the robots that it names: a new process must not undo an e-stop."""
         self._folder = folder
         for row, robot in enumerate(self._fleet.ids):
             if folder.holds(robot):
@@ -123,7 +123,7 @@ class EStops:
         for (row, key), rolling in list(self._rolling.items()):
             place, stamp_s = self._place(row)
             rolling.follow(place, stamp_s, float(self._controller.speed_limit[row]))
-            # An old reading tells nothing: who lost his driver is latched, but nobody has seen him stand.
+            # An old reading proves nothing: a robot without a driver is latched, but its standstill is unverified.
             rests = rolling.since_s <= self._standstill.since_s[row] < math.inf
             standing = stamp_s > rolling.since_s + self._commanded_s and bool(rests)
             late = now_s - rolling.since_s > SETTLE_TIMEOUT_S

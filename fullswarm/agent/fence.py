@@ -53,7 +53,7 @@ class Fence:
 
     Attributes
     ----------
-    spent : request id → why it may not start again, whoever sends it
+    spent : request id → why it may not start again
     halted : id of a stop that no core heard, since which nothing was accepted; empty: none
     """
 
@@ -81,7 +81,7 @@ class Fence:
         return False
 
     def see(self, request_id: str) -> None:
-        """Remember a request that somebody wanted to start here."""
+        """Remember a request that was to start here."""
         self._seen.note(request_id)
 
     def accept(self) -> None:

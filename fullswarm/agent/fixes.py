@@ -1,4 +1,4 @@
-"""Pose fixes: where motion capture, a camera or the simulator sees the robots. Checked, dated, handed to who uses them.
+"""Pose fixes: where motion capture, a camera or the simulator sees the robots. Checked, dated, passed on.
 
 A robot follows one source (a process) at a time. Another one takes over when that has been silent for
 ``fix_timeout_s``; what is left on its way from the old one is then refused. How late a fix is, is known without
@@ -40,7 +40,7 @@ SOURCES = 8
 FAR_M = 1.0e6
 VAGUE_M = 100.0
 LEAST_SIGMA = 1.0e-3
-"""Nobody sees better than 1 mm and 1 mrad, whatever he says: a filter that believed it would reject the next fix."""
+"""No source measures better than 1 mm and 1 mrad, whatever it states: a filter would reject the next fix."""
 
 LOST = "its fixes have stopped; odometry alone"
 REFUSED = "its fixes are refused ({why}); odometry alone"
@@ -61,7 +61,7 @@ SENSED = PoseHealth("driver", -1.0, -1.0, "")
 
 @dataclass(slots=True)
 class Watched:
-    """One robot that somebody outside sees."""
+    """One robot that an outside source sees."""
 
     source: str = ""
     stamp_s: float = -math.inf  # of the newest fix taken

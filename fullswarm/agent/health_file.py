@@ -1,6 +1,6 @@
 """The agent's own verdict on itself, as a file: what a base, or a robot alone, judges a new release by.
 
-A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and somebody
+A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and something
 is heard, over any one link: the core or another robot. An e-stop is none of a release's business: it outlives them.
 """
 

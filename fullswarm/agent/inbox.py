@@ -28,7 +28,7 @@ REMEMBERED_STOPS = 256
 
 UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
 """Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it. A
-switch is: what is asked for meanwhile would start when somebody who works on the robot turns it."""
+switch is: what is asked for meanwhile would start when a person who works on the robot turns it."""
 
 
 class Inbox:
@@ -229,7 +229,7 @@ class Inbox:
         rows = self._addressed(order.robots)
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
-            # not be started by it. Releasing a robot that is not latched stops nobody.
+            # not be started by it. Releasing a robot that is not latched stops nothing.
             if order.engaged or self._controller.estop[row]:
                 what = "engaged" if order.engaged else "released"
                 self._halt(row, order.id or "estop", f"{ESTOP_WAS} {what} by {order.source or 'an operator'}")

@@ -25,7 +25,7 @@ Index = NDArray[np.int64]
 
 PERIOD_S = 0.2
 LEAST_M_S = 0.02
-"""What the filter changes by less nobody sees."""
+"""A smaller change is not visible."""
 NOTHING, ROBOT, OBSTACLE, EDGE = range(4)
 
 
@@ -122,7 +122,7 @@ class Reporter:
         self._bus.publish(self._key, message)
 
     def _rows(self) -> Index:
-        """Return whom the filter holds; a robot that stands for another reason is not held by the filter."""
+        """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
         moving = self._controller.reason == Reason.MOVING
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 

@@ -17,7 +17,7 @@ log = structlog.get_logger()
 class LatchFolder:
     """Files ``<robot>.estop``. What is in them is for people; that a file is there is the latch.
 
-    So a file that was cut short by a power loss, or that nobody may read, still holds the robot.
+    So a file that was cut short by a power loss, or that cannot be read, still holds the robot.
     """
 
     def __init__(self, folder: Path) -> None:

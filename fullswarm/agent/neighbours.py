@@ -19,9 +19,9 @@ Index = NDArray[np.int64]
 MANY_CELLS = 64
 
 SILENT_S = 0.3
-"""Who has said nothing for so long may have left the cells that are listened to."""
+"""A robot that was silent for so long may have left the cells that are listened to."""
 ANEW_S = 1.0
-"""Who says nothing newer for so long, and then counts from below, has booted: its clock began anew as well."""
+"""A robot that sends nothing newer for so long, and then counts from below, has booted: its clock began anew too."""
 STRIDE_S = 0.2
 """So long a robot may go unheard while it leaves them: some state messages."""
 
@@ -125,7 +125,7 @@ class Neighbours:
         self._now_s, self._stale = now_s, True
 
     def _predict(self) -> None:
-        """Move all heard positions on to the time of the last `look`: only when somebody asks."""
+        """Move all heard positions on to the time of the last `look`, on use."""
         self._stale, now_s = False, self._now_s
         self.silent = pairs.predict.run(
             self.heard, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
@@ -138,7 +138,7 @@ class Neighbours:
         return self.places, self.heard, self.spread_m, self.blur_m
 
     def around(self, position: Array, reach_m: float) -> tuple[Index, Index]:
-        """Find whom the safety filter must heed: as `within`, but silent robots too, and places that are unsure."""
+        """Find what the safety filter must heed: as `within`, but silent robots too, and places that are unsure."""
         if self._stale:
             self._predict()
         return self._search(position, self.places, reach_m)
@@ -148,7 +148,7 @@ class Neighbours:
         return now_s - self.arrival_s[: self.count]
 
     def forget(self, now_s: float, listened: Callable[[float, float, float], bool]) -> None:
-        """Forget who is silent where nobody listens: there silence says nothing.
+        """Forget silent robots outside the subscribed cells: there silence says nothing.
 
         Parameters
         ----------
@@ -161,11 +161,11 @@ class Neighbours:
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
-        """Find who is within `reach_m` of each own robot at the time of the last `look`, and of its team.
+        """Find the robots within `reach_m` of each own robot at the time of the last `look`, and of its team.
 
         Parameters
         ----------
-        team : (n,) of the own robots; 0, or None for all of them: everybody counts
+        team : (n,) of the own robots; 0, or None for all of them: all robots count
 
         Returns
         -------
@@ -199,7 +199,7 @@ class Neighbours:
         return start, other
 
     def oldest_age_s(self, now_s: float) -> float:
-        """Return the age of the stalest state that still counts; 0 when nobody is heard."""
+        """Return the age of the stalest state that still counts; 0 when none is heard."""
         ages = now_s - self.arrival_s[: self.count]
         fresh = ages[ages <= self._timeout_s]
         return float(fresh.max()) if len(fresh) else 0.0

@@ -88,10 +88,10 @@ class AgentNode:
         self._state = state = Motion(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
-        # Nobody tells what the others' wheels can do: they are taken for robots like this one.
+        # The limits of other robots are not on the wire: they are taken for robots like this one.
         self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
         self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
-        # Whoever falls silent has lost its agent, the hub or the core, and stands by then.
+        # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
         self.filter = SafetyFilter(
             fleet.ids, fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit,
@@ -318,7 +318,7 @@ class AgentNode:
 
     @property
     def contacts(self) -> NDArray[np.int64]:
-        """How many bodies each robot touches now, as it feels itself or as somebody sees it, (n,)."""
+        """How many bodies each robot touches now, as it feels itself or as a source outside sees it, (n,)."""
         return self.fixes.touches()
 
     @property

@@ -1,4 +1,4 @@
-"""Who senses whom: the neighbour search, as a kernel."""
+"""The neighbour search, as a kernel: which robots sense each other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def predict(
     predicted : (m, 2) out, NaN for silent robots
     places, spread_m : (m, 2), (m,) out, centre and radius of the disc that holds the robot's centre
     blur_m : (m,) out, by how much its direction is unknown: the spread, but 0 for a silent robot, which is kept off
-        like a wall, so that who is inside its disc may leave it
+        like a wall, so that a robot inside its disc may leave it
     """
     silent = 0
     for row in range(count):
@@ -183,7 +183,7 @@ def cell_pairs(
 
 @kernel
 def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None:
-    """Drop from the edge list who is not of a robot's own team.
+    """Drop from the edge list robots that are not of a robot's own team.
 
     Parameters
     ----------

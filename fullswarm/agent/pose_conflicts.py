@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Near = Callable[[float], tuple[Index, Index]]
-"""Who is in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
+"""Which robots are in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
 
 OVERLAP, APART = 0.5, 0.25
 """Shares of the smaller footprint's radius by which two discs overlap: so deep is an alarm, less deep ends it.

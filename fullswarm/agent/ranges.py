@@ -1,4 +1,4 @@
-"""What a control request may ask: checked on board too, because whoever may speak on the bus can send one.
+"""What a control request may ask: checked on board too, because any sender on the bus can send one.
 
 The ranges are those of the behaviours' records, from the files that are installed on the robot's computer: a law takes
 what one of its records allows. A parameter that no record knows, such as the target that a core works out of a

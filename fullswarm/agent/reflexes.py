@@ -110,7 +110,7 @@ def fence(
 
     For each edge: v² / 2a + v · delay <= distance / cos, where cos is of the angle between the motion and the
     edge's normal, the worst one that the measured or wished turn rate can reach until the robot stands.
-    Who drives along an edge and then begins to turn towards it may cross it by the way that he needs to brake.
+    A robot that drives along an edge and then begins to turn towards it may cross it by its braking distance.
     """
     for i in range(pose.shape[0]):
         floor[i] = -math.inf
@@ -133,7 +133,7 @@ def fence(
             for way in range(2):
                 heading = pose[i, 2] + (0.0 if way == 0 else math.pi)
                 off = math.fabs(wrap(heading - normal))
-                # Outside, turning must stay free, or nobody could turn round and drive back.
+                # Outside, turning must stay free, or no robot could turn round and drive back.
                 outward = math.cos(max(0.0, off - turned) if room > 0.0 else off)
                 if outward <= 1e-9:  # along the edge, but for rounding
                     continue

@@ -1,4 +1,4 @@
-"""Which robot runs what: one task per robot, grouped so that a law is called once for all who run it."""
+"""Which robot runs what: one task per robot, grouped so that a law is called once for all robots that run it."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Tasks:
     lasting : (n,) it is filtered and no intent of a stick
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
-    team : (n,) whom its law counts as neighbours; 0: all that are sensed
+    team : (n,) which robots its law counts as neighbours; 0: all that are sensed
     lapses_s : (n,) when it ends by itself; inf
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """

@@ -1,4 +1,4 @@
-"""One robot's pose between its odometry and what somebody outside sees: dead reckoning, late fixes, outliers."""
+"""One robot's pose between its odometry and what is measured from outside: dead reckoning, late fixes, outliers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Verdict(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A pose that somebody saw, and when, on this machine's clock."""
+    """A pose that was measured from outside, and when, on this machine's clock."""
 
     at_s: float
     pose: Pose
@@ -103,7 +103,7 @@ class Track:
     Parameters
     ----------
     start : pose at ``open()``; the pose is odometry laid on it until something better is known
-    placed : somebody has put the robot there; else nothing is known
+    placed : the robot was put there; else nothing is known
     top_speed_m_s : what it can do; odometry that jumps further has been reset
     correct : pulls the first belief towards the second, an independent measurement of the same pose
     """
@@ -224,7 +224,7 @@ class Track:
         seen, wrong = self._moved(fix, motion), self._noise.variances(motion)
         now = Pose(seen.x_m, seen.y_m, seen.heading_rad)
         if not self.anchored:
-            self.anchored = True  # the start pose was somebody's word; this is the first look
+            self.anchored = True  # the start pose was stated; this is the first measurement
             seen.widen(*wrong)
             return Taken(Verdict.ACCEPTED, now, self._anchor(seen, fix.at_s))
         belief = self.belief
@@ -263,7 +263,7 @@ class Track:
             seen = Belief.around(pose, fix.position_sigma_m, fix.heading_sigma_rad)
             seen.move(motion)
             return seen
-        # The own heading then, or the motion would be laid out in a direction that nobody has seen.
+        # The own heading then, or the motion would be laid out in a direction that was never measured.
         pose[2] = wrap(self.belief.heading_rad - motion.turn_rad)
         seen = Belief.around(pose, fix.position_sigma_m, min(math.sqrt(self.belief.hh), UNKNOWN_RAD))
         seen.move(motion)

@@ -49,7 +49,7 @@ class Wishes:
         self.law_error = [""] * count
 
     def near(self, now_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return who is in sensing range of each robot (``Neighbours.around``), of the last tick if asked then."""
+        """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
         if self._near is self._alone and len(self._state.radius):
             self._neighbours.look(now_s)
             position = np.ascontiguousarray(self._state.pose[:, :2])
@@ -79,7 +79,7 @@ class Wishes:
         if not planar and not tasks.any_filtered:
             return
         if tasks.any_filtered:
-            # A stick is not turned aside: whoever holds it sees the robot.
+            # A stick is not turned aside: its operator sees the robot.
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone

@@ -10,7 +10,7 @@ Files:
 ``base.py``       What a node may ask of a bus, and how key expressions match
 ``codec.py``      Messages as bytes: MessagePack, with errors that say what does not fit
 ``counting.py``   A bus that counts what goes through it: one per process, around the real one
-``endpoint.py``   Where the hub listens: the default address, its syntax, and who may reach it
+``endpoint.py``   Where the hub listens: the default address, its syntax, and which computers reach it
 ``faulty.py``     A bus on a bad network: loses, delays, doubles and reorders what comes in, and cuts processes off
                   from each other
 ``hub.py``        The hub: a zenoh router in a process of its own; every agent, the core and the operators are its

@@ -34,7 +34,7 @@ class Bus(Protocol):
     """Publish/subscribe between nodes. Handlers run on the runtime's thread, in order per publisher."""
 
     def publish(self, key: str, message: Message) -> None:
-        """Send `message` to all who subscribed to a matching expression. Never blocks; may lose when cut off."""
+        """Send `message` to all subscribers of a matching expression. Never blocks; may lose when cut off."""
         ...
 
     def subscribe(

@@ -18,7 +18,7 @@ from fullswarm.messages import FITS, Message
 M = TypeVar("M", bound=Message)
 
 LARGEST_BYTES = 4_000_000
-"""Of one message. A thousand robots' health is a tenth of it; what is longer would hold up whoever decodes it."""
+"""Of one message. A thousand robots' health is a tenth of it; what is longer would hold up its reader."""
 
 _encoder = msgspec.msgpack.Encoder()
 

@@ -24,7 +24,7 @@ class CountingBus:
         self.sent = self.received = 0
 
     def publish(self, key: str, message: Message) -> None:
-        """Send `message` to all who subscribed to a matching key."""
+        """Send `message` to all subscribers of a matching key."""
         self.sent += 1
         self._bus.publish(key, message)
 

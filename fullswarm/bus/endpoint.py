@@ -1,4 +1,4 @@
-"""Where the hub listens: the default address, its syntax, and who may reach it."""
+"""Where the hub listens: the default address, its syntax, and which computers reach it."""
 
 from __future__ import annotations
 

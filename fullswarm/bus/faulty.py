@@ -92,7 +92,7 @@ class Link:
             deliver()
 
     def _queue(self, deliver: Deliver) -> None:
-        """Deliver in the order of sending: who draws a short delay waits for those before."""
+        """Deliver in the order of sending: a message with a short delay waits for those before."""
         now_s = self._scheduler.now_s()
         self._last_s = max(self._last_s, now_s + self._delay_s())
         self._waiting.append(deliver)

@@ -27,7 +27,7 @@ class Inbox:
     mailbox
         Where the messages wait for the node.
     expression, kind, handler
-        What to listen to, the type to decode, whom to call.
+        What to listen to, the type to decode, what to call.
     latest
         Keep one message per key: a newer one takes the place of one that still waits.
     with_sender

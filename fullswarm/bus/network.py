@@ -11,9 +11,9 @@ from fullswarm.errors import ConfigError, did_you_mean
 
 EXAMPLE = "loss=20%,delay=100ms±50,partition=r1+r2|*"
 REST = "*"
-"""In a partition: everybody who is not named."""
+"""In a partition: all processes that are not named."""
 LONGEST_S = 60.0
-"""A message that is later than that is of no use to anybody."""
+"""A message that is later than that is of no use."""
 
 _SHARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(%?)\Z")
 _TIME = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(ms|s)?\Z")
@@ -28,7 +28,7 @@ class Partition:
     Parameters
     ----------
     sides
-        Names of processes; ``*`` stands for all that no side names. Whoever is on no side hears everybody.
+        Names of processes; ``*`` stands for all that no side names. A process on no side receives all.
     """
 
     sides: tuple[frozenset[str], ...]
@@ -67,7 +67,7 @@ class Network:
     reorder
         Share that takes another way: up to `DETOUR_S` longer, past those that wait and passed by later ones.
     partitions
-        Who cannot hear whom, and when.
+        Which processes are cut off from each other, and when.
     """
 
     loss: float = 0.0

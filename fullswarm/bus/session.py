@@ -19,7 +19,7 @@ _COMMON: dict[str, object] = {
     # Nothing is found by accident: the default settings join any zenoh on the local network.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # else opening a router waits 0.5 s for nobody
+    "scouting/delay": 0,  # else opening a router waits 0.5 s in vain
     "transport/link/tx/lease": 1000,  # ms; what a node announces: its silence is noticed after this
     # Our messages are small: shared memory saves nothing, costs 16 MB and leaves files after a kill.
     "transport/shared_memory/enabled": False,
@@ -106,7 +106,7 @@ class HubLink:
         while not self._closing.is_set():
             try:
                 return zenoh.open(self._config)
-            except zenoh.ZError:  # nobody listens there yet
+            except zenoh.ZError:  # no hub listens there yet
                 self._closing.wait(delay_s)
                 delay_s = min(delay_s * RETRY_FACTOR, RETRY_LAST_S)
         return None

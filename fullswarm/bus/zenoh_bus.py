@@ -184,7 +184,7 @@ class ZenohBus:
         return route
 
     def _publisher(self, key: str) -> zenoh.Publisher | None:
-        """Declare a publisher: a put then costs 1 µs instead of 25, and stays here while nobody listens."""
+        """Declare a publisher: a put then costs 1 µs instead of 25, and stays here while there is no subscriber."""
         with self._lock:
             if self._session is None:
                 return None

@@ -1,7 +1,7 @@
 """What the shell offers on TAB: robots, groups, behaviours, parameters, scenarios, experiments.
 
 From the live swarm if its hub answers at once, else from the fleet file, else what comes with the package. Nothing
-here may complain, wait or import much: it runs each time somebody presses a key.
+here may complain, wait or import much: it runs at each press of a key.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _known(context: typer.Context, *, live: bool, robots: bool = False) -> Known
             return seen
     known = from_package()
     if named:
-        with contextlib.suppress(Exception):  # half a path, or a file somebody is writing
+        with contextlib.suppress(Exception):  # half a path, or a file that is being written
             return from_fleet(Path(str(named)), known)
     return known
 

@@ -61,7 +61,7 @@ def explain(error: ErrorDetails, schema: type[BaseModel], extra_keys: Sequence[s
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         return path, f"{_text(error)}{_not(given)}, {did_you_mean(str(given), choices)}"
-    # Who writes 3000 for a radius thinks of millimetres.
+    # A radius of 3000 was meant in millimetres.
     unit = unit_of(str(path[-1])) if kind == "less_than_equal" else ""
     return path, f"{_text(error)}{f' {unit}' if unit else ''}{_not(given)}"
 

@@ -236,7 +236,7 @@ class SwarmConfig(Section):
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
-        """The arena: x_min, y_min, x_max, y_max in metres; 100 m wide around the origin when nobody said."""
+        """The arena: x_min, y_min, x_max, y_max in metres; 100 m wide around the origin by default."""
         if self.agent.bounds_m is not None:
             return self.agent.bounds_m
         return self.world.bounds_m if self.world else (-50.0, -50.0, 50.0, 50.0)
@@ -253,7 +253,7 @@ class SwarmConfig(Section):
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the swarm's (0, 0); None: nobody said."""
+        """Latitude and longitude of the swarm's (0, 0); None: not given."""
         return self.origin or (self.world.origin if self.world else None)
 
     @property

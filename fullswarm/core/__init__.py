@@ -1,7 +1,7 @@
-"""The core layer (paper II.C): runs on the base station, decides who runs what, never touches a robot.
+"""The core layer (paper II.C): runs on the base station, decides which robot runs what, never touches one.
 
 In: ``BehaviourRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and ``ControlAck`` of the agents.
-Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to everybody, ``Heartbeat``.
+Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all, ``Heartbeat``.
 
 ``behaviours.toml``    the behaviours that exist: people edit this
 ``schema.py``          what a record may say
@@ -14,7 +14,7 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to ever
 ``progress.py``        one request: from the states of its robots to its status
 ``status.py``          what became of each request
 ``remap.py``           the core's end of the centralised behaviours
-``roster.py``          who is present
+``roster.py``          which robots are present
 ``settings.py``        settings: seeded from the fleet file, changed while it runs
 ``params.py``          the local database on the bus
 ``node.py``            wires all of it
@@ -24,7 +24,7 @@ Further files:
 
 ``groups.py``   Groups of robots in the core's database: ``@name`` stands for them wherever a request names robots
 ``keep.py``     Writes the core's memory: a disk that is full or locked is complained about, and must not end the core
-``latches.py``  Who is in e-stop: the second memory beside the agents' own
+``latches.py``  Which robots are in e-stop: the second memory beside the agents' own
 ``leases.py``   Authority: who drives which robots (decision 17)
 ``outside.py``  Records of behaviours that other packages bring: their law is an entry point, their record lies beside
                 the law

@@ -31,7 +31,7 @@ class Groups:
         """Return the robots of group `name`; None: there is no such group."""
         if name not in self._robots:
             if not ROBOT_ID.match(name):
-                return None  # whoever makes names up must not fill the memory
+                return None  # made-up names must not fill the memory
             value = self._store.get(GROUP + name)
             robots = value.get("robots") if isinstance(value, dict) else None
             found = tuple(map(str, robots)) if isinstance(robots, list) else None
@@ -46,7 +46,7 @@ class Groups:
         Raises
         ------
         RequestRefused
-            No such group, or nobody is in it: that must not turn into the whole swarm.
+            No such group, or it is empty: that must not turn into the whole swarm.
         """
         if not any(name.startswith(MARK) for name in names):
             return names

@@ -1,6 +1,6 @@
-"""Who is in e-stop. An agent keeps its own latch; this is the second memory, for one that lost it or never got it.
+"""Which robots are in e-stop: a second memory, for agents that lost their own latch or never got the order.
 
-Who says that he is not latched although he should be gets the order again, before anybody asks him to move. The agents
+A robot that reports no latch although it should be latched gets the order again, before any request to move. The agents
 carry e-stops out by themselves, with or without a core. Any message may be lost, so a latch is forgotten only when its
 release was heard, from the operator or in a robot's receipt, or when an agent that had it reports that it has it no
 more.

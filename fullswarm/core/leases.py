@@ -1,6 +1,6 @@
 """Authority: who drives which robots (decision 17). A robot without a lease obeys every operator.
 
-Leases are kept in memory only. They lapse soon after the last word of their holder, and he says it each second: so a
+Leases are kept in memory only. They lapse soon after the last word of their holder, who repeats it each second: so a
 core that is started again knows them a second later, and an operator who is gone holds nothing.
 """
 
@@ -20,7 +20,7 @@ LAPSE_S = 3.0
 SAY_S = 1.0
 CHECK_S = 0.1
 LONGEST_NAME = 128
-"""A longer name of an operator is nobody's: it would go out with each of his leases every second."""
+"""A longer name of an operator is refused: it would go out with each of their leases every second."""
 HINT = "to take over: `--take` in a shell, the button in the console"
 NAMED = 5
 """So many of a holder's robots are named in a refusal."""
@@ -39,7 +39,7 @@ class Held:
 
 
 class Authority:
-    """Grants, renews and ends leases, and tells everybody.
+    """Grants, renews and ends leases, and publishes them.
 
     Parameters
     ----------
@@ -59,17 +59,17 @@ class Authority:
         self._subscription = bus.subscribe(keys.lease_request, LeaseRequest, self._requested)
 
     def holder(self, robot: str) -> str:
-        """Return who holds `robot`; empty: nobody."""
+        """Return the operator who holds `robot`; empty: none does."""
         held = self._held.get(robot)
         return held.operator if held else ""
 
     def admit(self, operator: str, robots: Iterable[str], *, take: bool) -> None:
-        """Let a request of `operator` pass, which renews his leases; with `take` he gets those of others.
+        """Let a request of `operator` pass, which renews their leases; with `take` they get those of others.
 
         Raises
         ------
         RequestRefused
-            Somebody else holds one of `robots`, and it is not to be taken: then nothing has changed.
+            Another operator holds one of `robots`, and it is not to be taken: then nothing has changed.
         """
         if not self._held:
             return
@@ -123,7 +123,7 @@ class Authority:
         return bool(given)
 
     def _drop_lapsed(self) -> None:
-        """End what was not renewed: by its time, not by when somebody looks."""
+        """End what was not renewed: by its time, not by when it is looked at."""
         oldest_s = self._scheduler.now_s() - LAPSE_S
         lapsed = [robot for robot, held in self._held.items() if held.renewed_s <= oldest_s]
         for robot in lapsed:
@@ -151,7 +151,7 @@ class Authority:
 
 
 def _who_holds(others: Iterable[tuple[str, Held]]) -> str:
-    """Name every holder with his robots: ``r3 is held by anna@lab, r4 and r5 are held by bob@lab``."""
+    """Name every holder with their robots: ``r3 is held by anna@lab, r4 and r5 are held by bob@lab``."""
     by_holder: dict[str, list[str]] = {}
     for robot, held in others:
         by_holder.setdefault(held.operator, []).append(robot)

@@ -163,7 +163,7 @@ class MainController:
         self._stand(request.id, request.robots, "")
 
     def _emergency(self, estop: EStop) -> None:
-        """Want nothing of robots in e-stop: releasing it must not start anybody."""
+        """Want nothing of robots in e-stop: releasing it must not start any."""
         if estop.engaged:
             self._stand(estop.id, estop.robots, "e-stop" + (f": {estop.reason}" if estop.reason else ""))
 
@@ -204,7 +204,8 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
 def _team(request: BehaviourRequest, record: Record) -> int:
     """Return the number of the team that the request's robots are; 0: their law's neighbours are the whole swarm.
 
-    Each frame of a stick is a request of its own: there the team is whom one operator steers with one behaviour.
+    Each frame of a stick is a request of its own: there the team is all that one operator
+    steers with one behaviour.
     """
     if record.team == "swarm":
         return 0

@@ -41,7 +41,7 @@ class CoreNode:
     Parameters
     ----------
     store
-        The local database; seeded here. Whoever opened it closes it, after this node.
+        The local database; seeded here. Its opener closes it, after this node.
     process
         Name of this start, unlike any other's.
     extra

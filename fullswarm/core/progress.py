@@ -16,7 +16,7 @@ class Progress:
     request_id: str
     behaviour: str
     robots: tuple[str, ...]
-    ran: bool = False  # all who are present ran it at some time
+    ran: bool = False  # all robots present ran it at some time
     reason: str = ""
     left: dict[str, str] = field(default_factory=dict)  # robot → why it does not hold the request any more
     beaten: bool = False

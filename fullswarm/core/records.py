@@ -166,7 +166,7 @@ def resolve(
     Parameters
     ----------
     robots
-        Who is addressed, in the order of the request: the k-th target of a formation is the k-th robot's.
+        The robots addressed, in the order of the request: the k-th target of a formation is the k-th robot's.
     lookup
         Reads the local database.
 

@@ -299,7 +299,7 @@ class RequestHandler:
             return
         status = progress.status(self._robots)
         self._board.publish(status)
-        # Who refused once is not asked again: when all did, the request is over.
+        # A robot that refused is not asked again: when all did, the request is over.
         holders = () if status.phase == "refused" else progress.holders()
         if len(holders) < len(progress.robots):
             if not holders:

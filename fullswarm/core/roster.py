@@ -1,4 +1,4 @@
-"""Who is present: a robot counts as there while its agent's health reports keep coming."""
+"""Which robots are present: one counts as there while its agent's health reports keep coming."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a behaviour's record may say, and the checks that a record must pass before anybody relies on it."""
+"""What a behaviour's record may say, and the checks that a record must pass before it is relied on."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Record(Section):
     centralised: bool = False
     filtered: bool = False  # behind the safety filter (`_bc`)
     survives_core: bool = False
-    team: Literal["request", "swarm"] = "request"  # whom the law counts as neighbours
+    team: Literal["request", "swarm"] = "request"  # which robots the law counts as neighbours
     expires_s: float = Field(0.0, ge=EXPIRES_S[0], le=EXPIRES_S[1])  # > 0: an intent, to be repeated
     formation: Literal["", "each", "assigned"] = ""  # a target per robot, or all targets to the centralised node
     parameters: dict[str, Parameter] = Field(default_factory=dict)

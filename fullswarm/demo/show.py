@@ -1,4 +1,4 @@
-"""The demonstration: eight robots drive to a goal, flock, and meet, switched by requests like anybody's."""
+"""The demonstration: eight robots drive to a goal, flock, and meet, switched by requests like those of any operator."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Sent:
     acknowledged_s: float | None = None
     status: RequestStatus | None = None
     confirmed_by: tuple[str, ...] = ()
-    arrived: tuple[str, ...] | None = None  # who was there when the act was over; None: it has no target
+    arrived: tuple[str, ...] | None = None  # which robots were there when the act was over; None: it has no target
 
     def document(self) -> dict[str, object]:
         """Return plain values for JSON."""
@@ -191,7 +191,7 @@ class Show:
             self._yield(order.source)
 
     def _yield(self, operator: str) -> None:
-        """Drop what is left of the show, its stop too: the robots are somebody else's now."""
+        """Drop what is left of the show, its stop too: the robots are another operator's now."""
         if self.done or self.yielded_to:
             return
         self.yielded_to = operator or "another operator"

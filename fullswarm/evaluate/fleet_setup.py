@@ -106,7 +106,7 @@ def _agent(trial: Trial, ours: AgentConfig) -> AgentConfig:
 
 # ---------------------------------------------------------------------------------------------------- telling
 def off(ids: Iterable[str], poses: Array, starts: Array) -> list[str]:
-    """Return in words which robots stand elsewhere than they should, poses and starts (n, 3); NaN: nobody knows."""
+    """Return in words which robots stand elsewhere than they should, poses and starts (n, 3); NaN: not known."""
     found = []
     for robot, (x_m, y_m, heading_rad), (at_x, at_y, at_rad) in zip(ids, poses.tolist(), starts.tolist(), strict=True):
         apart_m, turned_rad = math.hypot(x_m - at_x, y_m - at_y), abs(wrap(heading_rad - at_rad))

@@ -224,7 +224,7 @@ def _watch(
 
 
 def _check(swarm: LiveSwarm, statuses: list[RequestStatus], passed_s: float) -> None:
-    """Raise unless everybody does what was asked, or still has time to begin."""
+    """Raise unless all robots do what was asked, or still has time to begin."""
     for row in swarm.view.snapshot().robots:
         health = row.health
         if health is not None and health.estop:

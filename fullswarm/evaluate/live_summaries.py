@@ -59,7 +59,7 @@ class LiveSummaries:
         }
 
     def coverage(self) -> tuple[GridFrame, NDArray[np.uint8]] | None:
-        """Return the grid that the robots have covered together; None when nobody has told."""
+        """Return the grid that the robots have covered together; None when none has reported."""
         if not self._grids:
             return None
         messages = list(self._grids.values())

@@ -50,7 +50,7 @@ class LiveSwarm:
 
     Attributes
     ----------
-    bus : carries every message unharmed, for those who look on; `operator` is on the fleet's own network
+    bus : carries every message unharmed, for onlookers; `operator` is on the fleet's own network
     world : None: all robots are real
     """
 
@@ -84,7 +84,7 @@ class LiveSwarm:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End all processes."""
-        self.kept = kind is not None and issubclass(kind, Exception)  # not when somebody pressed Ctrl-C
+        self.kept = kind is not None and issubclass(kind, Exception)  # not after Ctrl-C
         self.close()
 
     def start(self) -> None:
@@ -93,7 +93,7 @@ class LiveSwarm:
         Raises
         ------
         TrialFailed
-            A process ended, or somebody is not ready after a minute; says who and why.
+            A process ended, or a robot is not ready after a minute; says which and why.
         TrialHeld
             A robot is held by an e-stop from before.
         ConfigError
@@ -164,7 +164,7 @@ class LiveSwarm:
         return held
 
     def serve(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Serve until the condition holds, whoever has died; False: it did not in time."""
+        """Serve until the condition holds, whatever process has died; False: it did not in time."""
         deadline_s = self.runtime.now_s() + timeout_s
 
         def check() -> None:
@@ -193,7 +193,7 @@ class LiveSwarm:
         return tuple(row.robot for row in self.view.snapshot().robots if row.health and row.health.estop)
 
     def unready(self) -> tuple[str, ...]:
-        """Return who is not ready yet, with the reason as far as it is known."""
+        """Return which robots are not ready yet, with the reason as far as it is known."""
         snapshot = self.view.snapshot()
         rows = {row.robot: row for row in snapshot.robots}
         nodes = {node.node for node in snapshot.nodes if node.age_s < FRESH_S}
@@ -221,7 +221,7 @@ class LiveSwarm:
                 shutil.rmtree(self.supervisor.folder, ignore_errors=True)
 
     def _obituary(self, dead: tuple[str, ...]) -> str:
-        """Tell who ended and what they said last."""
+        """Say which processes ended, with their last output."""
         words = []
         for name in dead:
             process = self.supervisor.children[name].process

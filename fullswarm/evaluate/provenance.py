@@ -70,7 +70,7 @@ def commit() -> str:
     """Return the commit of the package's work tree, with ``+changes`` when it differs; empty outside of one."""
     folder = Path(fullswarm.__file__).parent
     revision = _git(folder, "rev-parse", "HEAD")
-    # A package within somebody else's repository (an environment in a project's folder) is not of that commit.
+    # A package within another project's repository (an environment in a project's folder) is not of that commit.
     if not revision or not _git(folder, "ls-files", "--", "__init__.py"):
         return ""
     return revision + ("+changes" if _git(folder, "status", "--porcelain", "--", ".") else "")

@@ -1,4 +1,4 @@
-"""One trial: a swarm in lockstep, a request through the whole stack, and a referee who watches the bodies.
+"""One trial: a swarm in lockstep, a request through the whole stack, and a referee that watches the bodies.
 
 The referee looks at the world itself, not at what the robots report: whatever noise or network they suffer from,
 a touch is a touch.

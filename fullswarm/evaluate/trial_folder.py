@@ -143,7 +143,7 @@ def fill(folder: Path, record: Record, about: Provenance, found: Measurement | s
 
 
 def files_of(record: Record, about: Provenance, found: Measurement | str | None) -> Files:
-    """Return the files of a trial, for one who shares no disk with the folder of the results."""
+    """Return the files of a trial, for a machine that shares no disk with the folder of the results."""
     with TemporaryDirectory() as path:
         fill(Path(path), record, about, found)
         return {each.name: each.read_bytes() for each in sorted(Path(path).iterdir())}

@@ -1,4 +1,4 @@
-"""Those who look on at a trial: at the bodies after every step of the world, and at what the swarm says of itself."""
+"""The onlookers of a trial: at the bodies after every step of the world, and at what the swarm says of itself."""
 
 from __future__ import annotations
 

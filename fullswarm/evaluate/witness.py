@@ -1,6 +1,6 @@
-"""Who watches the bodies of a live trial: their world where it is simulated, else what the robots say of themselves.
+"""What watches the bodies of a live trial: their world where it is simulated, else what the robots say of themselves.
 
-A world knows where bodies are and who touches whom. Robots know it as well as they can: poses from their estimator,
+A world knows where bodies are and which of them touch. Robots know it as well as they can: poses from their estimator,
 contacts from their bumpers; what they touched is then told by how near another robot was.
 """
 
@@ -56,7 +56,7 @@ class Witness(Protocol):
 
     @property
     def pairs_touched(self) -> int | None:
-        """How many pairs of robots have touched; None: nobody can tell who touched whom."""
+        """How many pairs of robots have touched; None: not known."""
         ...
 
     @property
@@ -65,7 +65,7 @@ class Witness(Protocol):
         ...
 
     def evidence(self) -> Contacts | None:
-        """Return what is needed to count the contacts again; None: nobody knows it."""
+        """Return what is needed to count the contacts again; None: not known."""
         ...
 
     @property
@@ -75,7 +75,7 @@ class Witness(Protocol):
 
     @property
     def truth(self) -> Truth | None:
-        """What the bodies did; None: nobody knows better than the robots."""
+        """What the bodies did; None: the robots' own data is all there is."""
         ...
 
 
@@ -197,7 +197,7 @@ class HeardWitness:
 
     @property
     def pairs_touched(self) -> None:
-        """A bumper does not tell who pressed it."""
+        """A bumper does not tell what pressed it."""
         return None
 
     @property
@@ -211,7 +211,7 @@ class HeardWitness:
 
     @property
     def above_limits(self) -> int:
-        """Nobody outside a robot sees its commands."""
+        """The commands of a robot are not visible outside it."""
         return 0
 
     @property

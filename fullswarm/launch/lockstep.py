@@ -1,7 +1,7 @@
 """A whole swarm in one process on a simulated clock: deterministic to the byte, as fast as the machine goes.
 
 The nodes are those of the live processes. One agent carries all robots, so that laws, filter, controller and
-calculators are evaluated once per tick for everybody. On a bad network each robot has an agent of its own, as on
+calculators are evaluated once per tick for all robots. On a bad network each robot has an agent of its own, as on
 board: what one robot misses another one hears.
 """
 
@@ -34,7 +34,7 @@ class Lockstep:
 
     Attributes
     ----------
-    bus : carries every message unharmed, for those who look on; nodes are on :meth:`bus_of` their name
+    bus : carries every message unharmed, for onlookers; nodes are on :meth:`bus_of` their name
     agents : one that carries all robots; on a bad network one per robot, in the order of the file
     """
 
@@ -53,7 +53,7 @@ class Lockstep:
             network = self.config.network.model_copy(update={"since_s": 0.0})
             self.config = self.config.model_copy(update={"network": network})
         else:
-            # One host carries everybody, so there is nothing to split by place.
+            # One host carries all robots, so there is nothing to split by place.
             agent = self.config.agent.model_copy(update={"state_cell_m": 0.0})
             self.config = self.config.model_copy(update={"agent": agent})
         config = self.config

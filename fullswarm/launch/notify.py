@@ -1,6 +1,6 @@
 """Tells systemd how a service of ours is: sd_notify's protocol, a datagram of ``NAME=value`` lines.
 
-Nothing happens, and nothing is imported, where nobody has set ``NOTIFY_SOCKET``.
+Nothing happens, and nothing is imported, where ``NOTIFY_SOCKET`` is not set.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Notifier:
     address
         A path, or ``@name`` for an abstract socket.
     watchdog_s
-        Whoever is silent for so long is killed and started again; None: nobody watches.
+        A process that is silent for so long is killed and started again; None: there is no watchdog.
     """
 
     def __init__(self, address: str, watchdog_s: float | None = None) -> None:
@@ -33,7 +33,7 @@ class Notifier:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Notifier | None:
-        """Return the way to who started this process, None when he does not want to hear."""
+        """Return the way to the service manager, None when it asks for no notices."""
         address = environment.get(SOCKET, "")
         if address[:1] not in ("/", "@") or len(address) < 2:
             return None

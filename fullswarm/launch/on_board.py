@@ -1,6 +1,6 @@
 """What the agent's process does on a robot's own computer: it tells systemd and the health file how it is.
 
-Only where somebody asks: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
+Only on demand: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
 loop that drives the wheels: when that hangs, nothing is said, and systemd starts the agent again.
 """
 
@@ -44,7 +44,7 @@ class OnBoard:
     Parameters
     ----------
     path
-        The health file; None: nobody reads one.
+        The health file; None: none is wanted.
     notifier
         The way to systemd; None: it did not start this process.
     """
@@ -118,7 +118,7 @@ class OnBoard:
         return f"{agent.fleet.lifecycle(0)} {agent.fleet.fault(0)}".strip() if agent else ""
 
     def _tell(self) -> None:
-        """Write the health file; a disk that does not take it ends nobody."""
+        """Write the health file; a disk that does not take it ends no agent."""
         if self._path is None or self._agent is None or self._control is None:
             return
         now_s, settings = self.now_s(), self._settings

@@ -11,11 +11,11 @@ from fullswarm.errors import Unreachable
 
 LOOPBACK = "127.0.0.1"
 ANY = 0
-"""The system chooses one that nobody uses."""
+"""The system chooses a free one."""
 
 
 def on_free_ports(config: SwarmConfig, *, wished: bool = True) -> SwarmConfig:
-    """Give hub, world and emulated robots ports of this machine that nobody uses.
+    """Give hub, world and emulated robots free ports of this machine.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def on_free_ports(config: SwarmConfig, *, wished: bool = True) -> SwarmConfig:
 
 
 def free_port(usual: int) -> int:
-    """Return a TCP port of loopback that nobody uses, `usual` if it can be.
+    """Return a free TCP port of loopback, `usual` if it can be.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from fullswarm.runtime import Mailbox, Runtime
 INTERRUPTED = 130
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
-"""Process id of who started this one. Asking the system would come too late: he may die while this one imports."""
+"""Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:

@@ -1,4 +1,4 @@
-"""Lines that somebody types, or that a pipe brings: looked at from a timer, never waited for."""
+"""Lines from a terminal or a pipe: polled by a timer, never waited for."""
 
 from __future__ import annotations
 

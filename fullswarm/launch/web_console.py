@@ -87,7 +87,7 @@ class WebConsole:
 
 
 def open_browser(door: Door) -> str:
-    """Show the page in the user's browser; return what to tell him if that cannot be done, else nothing."""
+    """Show the page in the user's browser; return what to say if that cannot be done, else nothing."""
     if not graphical() and "BROWSER" not in os.environ:
         return "there is no screen for a browser here: open the address yourself"
     return "" if door.open() else "found no browser to open: open the address yourself"

@@ -1,4 +1,4 @@
-"""The world's process: steps the simulated world in real time and serves all who live in it.
+"""The world's process: steps the simulated world in real time and serves all robots in it.
 
 Simulated robots have a UDP port (`WorldServer`), emulated ones a port of their make's (`drivers.emulated`). Like any
 supervisory process with cameras, the world also tells emulated robots where they are: `PoseFix` on the bus.
@@ -158,7 +158,7 @@ class WorldNode:
 
 
 def _tidy(folder: Path) -> None:
-    """Remove the folder of the ports when nobody's port is in it any more."""
+    """Remove the folder of the ports when no port is in it any more."""
     try:
         folder.rmdir()
     except OSError:

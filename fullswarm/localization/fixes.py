@@ -37,7 +37,7 @@ REPORT_S = 10.0
 KNOWN_S = 5.0
 """By then every robot has told of its health twice."""
 KINDS = 50
-"""Complaints that are told; a sender who finds ever new ones is not worth more lines."""
+"""Complaints that are told; a sender that finds ever new ones is not worth more lines."""
 
 Datagram = tuple[float, str, bytes]
 """Arrival, the sender's IP address, content."""
@@ -194,7 +194,7 @@ class FixesNode:
             heading_rad=seen.heading_rad,
             position_sigma_m=seen.position_sigma_m,
             heading_sigma_rad=seen.heading_sigma_rad,
-            # A source has one clock: that of the sender's machine if he tells his time, else this one.
+            # A source has one clock: that of the sender's machine if it states its time, else this one.
             source=self._process if seen.time_s is None else f"{self._process}/{sender}",
             stamp_s=arrival_s if seen.time_s is None else seen.time_s,
             contacts=seen.contacts,
@@ -214,7 +214,7 @@ class FixesNode:
         self._known.update(each.robot for each in report.robots)
 
     def _look_for(self, robot: str) -> None:
-        """Say once that nobody has heard of a robot: a wrong name looks like a robot that is switched off."""
+        """Say once that a robot is unknown: a wrong name looks like a robot that is switched off."""
         if robot in self._known or robot in self._strange or self._scheduler.now_s() - self._began_s < KNOWN_S:
             return
         if len(self._strange) < KINDS:

@@ -56,9 +56,9 @@ class Format:
 
     Parameters
     ----------
-    unit_m : length of his unit of x, y and z
-    y_up : his floor is x and -z, as in Motive, and a heading turns about y; else x and y, about z
-    sigma_m, sigma_rad : standard deviations where he gives none
+    unit_m : length of the source's unit of x, y and z
+    y_up : the source's floor is x and -z, as in Motive, and a heading turns about y; else x and y, about z
+    sigma_m, sigma_rad : standard deviations where the source gives none
     """
 
     unit_m: float = 1.0

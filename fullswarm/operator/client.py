@@ -146,7 +146,7 @@ class Operator:
         self._asked.pop(asked.request.id, None)
 
     def stop(self, robots: Iterable[str] = (), on_done: Callable[[], None] | None = None) -> Burst:
-        """Tell robots to stand still: five times over 0.4 s with one id, since nobody answers a stop.
+        """Tell robots to stand still: five times over 0.4 s with one id, since a stop is not acknowledged.
 
         While there is no hub it goes on, for 10 s at most: robots that lost it drive on when it is back.
         """
@@ -177,7 +177,7 @@ class Operator:
     ) -> EStopOrder:
         """Engage or release the latched e-stop; repeat until all robots have confirmed or `deadline_s` is over.
 
-        No `robots` means all: then `known` tells who must confirm, asked anew each time, because robots may
+        No `robots` means all: then `known` tells which must confirm, asked anew each time, because robots may
         be heard of after the order went out.
         """
         robots = tuple(robots)

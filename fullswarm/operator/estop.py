@@ -63,19 +63,19 @@ class EStopOrder:
         return self._scheduler.now_s() - self._began_s
 
     def concerned(self) -> tuple[str, ...]:
-        """Who must confirm: the robots addressed, or all that are known or have answered."""
+        """Which must confirm: the robots addressed, or all that are known or have answered."""
         return self.message.robots or tuple(sorted({*self._known(), *self.receipts}))
 
     def unconfirmed(self) -> tuple[str, ...]:
-        """Who has not confirmed yet, silent or still rolling."""
+        """Which have not confirmed yet, silent or still decelerating."""
         return tuple(robot for robot in self.concerned() if not self._confirmed(robot))
 
     def silent(self) -> tuple[str, ...]:
-        """Who has not answered at all."""
+        """Which have not answered at all."""
         return tuple(robot for robot in self.unconfirmed() if robot not in self.receipts)
 
     def rolling(self) -> tuple[str, ...]:
-        """Who has answered, but not confirmed."""
+        """Which have answered, but not confirmed."""
         return tuple(robot for robot in self.unconfirmed() if robot in self.receipts)
 
     def receive(self, receipt: EStopReceipt) -> None:
@@ -84,7 +84,7 @@ class EStopOrder:
             self._note_other(receipt)
             return
         before = self.receipts.get(receipt.robot)
-        # Copies come late and out of order: who once stood does not roll again.
+        # Copies come late and out of order: a robot at standstill does not roll again.
         if before == receipt or (before is not None and before.standing and not receipt.standing):
             return
         self.receipts[receipt.robot] = receipt

@@ -20,12 +20,12 @@ from fullswarm.operator.session import Session, Target
 from fullswarm.operator.view import FleetView
 
 COMPLAIN_S = 0.5
-"""An e-stop that is not confirmed by then names who is missing."""
+"""An e-stop that is not confirmed by then names the missing robots."""
 REMIND_S = 5.0
 CLEAR_TIMEOUT_S = 5.0
 """A forgotten terminal must not release a robot that comes back tomorrow; an e-stop is pressed without end."""
 NOBODY_S = 5.0
-"""With no robot known by then there is nobody to press for: most likely the wrong swarm."""
+"""With no robot known by then there is no robot to press for: most likely the wrong swarm."""
 
 STANDING_ALONE = "robots without a hub stand by themselves, but they are not latched"
 
@@ -38,7 +38,7 @@ class Press:
     engaged: bool
     reason: str = ""
     timeout_s: float | None = None
-    fleet: frozenset[str] = frozenset()  # of the fleet file: they must confirm even if nobody ever heard them
+    fleet: frozenset[str] = frozenset()  # of the fleet file: they must confirm even if they were never heard
 
     @property
     def patience_s(self) -> float:
@@ -58,12 +58,12 @@ def estop(
     fleet: Path | None,
     as_json: bool,
 ) -> int:
-    """Engage or release the e-stop, print every receipt, name who did not confirm.
+    """Engage or release the e-stop, print every receipt, name those that did not confirm.
 
     Raises
     ------
     SafetyStop
-        Somebody did not confirm before the time was up or Ctrl-C; names them.
+        A robot did not confirm before the time was up or Ctrl-C; names them.
     Unreachable
         No robot was heard, or no hub answered while there was time.
     """
@@ -79,7 +79,7 @@ def estop(
 
 
 def _with_fleet(target: Target, press: Press, fleet: Path | None) -> tuple[Target, Press]:
-    """Take names, hub and swarm from the fleet file; what is wrong with that must not keep anybody from stopping."""
+    """Take names, hub and swarm from the fleet file; what is wrong with that must not prevent a stop."""
     if fleet is None:
         return target, press
     from fullswarm.config import load_swarm

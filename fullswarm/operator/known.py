@@ -62,12 +62,12 @@ def from_fleet(file: Path, known: Known) -> Known:
 def from_swarm(hub: str | None, swarm: str, *, robots: bool) -> Known | None:
     """Return what a running swarm knows; None when its hub, or its core, does not answer at once.
 
-    Without `robots` nobody waits for their states.
+    Without `robots` their states are not waited for.
     """
     endpoint = hub or HUB
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
-        # Before anything heavy is imported: mostly nobody is there, which takes a millisecond to learn.
+        # Before anything heavy is imported: mostly there is no hub, which takes a millisecond to learn.
         socket.create_connection((host.strip("[]"), int(port)), PROBE_S).close()
     except (OSError, ValueError):
         return None

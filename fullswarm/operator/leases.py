@@ -40,7 +40,7 @@ class LeaseHolder:
     name
         The operator's, as in `Operator.name`.
     on_change
-        Called with all leases whenever somebody holds what he did not hold before.
+        Called with all leases whenever an operator holds what they did not hold before.
     on_lost
         Called with (robots, operator who took them) when somebody took over what was held here: once per loss.
     on_refused

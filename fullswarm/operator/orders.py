@@ -26,7 +26,7 @@ def robot_ids(names: Iterable[str], *, groups: bool = False) -> tuple[str, ...]:
     Parameters
     ----------
     groups
-        Take ``@name`` too: for what goes through the core, which knows who is in a group.
+        Take ``@name`` too: for what goes through the core, which knows the members of a group.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def refusal(status: RequestStatus) -> FullswarmError:
 
 
 def unconfirmed(status: RequestStatus) -> tuple[str, ...]:
-    """Return who is present and has not answered yet."""
+    """Return the robots that are present and have not answered yet."""
     answered = {*status.running, *status.refused_by, *status.missing}
     return tuple(robot for robot in status.robots if robot not in answered)
 

@@ -82,7 +82,7 @@ def watch(target: Target, robots: Iterable[str] = (), *, as_json: bool) -> int:
 
 
 def named(target: Target, robots: Iterable[str]) -> tuple[str, ...]:
-    """Return the ids that `robots` stand for; the core knows who is in a group. None: the whole swarm.
+    """Return the ids that `robots` stand for; the core knows the members of a group. None: the whole swarm.
 
     Raises
     ------

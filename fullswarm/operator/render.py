@@ -65,7 +65,7 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
 
 
 def row_state(row: RobotRow) -> tuple[str, bool]:
-    """Return what a robot is doing, in words, and whether somebody should look at it."""
+    """Return what a robot is doing, in words, and whether it needs attention."""
     health = row.health
     if row.silent:
         return f"SILENT for {row.age_s:.0f} s", True
@@ -77,7 +77,7 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
         word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
         return f"{latched}{word}: {health.fault or 'no reason given'}", True
     if health.estop:
-        # Health comes twice a second, states twenty times: who stands already must not be said to roll.
+        # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
         rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
         return "E-STOP, still rolling" if rolls else "E-STOP", True
     alarm = health.behaviour or not health.stop_reason.startswith(NO_ALARM)
@@ -94,7 +94,7 @@ def row_state(row: RobotRow) -> tuple[str, bool]:
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:
-    """Return what concerns the whole swarm: who is missing or silent, the newest request, summaries."""
+    """Return what concerns the whole swarm: missing or silent robots, the newest request, summaries."""
     lines = []
     if snapshot.missing:
         lines.append(f"MISSING, never heard: {_names(snapshot.missing)}")

@@ -27,7 +27,7 @@ _NAME = re.compile(r"[^\s,;()]{1,64}\Z")
 
 
 def operator_name(given: str) -> str:
-    """Return the name that somebody gave himself, if it reads well in ``r1 is held by …``.
+    """Return the name that an operator chose, if it reads well in ``r1 is held by …``.
 
     Raises
     ------

@@ -17,7 +17,7 @@ LEAST_S = 0.02
 ZERO_FRAMES = 3
 """Zeros sent on release: one may be lost, and the intent lapses by itself anyway."""
 REMEMBERED_FRAMES = 20
-"""Frames whose answer may still come; the core's word on older ones concerns nobody."""
+"""Frames whose answer may still come; what the core says of older ones no longer matters."""
 
 
 class Teleop:
@@ -25,7 +25,7 @@ class Teleop:
 
     Attributes
     ----------
-    robots : who is driven; none: the whole swarm
+    robots : those driven; none: the whole swarm
     take : whether the frames take robots over from who holds them; for the first ones, see `drive`
     """
 

@@ -17,7 +17,7 @@ SILENT_S = 2.0
 """Four health reports lost: the robot, its link or its hub is gone."""
 
 LEASES_S = 3.0
-"""The core says them each second; older ones have lapsed or will, and nobody can tell which."""
+"""The core says them each second; older ones have expired or will, and which is not known."""
 
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
@@ -34,7 +34,7 @@ class RobotRow:
     speed_m_s: float
     health: RobotHealth | None  # None: only its states have been heard
     radius_m: float = math.nan
-    host: str = ""  # who carries it; empty: no health report yet
+    host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
 
     @property
@@ -132,7 +132,7 @@ class FleetView:
         return tuple(sorted({*self._health, *self._states}))
 
     def present(self) -> tuple[str, ...]:
-        """Return who must obey an order now: the robots expected and those heard."""
+        """Return which robots must obey an order now: the robots expected and those heard."""
         return tuple(sorted({*self._expected, *self.robots()}))
 
     def snapshot(self) -> Snapshot:

@@ -275,7 +275,7 @@ class Calculators:
             Bodies touched now, int64 (n,).
         odometry
             Positions to measure the distance by, (n, 2 or more); `pose` when None. Noise of a pose adds up
-            to metres that nobody drove, so odometry is the better source where there is any.
+            to metres that no robot drove, so odometry is the better source where there is any.
         twist
             Speed and turn rate as measured, (n, 2), NaN where unknown; None: no energy is counted.
         """

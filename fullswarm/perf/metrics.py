@@ -67,7 +67,7 @@ LOOP: dict[str, tuple[Rule, str]] = {
 
 METRICS = {
     "arrival": Metric(
-        "Who is at his goal, and since when, counted from the request",
+        "Which robots are at their goals, and since when, counted from the request",
         {"fraction": ("share", "arrived_s"), "mean_s": ("mean", "arrived_s"), "last_s": ("max", "arrived_s")},
         "arrived_s",
     ),

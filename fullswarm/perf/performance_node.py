@@ -128,7 +128,7 @@ class PerformanceNode:
         except OSError as error:
             self.fault = f"{self._results}: cannot write the results: {error.strerror or error}"
             return
-        except (ValueError, TypeError, msgspec.MsgspecError) as error:  # of what somebody sent as a summary
+        except (ValueError, TypeError, msgspec.MsgspecError) as error:  # of what was sent as a summary
             self.fault = f"{self._results}: the results cannot be written as JSON: {error}"
             return
         self._changed, self.fault = False, ""

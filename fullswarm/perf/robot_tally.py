@@ -48,7 +48,7 @@ class RobotTally:
     Parameters
     ----------
     robots
-        Who is expected: all of them must arrive; those that are heard when empty.
+        Robots expected: all of them must arrive; those that are heard when empty.
     bounds_m
         The arena, for Lloyd's cost.
     """
@@ -57,7 +57,7 @@ class RobotTally:
         self._expected, self._bounds_m = frozenset(robots), bounds_m
         self._newest: dict[str, RobotMeasurement] = {}  # host → message
         self._kept: dict[str, Values] = {}  # column → robot or host → from processes that are gone
-        self._arrived: dict[str, set[str]] = {}  # host → who has arrived, of hosts that tell
+        self._arrived: dict[str, set[str]] = {}  # host → robots that have arrived, of hosts that report it
         self._still_s: dict[str, float] = {}  # host → since its last robot moved, of those with a task
 
     def add(self, message: RobotMeasurement) -> None:
@@ -82,7 +82,7 @@ class RobotTally:
         self._still_s[message.host] = min(still_s, default=math.inf)
 
     def progress(self, elapsed_s: float) -> Progress:
-        """Return the time, whether all have arrived, and for how long nobody has moved."""
+        """Return the time, whether all have arrived, and for how long no robot has moved."""
         still_s = min(self._still_s.values(), default=math.inf)
         return Progress(
             elapsed_s=elapsed_s,
@@ -91,7 +91,7 @@ class RobotTally:
         )
 
     def results(self) -> Results:
-        """Return all metrics; a quantity that nobody has a number for is left out."""
+        """Return all metrics; a quantity without any number is left out."""
         robots = [robot for message in self._newest.values() for robot in message.robots]
         told = {name for message in self._newest.values() for name in (*message.columns, *message.totals)}
         columns = {name: self._column(name) for name in COLUMNS if name in told}

@@ -73,7 +73,7 @@ def scan(ours: Array, theirs: Array, among: bool, least: Array) -> float:
 def squared_distances(ours: Array, theirs: Array, *, among: bool) -> tuple[Array, float]:
     """Return the least squared distance of each of `ours` (m, 2) to `theirs` (n, 2), (m,), and the largest of all.
 
-    `among`: they are the same, and nobody is his own neighbour.
+    `among`: they are the same, and no robot is its own neighbour.
     """
     if scan.run is not scan.plain:
         least = np.empty(len(ours))

@@ -185,7 +185,7 @@ class CollisionTally:
         self._touched = self._touched or any(message.events)
 
     def progress(self, elapsed_s: float) -> Progress:
-        """Return the time, and 1 once anybody has touched anything."""
+        """Return the time, and 1 once any robot has touched anything."""
         return Progress(elapsed_s=elapsed_s, collisions=int(self._touched))
 
     def values(self) -> Values:

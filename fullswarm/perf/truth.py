@@ -70,7 +70,7 @@ def observe(
         else:
             state[i, ENTERED] = math.nan
     spend(twist, radius, mass, state[:, SPENT:], dt_s)
-    # Two bodies approach by two steps at most: while that leaves the smallest gap alone nobody looks at the pairs.
+    # Two bodies approach by two steps at most: while that leaves the smallest gap alone the pairs are not compared.
     swarm[ROOM] -= 2.0 * furthest
     if swarm[ROOM] <= 0.0 and pose.shape[0] > 1:
         gap = smallest_gap(pose, radius)
@@ -156,7 +156,7 @@ class Truth:
         return ~np.isnan(self._state[:, ENTERED])
 
     def values(self) -> dict[str, float]:
-        """Return the swarm's numbers; what has no meaning (a gap of one robot, the time of nobody) is left out."""
+        """Return the swarm's numbers; what has no meaning (a gap of one robot, the time of no robot) is left out."""
         n, frame, distance_m = len(self.ids), self.coverage.frame, self.distance_m
         total_m, covered = math.fsum(distance_m), self.coverage.covered
         values = {

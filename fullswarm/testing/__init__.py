@@ -22,7 +22,7 @@ Further files:
 ``drives_on.py``  Drives a robot straight on until it is killed: ``python -m fullswarm.testing.drives_on module:Class
                   URL SPEED``
 ``faults.py``     What a driver does when its link breaks: it says so, in time, and moves again only when told anew
-``jumps.py``      Time that jumps: a machine that was suspended, and a wall clock that somebody sets
+``jumps.py``      Time that jumps: a machine that was suspended, and a wall clock that is set
 ``pad.py``        A virtual gamepad for tests: SDL's own, without hardware or display
 ``process.py``    A driver in a process of its own that is paused and killed while it drives: what its device does
                   then

@@ -23,7 +23,7 @@ class LoopbackBus:
     mailbox
         Where messages wait; one of its own by default. Give it to the runtime that the nodes run on.
     loss
-        Share of the messages that reach nobody, 0 to 1.
+        Share of the messages that are lost, 0 to 1.
     seed
         Of the losses: the same seed loses the same messages.
     """

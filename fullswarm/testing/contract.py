@@ -163,7 +163,7 @@ def _stays_active(trial: Trial, make: Callable[[], Driver] | None) -> bool:
 
 
 def _check_motors_off(trial: Trial, when: str) -> None:
-    """READY and CLOSED mean that the device obeys no set-point, whoever sends it."""
+    """READY and CLOSED mean that the device obeys no set-point of any sender."""
     motors_on = trial.rig.motors_on
     if motors_on is not None:
         off = trial.wait(lambda: not motors_on(), trial.deadline_s)

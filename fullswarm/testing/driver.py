@@ -78,7 +78,7 @@ def check_driver(
 
 @contextmanager
 def _threads(trial: Trial) -> Iterator[None]:
-    """Tell of exceptions that end a thread meanwhile: nobody else would."""
+    """Tell of exceptions that end a thread meanwhile: nothing else would."""
     died: list[str] = []
     before = threading.excepthook
 

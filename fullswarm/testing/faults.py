@@ -101,7 +101,7 @@ def _check_stale(trial: Trial, silent_s: float, what: str) -> None:
 
 
 def _rest_unheard(trial: Trial, began_s: float, what: str) -> str:
-    """See that the body rests while nobody is heard, if the device says that it has a watchdog and the rig can tell."""
+    """See that the body rests while nothing is received, if the device has a watchdog and the rig can tell."""
     watchdog_s = trial.driver.description.watchdog_s
     if trial.rig.body_speed is None:
         return "; rest not seen: the rig has no body_speed"

@@ -1,4 +1,4 @@
-"""Time that jumps: a machine that was suspended, and a wall clock that somebody sets."""
+"""Time that jumps: a machine that was suspended, and a wall clock that is set."""
 
 from __future__ import annotations
 

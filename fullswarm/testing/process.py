@@ -44,7 +44,7 @@ def check_process(trial: Trial) -> None:
 
 
 def _check_pause(trial: Trial, puppet: _Puppet) -> str:
-    """After the pause the last set-point is old: zero, although nobody says so."""
+    """After the pause the last set-point is old: zero, although nothing says so."""
     puppet.drive()
     watchdog_s = trial.driver.description.watchdog_s
     puppet.signal(signal.SIGSTOP)

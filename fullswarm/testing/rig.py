@@ -62,7 +62,7 @@ class Report:
     checked: dict[str, str] = field(default_factory=dict)
     """Name → what was measured on the way."""
     skipped: dict[str, str] = field(default_factory=dict)
-    """Name → why it was not checked: nobody should believe that it was."""
+    """Name → why it was not checked: so that it is not taken for checked."""
 
     def add(self, name: str, measured: str = "") -> None:
         """Note what holds."""

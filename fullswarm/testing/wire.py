@@ -202,7 +202,7 @@ class _SerialEnds:
         try:
             os.write(self.descriptors()[device], data)
         except BlockingIOError:
-            return  # a reader who is late loses what follows, as with a real port's buffer
+            return  # a reader that is late loses what follows, as with a real port's buffer
 
     def close(self) -> None:
         self.pull()
@@ -224,7 +224,7 @@ class _UdpEnds:
         return True
 
     def pull(self) -> None:
-        """Nobody sees that a datagram has nowhere to go; the wire loses them."""
+        """It is not visible that a datagram has nowhere to go; the wire loses them."""
 
     def descriptors(self) -> tuple[int, int]:
         return self._driver.fileno(), self._device.fileno()

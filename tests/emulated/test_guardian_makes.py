@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from fullswarm.drivers.guardian import SILENCE_S
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.emulator import RoverEmulator
+from fullswarm.drivers.mavlink.link import TcpPort, UdpPort
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.mavlink.signing import EPOCH_S, TICKS_S
@@ -243,6 +245,40 @@ def watchers() -> set[int]:
             if parent == os.getpid() and b"watch" in words:
                 found.add(int(entry.name))
     return found
+
+
+@pytest.mark.parametrize("name", ["rover udp", "rover tcp signed", "px4 udp"])
+def test_a_link_thread_that_is_paused_just_before_it_reads_sees_its_guardian_s_stop_and_no_pilot(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses = [2.0]
+
+    def slow(port: type[UdpPort] | type[TcpPort]) -> None:
+        receive = port.receive
+
+        def paused(self: Any) -> bytes:
+            if pauses and begun.is_set():
+                PAUSE.wait(pauses.pop())
+            return bytes(receive(self))
+
+        monkeypatch.setattr(port, "receive", paused)
+
+    begun = threading.Event()
+    slow(UdpPort)
+    slow(TcpPort)
+    with ROBOTS[name](tmp_path) as robot, active(robot) as (driver, drive):
+        begun.set()
+        faults: list[str] = []
+
+        def put() -> bool:
+            drive()
+            faults.append(driver.fault)
+            return not pauses and driver.state is Lifecycle.READY
+
+        until(put, 8.0, "READY again")
+        assert any("its guardian stopped it" in each for each in faults), set(faults)
+        assert not any("pilot" in each for each in faults), set(faults)
+        assert put_away(robot, gone=False)
 
 
 @pytest.mark.parametrize("name", ["rover tcp", "vesc slcan"])

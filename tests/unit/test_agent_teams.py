@@ -11,6 +11,7 @@ import pytest
 
 from fullswarm.agent import pairs
 from fullswarm.agent.neighbours import Neighbours
+from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.config import SwarmConfig
 from fullswarm.core.records import load_records, make_record
 from fullswarm.errors import ConfigError
@@ -38,7 +39,8 @@ class Swarm:
         world = {"engine": "kinematic", "bounds_m": (0.0, 0.0, 11.0, 7.0)}
         config = SwarmConfig.model_validate({"world": world, "robot": robots})
         self.lockstep = Lockstep(with_network(config, network) if network else config)
-        self.operator = Operator(self.lockstep.bus, Keys(), self.lockstep.runtime, "op")
+        self.bus = NamedBus(self.lockstep.bus, OPERATOR)
+        self.operator = Operator(self.bus, Keys(), self.lockstep.runtime, "op")
         self.touched = 0
         self.lockstep.runtime.every(0.02, self._look)
         self.lockstep.run(1.0)
@@ -53,7 +55,7 @@ class Swarm:
         assert answers[-1].running == robots
 
     def store(self, name: str, record: dict[str, Any]) -> None:
-        client = ParamClient(self.lockstep.bus, Keys(), self.lockstep.runtime, "op")
+        client = ParamClient(self.bus, Keys(), self.lockstep.runtime, "op")
         client.ask("set", f"behaviour/{name}", lambda _: None, record)
         self.lockstep.run(0.2)
 

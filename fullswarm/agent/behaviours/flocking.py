@@ -51,7 +51,7 @@ def steer(
             x = float(offset[edge, 0])
             y = float(offset[edge, 1])
             if gap_m < repulsion_m:
-                # Grows from 0 at the radius to 1 at contact, so that nobody chatters on the border.
+                # Grows from 0 at the radius to 1 at contact, so that no robot chatters at the border.
                 push = (1.0 - gap_m / repulsion_m) / max(gap_m, 1e-6)
                 push_x -= push * x
                 push_y -= push * y

@@ -9,6 +9,6 @@ from fullswarm.agent.view import Array, View
 
 
 def twist(view: View, params: Params) -> Array:
-    """Return zero for everybody, (n, 2)."""
+    """Return zero for all robots, (n, 2)."""
     del params
     return np.zeros((len(view.position), 2))

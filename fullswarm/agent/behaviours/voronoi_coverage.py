@@ -2,7 +2,7 @@
 
 Each robot moves to the centroid C_i of the part of the arena that is nearer to it than to any neighbour it senses:
 ``ṗ = K (C_i - p_i)``. The paper prints ``-K (C_i - p_i)``, which would drive away from the centroid. The cell is the
-arena clipped by one half-plane per neighbour: exact for the neighbours heard. Who is further away than `hearing_m`
+arena clipped by one half-plane per neighbour: exact for the neighbours heard. A robot further away than `hearing_m`
 is not heard, so the cell is also held within a square of that half-width.
 """
 

@@ -263,7 +263,7 @@ class SafetyFilter:
         return self._views
 
     def _tell(self, now_s: float) -> None:
-        """Log who brakes and why, each reason not again before `QUIET_S` have passed: in a crowd it is often so."""
+        """Log which robots brake and why, each reason once in `QUIET_S`: in a crowd it is often so."""
         for why in np.unique(self.verdict[self.verdict > LIMITED]).tolist():
             if now_s - self._told_s.get(why, -math.inf) >= QUIET_S:
                 self._told_s[why] = now_s

@@ -1,7 +1,7 @@
 """Formation with the best assignment: which robot takes which target is decided for all at once (III.A.4).
 
 The Hungarian method on squared distances: the sum is least, and straight paths of such an assignment do not cross.
-A new assignment replaces the present one only when it is clearly better, so that noise makes nobody change his mind.
+A new assignment replaces the present one only when it is clearly better, so that noise changes no assignment.
 """
 
 from __future__ import annotations

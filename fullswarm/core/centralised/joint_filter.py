@@ -215,7 +215,7 @@ def _slow_down(speed: Array, ahead: Array, pairs: Pairs) -> None:
     towards_first = (pairs.unit * ahead[second]).sum(axis=1)
     for sweep in range(SWEEPS):
         own, other = towards_second * speed[first], towards_first * speed[second]
-        if sweep == SWEEPS - 1:  # count on nobody getting out of the way: this one ends it for certain
+        if sweep == SWEEPS - 1:  # count on no robot giving way: this sweep ends it for certain
             own, other = np.maximum(own, 0.0), np.maximum(other, 0.0)
         excess = own + other > pairs.budget_m_s + 1e-9
         if not excess.any():

@@ -107,7 +107,7 @@ class CentralisedNode:
         try:
             for name in FILTER.keys() & request.parameters.keys():
                 FILTER[name].check(name, request.parameters[name])
-        except ValueError as error:  # whoever may speak on the bus can send one
+        except ValueError as error:  # any sender on the bus can send one
             self._complain(request, error)
             return
         if job is not None:

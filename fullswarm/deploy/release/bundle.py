@@ -22,7 +22,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class BundleRequest:
-    """What somebody wants on his robots.
+    """What a user wants on their robots.
 
     Attributes
     ----------

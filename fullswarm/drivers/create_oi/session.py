@@ -15,7 +15,7 @@ zero when no command came for 0.3 s, and repeats a set-point until packets 41 an
 slow stream has no room for both.
 
 Ten calm seconds are what a person needs to put the robot down; READY moves nothing, and whoever drove it has lost
-his task with the FAULT, so that motion takes a new request.
+its task with the FAULT, so that motion takes a new request.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class Activation:
         self._deadline_s = self._mode_s + STEP_S
         self._setpoint_s = now_s if autopilot.stream_s > 0.0 else math.inf
         self._mode = controls.mode(autopilot.drive_mode)
-        # An accepted arm is not repeated: were the pilot to disarm at that moment, it would fight him.
+        # An accepted arm is not repeated: were the pilot to disarm at that moment, it would work against the pilot.
         self._arm = controls.arm(True, repeat_accepted=False)
         self._in_mode = False
         self._refused_s: float | None = None

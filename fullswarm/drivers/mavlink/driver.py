@@ -50,8 +50,8 @@ class MavlinkDriver:
 
     `activate` starts an attempt and returns: ACTIVE follows once the vehicle's heartbeats show GUIDED (PX4: OFFBOARD)
     and armed. When it refuses, the state stays READY and `fault` holds the firmware's words. When a pilot changes the
-    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until he hands it back, or
-    until `activate` comes after a pause of a second.
+    mode, the state goes to READY, the reading shows ESTOP_BUTTON, and the driver keeps off until the pilot hands it
+    back, or until `activate` comes after a pause of a second.
 
     Parameters
     ----------
@@ -261,8 +261,11 @@ class MavlinkDriver:
             while not finished():
                 now_s = self._now()
                 waker.wait(transport, min(session.next_due_s(now_s) - now_s, LONGEST_WAIT_S))
-                self._beat(session)  # before its heartbeats: a pilot did not do what the guardian did
-                messages = parser.feed(transport.receive())
+                data = transport.receive()
+                # Between the two, wherever this process was paused: the guardian says that it stops the vehicle before
+                # it does, so a heartbeat in HOLD is not taken for a pilot's change of mode.
+                self._beat(session)
+                messages = parser.feed(data)
                 for message in messages:
                     with self._lock:  # one at a time: the agent's calls must not wait for a whole backlog
                         session.receive(message, self._now())

@@ -116,7 +116,7 @@ class Session:
         return self._stand_down is not None or self._activation is not None or self.lifecycle is Lifecycle.ACTIVE
 
     def reading(self) -> Reading | None:
-        """Return the newest reading; a pilot's take-over and his safety switch are the emergency-stop hazard."""
+        """Return the newest reading; a pilot's take-over and the safety switch are the emergency-stop hazard."""
         reading = self._vehicle.reading
         pressed = self.autopilot.tells_safety and self._vehicle.motors_off
         if reading is not None and (self._taken_over or pressed):
@@ -369,7 +369,7 @@ class Session:
         return why
 
     def _watch_mode(self, heartbeat: p.Heartbeat, now_s: float) -> None:
-        """While ACTIVE: somebody else took the vehicle; say so and let him have it."""
+        """While ACTIVE: a pilot or another station took the vehicle; say so and stop commanding."""
         autopilot = self.autopilot
         guided = heartbeat.custom_mode == autopilot.drive_mode
         if heartbeat.status == p.STATUS_CRITICAL or autopilot.starting(heartbeat):

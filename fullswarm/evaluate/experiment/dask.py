@@ -69,7 +69,7 @@ class Cluster:
     MissingExtra
         Dask is not installed.
     ConfigError, Unreachable
-        The address is wrong, or nobody answers there.
+        The address is wrong, or nothing answers there.
     """
 
     def __init__(self, address: str, jobs: int, task: Task, out: Path | None, retries: int = 1) -> None:

@@ -56,7 +56,7 @@ def _die_with(parent: int) -> None:
 @contextmanager
 def deaf_children() -> Iterator[None]:
     """Start processes that Ctrl-C does not reach: they would end with stack traces, and we end them anyway."""
-    resource_tracker.ensure_running()  # of multiprocessing; whoever starts it unblocks the signal
+    resource_tracker.ensure_running()  # of multiprocessing; starting it unblocks the signal
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -114,7 +114,7 @@ class Pool:
         try:
             for _ in range(jobs):
                 self._workers.append(self._start())
-        except BaseException:  # Ctrl-C, too: nobody else knows of those that have been started
+        except BaseException:  # Ctrl-C, too: nothing else knows of those that have been started
             self.__exit__()
             raise
 

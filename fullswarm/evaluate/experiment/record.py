@@ -4,7 +4,7 @@
                       result.json       a `Record`: the same bytes whenever and wherever the trial is run
                       provenance.json   a `Provenance`: when, where, with what, how long
                       trajectory.npz    where all bodies were, see `Trajectory`
-                      contacts.npz      who touched whom, and how near each pair came: `Contacts`
+                      contacts.npz      contacts between bodies, and how near each pair came: `Contacts`
                       coverage.npz      `frame` (5,) origin x, y, cell in m, rows, columns; `covered` (rows, columns)
                                         0 or 1: what the swarm's own summarizer has joined
 
@@ -74,7 +74,7 @@ class Trajectory:
     ids: tuple[str, ...]
     time_s: NDArray[np.float64]  # (t,) since the request
     pose: NDArray[np.float32]  # (t, n, 3) m, m, rad
-    touching: NDArray[np.bool_]  # (t, n) touched somebody or something since the sample before
+    touching: NDArray[np.bool_]  # (t, n) touched anything since the sample before
     goals: NDArray[np.float64]  # (n, 2)
     goal_radius_m: float
     radius_m: NDArray[np.float64]  # (n,)

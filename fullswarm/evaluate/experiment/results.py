@@ -25,7 +25,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     above_limits: int = 0  # commands beyond the actuators' limits
     deadlocks: int = 0  # how often a robot was found blocked
     deadlock_s: float = 0.0  # robot-seconds spent on stepping aside
-    pairs_touched: int | None = None  # pairs of robots that touched at least once; None: nobody could tell
+    pairs_touched: int | None = None  # pairs of robots that touched at least once; None: not known
     robots_touched: int | None = None  # robots that touched anything
 
     @property
@@ -102,7 +102,7 @@ class CellResult:
 
     @property
     def late_seeds(self) -> list[int]:
-        """Seeds of the trials in which somebody did not arrive."""
+        """Seeds of the trials in which a robot did not arrive."""
         return [seed for seed, each in self.outcomes if each.arrived < each.robots]
 
     def mean_s(self) -> float:

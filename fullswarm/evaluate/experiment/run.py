@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -110,6 +110,9 @@ def run(options: Options, run_one: Measure = measure) -> int:
         for trial, result in _run_all([each for each in trials if each not in results], experiment, options, run_one):
             results[trial] = result
     except KeyboardInterrupt:
+        if options.folder is not None:
+            with suppress(ConfigError):
+                sweep(options.folder)  # the trials that the workers were writing when they were ended
         _say_interrupted(options, results, trials)
         return INTERRUPTED
     report = summarise(((trial, results[trial]) for trial in trials if trial in results), clock.now_s() - began_s)

@@ -123,7 +123,7 @@ class Progress:
     """How it goes."""
 
     name: str
-    total: int | None  # None: nobody has written it
+    total: int | None  # None: not written
     finished: int  # with an outcome or failed
     failed: int
     collisions: int

@@ -7,7 +7,7 @@ Files:
 ``replay.py``      `fullswarm experiment replay`: find a trial, then draw or film it
 ``scene.py``       The world from above: what stays is drawn once, what moves is drawn over a copy of it
 ``still.py``       A trial as one picture: the ways of all robots, and where they are at a time
-``timeline.py``    What a trajectory says at any time: poses between its samples, who touches, what has happened so
+``timeline.py``    What a trajectory says at any time: poses between its samples, contacts, what has happened so
                    far
 ``whole_file.py``  Files that appear whole or not at all
 """

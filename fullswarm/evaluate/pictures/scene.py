@@ -26,7 +26,7 @@ TALLEST, FLATTEST = 1.6, 0.12
 NOSE = 1.7
 """Length of the heading's line, of the robot's radius."""
 RING = 1.9
-"""Radius of the ring around who touches, of the robot's."""
+"""Radius of the ring around a robot that touches, as a multiple of its own."""
 
 
 class Scene:
@@ -87,7 +87,7 @@ class Scene:
 
         Parameters
         ----------
-        since_s : who touched anything after it is marked, until `time_s`
+        since_s : a robot that touched anything after it is marked, until `time_s`
         trail_s : how much of the way is shown, up to the whole
         """
         moment = self._timeline.at(time_s, since_s)
@@ -216,7 +216,7 @@ def _draw_world(axes: Axes, trajectory: Trajectory) -> None:
         linestyles="dashed",
         zorder=2,
     )
-    discs.set_clip_path(floor)  # nobody arrives beyond the walls
+    discs.set_clip_path(floor)  # no robot arrives beyond the walls
     boxes = PolyCollection(
         list(corners(trajectory.boxes)), facecolors=colours.BOX, edgecolors=colours.BOX_EDGE, linewidths=0.8, zorder=3
     )

@@ -1,4 +1,4 @@
-"""What a trajectory says at any time: poses between its samples, who touches, what has happened so far."""
+"""What a trajectory says at any time: poses between its samples, contacts, what has happened so far."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The web console: one page on which people see a swarm and ask it for behaviours (extra ``[console]``).
 
 In, from the bus: all that :mod:`fullswarm.operator` hears, and Interventions, SeenObstacles, CoverageMeasurement,
-Leases. In, from the page: the frames of ``frames``. Out, to the page: JSON frames, each encoded once for everybody.
+Leases. In, from the page: the frames of ``frames``. Out, to the page: JSON frames, each encoded once for all.
 
 Two halves that meet in ``gateway``. The nodes know neither asyncio nor a browser and run on any scheduler:
 
@@ -9,7 +9,7 @@ Two halves that meet in ``gateway``. The nodes know neither asyncio nor a browse
 ``desk.py``       one operator at one page: requests, driving, leases, stops
 ``world.py``      arena, behaviours and groups from the core's database, and what each robot shall run
 ``goals.py`` ``history.py`` ``ground.py`` ``alarms.py`` ``requests.py``  what the page draws, in small pieces
-``report.py`` ``advice.py``  the fleet's table, and what to do about a robot that needs somebody
+``report.py`` ``advice.py``  the fleet's table, and what to do about a robot that needs attention
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, with no thread more:
 

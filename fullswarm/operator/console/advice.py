@@ -1,4 +1,4 @@
-"""What to do about a robot that needs somebody: one short sentence, for people who stand beside it.
+"""What to do about a robot that needs attention: one short sentence, for people who stand beside it.
 
 Only words that name one cause get advice of their own, and only as a whole: part of a sentence may be about something
 else. For all others the driver's own words, which stand beside the advice, are all that is known.

@@ -53,7 +53,7 @@ class EStopBoard:
         return True
 
     def confirmed(self, receipt: EStopReceipt, now_s: float) -> None:
-        """Take a receipt; those of other orders are left to who gave them."""
+        """Take a receipt; those of other orders are left to their operators."""
         if self.order is None or receipt.id != self.order.id or receipt.engaged != self.order.engaged:
             return
         before = self.receipts.get(receipt.robot)
@@ -105,7 +105,7 @@ class EStopBoard:
 
 @dataclass(slots=True)
 class StopWatch:
-    """Who stands since the newest plain stop. Nobody answers a stop: the health reports tell."""
+    """Which robots stand since the newest plain stop. A stop is not acknowledged: health reports tell."""
 
     order: StopRequest | None = None
     began_s: float = 0.0

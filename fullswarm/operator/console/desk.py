@@ -1,4 +1,4 @@
-"""One operator at one page: asks, drives, holds robots and stops, in a name of his own."""
+"""One operator at one page: asks, drives, holds robots and stops, in a name of their own."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Desk:
 
         def receive(status: RequestStatus) -> None:
             nonlocal held
-            # Authority comes with what the core has accepted: a refused request shall hold nobody.
+            # Authority comes with what the core has accepted: a refused request shall hold no robot.
             if command.robots and not held and status.phase in ("accepted", "scheduled", "running"):
                 held = True
                 self._leases.hold(status.robots)
@@ -208,7 +208,7 @@ class Desk:
         if self._driver is None or self._teleop.robots != robots:
             if self._teleop.held:
                 self._teleop.release()
-                self._teleop = self._new_teleop()  # the zeros go on for who was let go
+                self._teleop = self._new_teleop()  # the zeros go on for robots that were let go
             self._teleop.robots = robots
             self._leases.hold(robots)
         self._driver = listener

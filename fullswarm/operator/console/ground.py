@@ -17,7 +17,7 @@ from fullswarm.words import TRUTH
 MOST_CELLS = 250_000
 """A finer grid is made coarser for the page: it would be megabytes, and finer than a screen."""
 INTERVENTION_S = 0.7
-"""Three periods of the interventions: whoever says nothing more lets the robots drive as they wish."""
+"""Three periods of the interventions: an agent that sends nothing more lets its robots drive as desired."""
 FARTHEST_M = 1e6
 """An obstacle that is further away or larger than that was not seen."""
 SAME_M = 0.05
@@ -26,7 +26,7 @@ SAME_M = 0.05
 
 @dataclass(slots=True)
 class Coverage:
-    """The cells that anybody has covered; another grid starts anew."""
+    """The cells that any robot has covered; another grid starts anew."""
 
     changed: bool = False
     _frame: GridFrame | None = None
@@ -106,7 +106,7 @@ class Obstacles:
 
 @dataclass(slots=True)
 class Holding:
-    """Who is held back by the safety filter now."""
+    """Robots that the safety filter holds back now."""
 
     changed: bool = False
     _robots: dict[str, dict[str, list[Any]]] = field(default_factory=dict)  # by host

@@ -49,7 +49,7 @@ class Trails:
 
 @dataclass(slots=True)
 class Charts:
-    """Rows ``[at_s, work_m, coverage, collisions]``; None where nobody has said it."""
+    """Rows ``[at_s, work_m, coverage, collisions]``; None where it is not known."""
 
     rows: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=int(CHART_S * CHART_RATE_HZ)))
 

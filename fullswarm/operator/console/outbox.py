@@ -1,4 +1,4 @@
-"""What waits for one page: bounded, so that a slow one costs nobody else anything."""
+"""What waits for one page: bounded, so that a slow one costs the others nothing."""
 
 from __future__ import annotations
 

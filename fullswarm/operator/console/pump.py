@@ -26,7 +26,7 @@ class Pump:
         runtime.mailbox.on_put = self._wake
 
     def poke(self) -> None:
-        """Serve soon: somebody on the loop has set a timer."""
+        """Serve soon: a timer was set on the loop."""
         if not self._called and not self._closed:
             self._called = True
             self._loop.call_soon(self._serve)

@@ -12,11 +12,11 @@ from fullswarm.operator.view import RobotRow, Snapshot
 
 CORE = "core"
 UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
-"""Of whom only the place is heard."""
+"""A robot of which only the place is received."""
 
 
 def states(seen: Snapshot) -> list[list[Any]]:
-    """Return ``[id, x, y, heading, speed, age_s]`` per robot; digits that nobody can see are left off."""
+    """Return ``[id, x, y, heading, speed, age_s]`` per robot; invisible digits are left off."""
     return [
         [
             row.robot,

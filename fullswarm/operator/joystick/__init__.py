@@ -10,7 +10,7 @@ Further files:
 ``mapping.py``    SDL's text form of a pad's mapping: ``guid,name,a:b0,leftx:a0,…,platform:Linux,`` and files of such
                   lines
 ``reins.py``      The robots in hand: their leases, the stream of intents, and the zeros at its end
-``selection.py``  Who is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them
+``selection.py``  What is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them
 ``show.py``       How pads and pilots look in a terminal
 ``wizard.py``     Teaches SDL an unknown pad: asks for each control in turn and notes which axis, button or hat
                   answers

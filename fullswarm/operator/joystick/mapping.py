@@ -126,7 +126,7 @@ def _same_pad(line: str, made: Mapping) -> bool:
 
 
 def _replace(path: Path, lines: Iterable[str]) -> None:
-    """Write beside it, then rename: nobody ever reads half a file."""
+    """Write beside it, then rename: no reader sees half a file."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

@@ -119,7 +119,7 @@ class Reins:
         stream, self._stream = self._stream, None
         order, self._order = self._order, None
         if order is not None and order.status is None:
-            self._operator.forget(order)  # it must not start robots that nobody has in hand any more
+            self._operator.forget(order)  # it must not start robots that are no longer in hand
 
         def give_back() -> None:
             if selection is not None:

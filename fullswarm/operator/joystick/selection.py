@@ -1,4 +1,4 @@
-"""Who is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them."""
+"""What is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Selection:
     ----------
     robots
         By name, also of the whole swarm as far as it has been heard: for leases.
-        None: nobody can be driven.
+        None: no robot can be driven.
     addressed
         As in a request: none means all, so that a robot that joins is among them.
     """
@@ -35,7 +35,7 @@ class Selection:
 
 
 class Roster:
-    """What the swarm says of who is there, and whether the core is.
+    """Which robots are present, and whether the core is.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Roster:
         return tuple(sorted(filter(self._may, self._makes), key=lambda name: (len(name), name)))
 
     def everybody(self) -> tuple[str, ...]:
-        """Return all robots that have been heard: who must confirm an e-stop."""
+        """Return all robots that have been heard: those that must confirm an e-stop."""
         return tuple(sorted(self._makes))
 
     def _may(self, robot: str) -> bool:
@@ -147,7 +147,7 @@ class Chooser:
         self._robot, self._group = "", roster.all_label
 
     def now(self) -> Selection:
-        """Return who is chosen."""
+        """Return what is chosen."""
         if self._robot:
             return Selection(self._robot, (self._robot,), (self._robot,))
         gone = Selection(f"{self._group} (gone)", (), ())  # never all instead of a few

@@ -141,7 +141,7 @@ def _goal(goal: Node, draft: Draft) -> None:
 
 
 def _box_goal(x: float, y: float, width: float, height: float, goal: Node, draft: Draft) -> None:
-    """Keep the largest disc inside: who reached it has reached the box."""
+    """Keep the largest disc inside: a robot that reached it has reached the box."""
     if min(width, height) <= 0.0:
         raise ConfigError("a goal's sizes must be above zero", where=goal.where)
     draft.goals.append((x, y, min(width, height) / 2))
