@@ -11,7 +11,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from tests.unit.rover_agent import FASTEST, RoverAgent
 
 CONFIRMED_S, TRIES = 1.0, 20

@@ -13,10 +13,8 @@ import serial
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.can import probe as can_bus
-from fullswarm.drivers.can.emulator import EmulatedBase
 from fullswarm.drivers.create_oi import probe as create
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator, Quirks
 from fullswarm.drivers.create_oi.protocol import (
     CREATE1,
     CREATE2,
@@ -30,10 +28,12 @@ from fullswarm.drivers.create_oi.protocol import (
 )
 from fullswarm.drivers.mavlink import probe as mavlink
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
-from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.line import Line
+from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.create_oi.emulator import CreateEmulator, Quirks
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 from fullswarm.errors import ConfigError
 
 CLOCK = MonotonicClock()

@@ -18,8 +18,8 @@ from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.firmware import Firmware
 from fullswarm.drivers.mavlink.session import Session
+from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest, EStop, EStopReceipt, HealthReport, Heartbeat, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime

@@ -10,8 +10,6 @@ encoder estimates come back and leave as readings.
 - ``machine.py``, ``axis.py``: the lifecycle, without input or output
 - ``port.py``, ``slcan_bus.py``, ``driver.py``: python-can and the link thread
 - ``probe.py``: which robots are on a bus, asked without moving them
-- ``emulator.py``: the other end of the wire, of ``odrive_emulator.py`` or ``vesc_emulator.py``, ``spin.py``,
-  ``wire.py`` and, for a serial adapter on a pseudo terminal, ``pty.py``
 
 This folder is called ``can`` as well: inside it ``import can`` is absolute and means python-can.
 """

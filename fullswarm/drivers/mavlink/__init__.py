@@ -21,11 +21,6 @@
       codec.py       frames ↔ messages (pymavlink's dialect)
       stream.py      bytes → frames: tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU
-    emulator.py      RoverEmulator: an emulated ArduPilot rover behind real ports
-      firmware.py    ArduRover as its wire shows it; no I/O, no clock of its own
-      rover/         its parts
-    px4_emulator.py  Px4Emulator: an emulated PX4 rover behind a real port
-      px4_firmware.py, px4_telemetry.py  PX4 as its wire shows it
 
 Set-points (twists) and poses from outside flow in, readings (pose, twist, battery, hazards) flow out.
 """

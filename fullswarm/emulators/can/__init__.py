@@ -1,4 +1,9 @@
-"""Emulated CAN bases: what their records name."""
+"""Emulated CAN bases; here, what their records name.
+
+- ``emulator.py``: two wheels and a body on a bus
+- ``odrive.py``, ``vesc.py``: one wheel's motor controller as its wire shows it; ``spin.py``: how a wheel gains speed
+- ``wire.py``: the bus through python-can; ``adapter.py``: a serial adapter on a pseudo terminal instead
+"""
 
 from __future__ import annotations
 
@@ -9,15 +14,15 @@ from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.drivers.body import Body
-    from fullswarm.drivers.can.emulator import EmulatedBase
     from fullswarm.drivers.make import Bench
+    from fullswarm.emulators.can.emulator import EmulatedBase
 
 BENCH_BODY = "left=1&right=2&wheel_radius=0.05&base=0.3"
 
 
 def start(url: str, body: Body) -> EmulatedBase:
     """Switch on the base that a driver's URL names."""
-    from fullswarm.drivers.can.emulator import EmulatedBase
+    from fullswarm.emulators.can.emulator import EmulatedBase
     from fullswarm.emulators.ports import make_folder
 
     make_folder(urlsplit(url).path)
@@ -35,7 +40,7 @@ def vesc_on_bench(bench: Bench, body: Body) -> EmulatedBase:
 
 
 def _on_bench(controller: str, bench: Bench, body: Body, options: str) -> EmulatedBase:
-    from fullswarm.drivers.can.emulator import EmulatedBase
+    from fullswarm.emulators.can.emulator import EmulatedBase
 
     url = bench.url or f"can+{controller}://{bench.path}?interface=slcan&{options}"
     if urlsplit(url).scheme != f"can+{controller}":

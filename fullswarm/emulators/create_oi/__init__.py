@@ -1,4 +1,9 @@
-"""Emulated Creates and Roombas: what their record names."""
+"""Emulated Creates and Roombas; here, what their record names.
+
+- ``emulator.py``: puts the firmware on a port and over a body; ``pty_port.py``: that port, a pseudo terminal
+- ``firmware.py``: the robot's end of the Open Interface, with ``counters.py`` (encoders, battery), ``panel.py``
+  (lamps, songs), ``surroundings.py`` (light, infrared and cliff sensors) and ``waits.py`` (Create 1)
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,13 @@ from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from fullswarm.drivers.body import Body
-    from fullswarm.drivers.create_oi.emulator import CreateEmulator
+    from fullswarm.emulators.create_oi.emulator import CreateEmulator
 
 
 def start(url: str, body: Body) -> CreateEmulator:
     """Switch on the robot that a driver's URL names."""
-    from fullswarm.drivers.create_oi.emulator import CreateEmulator
     from fullswarm.drivers.create_oi.settings import parse_url
+    from fullswarm.emulators.create_oi.emulator import CreateEmulator
     from fullswarm.emulators.ports import make_folder
 
     settings = parse_url(url)

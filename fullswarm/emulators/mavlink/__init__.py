@@ -1,4 +1,9 @@
-"""Emulated rovers: what their record names."""
+"""Emulated rovers; here, what their record names.
+
+- ``emulator.py``: an ArduPilot rover behind real ports; ``firmware.py``: ArduRover as its wire shows it, with ``rover/``
+- ``px4_emulator.py``: a PX4 rover behind a real port; ``px4_firmware.py`` and ``px4_telemetry.py``: PX4 as its wire
+  shows it
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 if TYPE_CHECKING:
     from fullswarm.drivers.body import Body
     from fullswarm.drivers.make import Bench, Emulator
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
+    from fullswarm.emulators.mavlink.emulator import RoverEmulator
 
 DEFAULT_LISTEN = "udp://127.0.0.1:14550"
 BOOT_S = 1.0
@@ -27,7 +32,7 @@ def start(url: str, body: Body) -> RoverEmulator:
     ConfigError
         The URL is one of another kind of link.
     """
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
+    from fullswarm.emulators.mavlink.emulator import RoverEmulator
 
     address = urlsplit(url)
     if address.scheme != "mavlink+udp":
@@ -52,14 +57,14 @@ def on_bench(bench: Bench, body: Body) -> Emulator:
     if bench.url is not None:
         address = _other_end(bench.url)
     if bench.model == "px4":
-        from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
+        from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 
         return Px4Emulator(address, body).start()
     if bench.model not in (None, "rover"):
         raise ConfigError(
             f"no model '{bench.model}'", where="--model", hint=did_you_mean(str(bench.model), ("rover", "px4"))
         )
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
+    from fullswarm.emulators.mavlink.emulator import RoverEmulator
 
     return RoverEmulator(address, body).start()
 
@@ -93,9 +98,9 @@ def clients(url: str) -> dict[str, str]:
 
 def mode(emulator: Any) -> str:
     """Return the autopilot's mode, and whether it is armed."""
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
     from fullswarm.drivers.mavlink.protocol import mode_name
     from fullswarm.drivers.mavlink.px4 import Px4
+    from fullswarm.emulators.mavlink.emulator import RoverEmulator
 
     number = emulator.firmware.mode
     name = mode_name(number) if isinstance(emulator, RoverEmulator) else Px4().mode_name(number)
