@@ -31,6 +31,7 @@ Further files:
 ``localization/``  Poses from outside: what measures robots from the base station becomes pose fixes on the bus
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
+``reasons.py``     Why robots stand and requests are refused: codes for programs, texts for people
 ``registry.py``    Drivers and behaviours by name: a table first, entry points only on a miss
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class FullswarmError(Exception):
@@ -31,13 +31,18 @@ class FullswarmError(Exception):
         File and key, port, robot or address; empty when there is none.
     hint
         What the reader can do about it.
+    code, parameters
+        A :class:`~fullswarm.reasons.Code` and what it is about, where a program decides by them.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: str = "", hint: str = "") -> None:
+    def __init__(
+        self, what: str, *, where: str = "", hint: str = "", code: str = "", parameters: Mapping[str, str] | None = None
+    ) -> None:
         super().__init__(what)
         self.what, self.where, self.hint = what, where, hint
+        self.code, self.parameters = code, dict(parameters or {})
 
     def __str__(self) -> str:
         """One line: ``where: what (hint)``."""

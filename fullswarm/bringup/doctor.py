@@ -202,9 +202,8 @@ def _answer(name: str, url: str) -> Iterator[Check]:
 
     asked = ask.ask_url(url)
     if not asked.robots:
-        held = "held by" in asked.problem
-        mend = "" if held else "fullswarm robots find"
-        yield Check(name, "warning" if held else "failure", f"not asked: {asked.problem}", mend)
+        mend = "" if asked.held else "fullswarm robots find"
+        yield Check(name, "warning" if asked.held else "failure", f"not asked: {asked.problem}", mend)
         return
     for each in asked.robots:
         if _family(each.url) != _family(url):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fullswarm.agent.node import AgentNode
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import Clock, SimClock
@@ -116,8 +116,8 @@ class RoverAgent:
         self.until(lambda: self.driver.state is Lifecycle.READY and bool(self.health))
 
     @property
-    def reason(self) -> Reason:
-        return Reason(int(self.agent.controller.reason[0]))
+    def reason(self) -> StopReason:
+        return StopReason(int(self.agent.controller.reason[0]))
 
     @property
     def standing(self) -> bool:

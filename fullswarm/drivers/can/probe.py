@@ -18,7 +18,7 @@ from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import Settings, parse
 from fullswarm.drivers.make import Scope
-from fullswarm.drivers.probe.found import Asked, Found
+from fullswarm.drivers.probe.found import Asked, Found, unasked
 from fullswarm.errors import ConfigError, DriverError, did_you_mean
 
 LISTEN_S = 0.6  # ODrive: heartbeats at 10 Hz; VESC: status messages at 50 Hz, pongs at once
@@ -152,7 +152,7 @@ def _ask(settings: Settings, wanted: frozenset[int], clock: Clock) -> Asked:
     try:
         port = CanPort(settings)
     except DriverError as error:
-        return Asked(name, problem=f"{error.what} ({error.hint})")
+        return unasked(name, error)
     try:
         bus = _listen(port, clock)
     except DriverError as error:

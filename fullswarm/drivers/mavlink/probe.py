@@ -19,9 +19,10 @@ from fullswarm.drivers.make import Scope
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser
 from fullswarm.drivers.mavlink.link import Address, Transport, open_transport, parse_url
-from fullswarm.drivers.probe.found import Asked, Found
+from fullswarm.drivers.probe.found import Asked, Found, unasked
 from fullswarm.drivers.probe.line import SerialPort
 from fullswarm.errors import ConfigError, DriverError, LinkLost, MissingExtra
+from fullswarm.reasons import Code
 
 LISTEN_S = 0.0  # asking listens
 DEFAULT_UDP = "127.0.0.1:14550"
@@ -203,7 +204,8 @@ class UdpLink:
             holder = udp_holder(port) if error.errno == errno.EADDRINUSE else ""
             what = f"the port is held by {holder}" if holder else f"cannot listen there: {error.strerror or error}"
             hint = "end that program; one port serves one driver" if holder else "choose another address or port"
-            raise DriverError(what, where=f"udp {host}:{port}", hint=hint) from error
+            code = Code.PORT_HELD if holder else Code.NONE
+            raise DriverError(what, where=f"udp {host}:{port}", hint=hint, code=code) from error
 
     def __enter__(self) -> UdpLink:
         return self
@@ -255,7 +257,7 @@ def ask_udp(host: str, port: int, clock: Clock) -> Asked:
         with UdpLink(host, port) as link:
             robots = ask(link, name, f"mavlink+udp://{host}:{port}", clock, several=True)
     except DriverError as error:
-        return Asked(name, problem=f"{error.what} ({error.hint})")
+        return unasked(name, error)
     return Asked(name, robots=robots, problem="" if robots else SILENCE)
 
 
@@ -267,7 +269,7 @@ def ask_url(url: str, clock: Clock) -> Asked:
     try:
         transport = open_transport(address, lambda _: True)
     except DriverError as error:
-        return Asked(str(address), problem=f"{error.what} ({error.hint})")
+        return unasked(str(address), error)
     try:
         robots = ask(_Connected(transport), str(address), _base_url(address), clock)
     except LinkLost as error:

@@ -15,7 +15,7 @@ from serial.tools import list_ports
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.make import Probe, Scope, SerialProbe, make_of, makes
-from fullswarm.drivers.probe.found import Asked
+from fullswarm.drivers.probe.found import Asked, unasked
 from fullswarm.drivers.probe.line import BAUDS, Line, SerialPort
 from fullswarm.errors import FullswarmError
 
@@ -78,7 +78,7 @@ def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
                     if robots:
                         return replace(asked, robots=robots)
     except FullswarmError as error:
-        return replace(asked, problem=f"{error.what} ({error.hint})" if error.hint else error.what)
+        return replace(unasked(known.path, error), product=known.product)
     except OSError as error:
         return replace(asked, problem=f"the port vanished while it was asked: {error.strerror or error}")
     return replace(asked, problem="nobody answers: is the robot switched on?")

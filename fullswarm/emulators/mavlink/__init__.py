@@ -1,6 +1,6 @@
 """Emulated rovers; here, what their record names.
 
-- ``emulator.py``: an ArduPilot rover behind real ports; ``firmware.py``: ArduRover as its wire shows it, with ``rover/``
+- ``emulator.py``: an ArduPilot rover behind real ports; ``firmware.py``, ``rover/``: ArduRover as its wire shows it
 - ``px4_emulator.py``: a PX4 rover behind a real port; ``px4_firmware.py`` and ``px4_telemetry.py``: PX4 as its wire
   shows it
 """

@@ -52,13 +52,13 @@ function makeKey(make) {
 
 export const MAP_COLOURS = {
   light: {
-    outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",
+    dark: false, outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",
     ink: "#14202B", halo: "#FFFFFF", select: "#0B57D0", goal: "#0B57D0", filter: "#B3261E", cover: [0, 114, 178, 52],
     sensing: "rgba(11, 87, 208, 0.5)", lasso: "rgba(11, 87, 208, 0.14)", alarm: "#C5221F", edge: "#14202B",
     dim: "rgba(228, 232, 236, 0.62)",
   },
   dark: {
-    outside: "#0B1015", floor: "#161D24", grid: "#212A33", wall: "#9AA7B4", box: "#55616D", seen: "#FFB454",
+    dark: true, outside: "#0B1015", floor: "#161D24", grid: "#212A33", wall: "#9AA7B4", box: "#55616D", seen: "#FFB454",
     ink: "#EAF0F5", halo: "#0B1015", select: "#8AB4F8", goal: "#8AB4F8", filter: "#FF8A80", cover: [86, 180, 233, 56],
     sensing: "rgba(138, 180, 248, 0.5)", lasso: "rgba(138, 180, 248, 0.18)", alarm: "#FF5F52", edge: "#0B1015",
     dim: "rgba(11, 16, 21, 0.62)",

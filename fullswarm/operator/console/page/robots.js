@@ -66,11 +66,11 @@ function drawRobot(scene, robot, selected) {
     shape: kind.shape,
     radius: Math.round(radius_px * dpr),
     ...look,
-    edge: silent ? colours.ink : colours.edge === "#14202B" ? colours.edge : "#0B1015",
+    edge: silent ? colours.ink : colours.edge,
     hollow: silent,
   });
   if (selected) drawSelected(context, robot, colours);
-  if (!silent && colours.edge === "#0B1015") drawRim(context, robot, kind.shape, colours);
+  if (!silent && colours.dark) drawRim(context, robot, kind.shape, colours);
   const cos = Math.cos(robot.heading);
   const sin = Math.sin(robot.heading);
   context.setTransform(cos, -sin, sin, cos, px * dpr, py * dpr);
