@@ -96,10 +96,15 @@ class SafetyStop(FullswarmError):
     exit_code = 4
 
 
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return which of `known` may be meant; empty when nothing is near."""
+    return next(iter(difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.6)), "")
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """``did you mean 'x'?`` for the nearest of `known`, or the whole choice when nothing is near."""
     choices = sorted(known)
-    near = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    near = nearest(word, choices)
     if near:
-        return f"did you mean '{near[0]}'?"
+        return f"did you mean '{near}'?"
     return f"known: {', '.join(choices)}" if choices else "none is known yet"

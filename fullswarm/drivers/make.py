@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,6 +100,19 @@ class Bench:
     model: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Something that only one robot of a computer can have: in words, and what to do when two name the same."""
+
+    words: tuple[str, ...]
+    advice: str = "give each robot a port of its own"
+
+
+def device_claim(path: str, *, elsewhere: bool) -> Claim:
+    """Return the claim on a serial device; links such as those of /dev/serial/by-id are followed on this computer."""
+    return Claim(("the port", path if elsewhere else os.path.realpath(path)))
+
+
 # ---------------------------------------------------------------- the record
 @dataclass(frozen=True, slots=True)
 class Model:
@@ -187,8 +201,9 @@ class Make:
         One URL.
     limits
         What the driver does and does not do, for the table of the documentation.
-    settings
-        ``module:function`` that reads a URL and raises ``ConfigError``; empty: the driver's constructor does it.
+    claims
+        ``module:function``: (URL, whether it is another computer's) → what the robot needs for itself there (see
+        :class:`Claim`); empty: the URL as a whole.
     extra
         Optional dependency of fullswarm that its driver needs.
     simulated
@@ -205,7 +220,7 @@ class Make:
     driver: str
     example: str = ""
     limits: str = ""
-    settings: str = ""
+    claims: str = ""
     extra: str = ""
     simulated: bool = False
     guarded: bool = False
@@ -222,6 +237,12 @@ class Make:
     def load_probe(self) -> Probe | None:
         """Import and return the probe, if there is one."""
         return part(self.probe) if self.probe else None
+
+    def claims_of(self, url: str, *, elsewhere: bool) -> tuple[Claim, ...]:
+        """Return what a robot with this URL needs for itself on its computer, `elsewhere`: not on this one."""
+        if self.claims:
+            return tuple(part(self.claims)(url, elsewhere))
+        return () if self.simulated else (Claim(("the URL", url)),)
 
     def proven(self) -> str:
         """Return the evidence as a sentence."""

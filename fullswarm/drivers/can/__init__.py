@@ -31,6 +31,7 @@ def _base(controller: str, needed: str, options: str) -> Make:
         robots="CAN bases",
         schemes=(f"can+{controller}",),
         driver="fullswarm.drivers.can.driver:CanBaseDriver",
+        claims="fullswarm.drivers.can.settings:claims",
         example=f"can+{controller}://can0?left=1&right=2&wheel_radius=0.05&base=0.3{needed}",
         limits="two motor controllers, differential drive",
         extra="can",

@@ -18,6 +18,7 @@ MAKE = Make(
     robots="iRobot Creates and Roombas",
     schemes=("create",),
     driver="fullswarm.drivers.create_oi.driver:CreateDriver",
+    claims="fullswarm.drivers.create_oi.settings:claims",
     example="create:///dev/ttyUSB0?model=create2",
     limits="Create 1, Roomba 500, Create 2 over serial; Safe mode; the device has no watchdog; `speed_step=28.5` "
     "reports the wheels' own steps. Three falls in 10 s are a FAULT until it has stood safely for 10 s",

@@ -34,6 +34,7 @@ MAKE = Make(
     robots="MAVLink rovers",
     schemes=("mavlink+udp", "mavlink+udpout", "mavlink+tcp", "mavlink+serial"),
     driver="fullswarm.drivers.mavlink.driver:MavlinkDriver",
+    claims="fullswarm.drivers.mavlink.settings:claims",
     example="mavlink+udp://127.0.0.1:14550",
     limits="ArduRover in GUIDED, PX4 in OFFBOARD (`autopilot=px4`); signing; takes pose fixes (`pose=external`); "
     "`origin=lat,lon` puts its own position into the swarm's frame (added from `[world] origin`); NED and FRD end in "

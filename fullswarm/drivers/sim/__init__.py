@@ -29,6 +29,7 @@ MAKE = Make(
     robots="simulated robots",
     schemes=("sim",),
     driver="fullswarm.drivers.sim.driver:SimDriver",
+    claims="fullswarm.drivers.sim.protocol:claims",
     example="sim://127.0.0.1:7450/r1",
     limits="body of a world process; options as a query: `?speed_limit_m_s=4&turn_limit_rad_s=0.785&sensing_m=3`",
     extra="sim",
