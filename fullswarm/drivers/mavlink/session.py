@@ -355,6 +355,8 @@ class Session:
         elif self.lifecycle is Lifecycle.OPEN and settled:
             if left_armed(self._vehicle, self.autopilot, by_us=self._armed_by_us):
                 self._begin_stand_down(now_s)
+            elif not self.why and self._vehicle.aiding.unheard(now_s):
+                self.why = "its satellite receiver has not been heard again yet"  # the vehicle was silent as a whole
             elif not self.why:
                 self.lifecycle = Lifecycle.READY
 
