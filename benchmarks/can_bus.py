@@ -23,7 +23,7 @@ TARGET = 0.05
 
 WORLD = """
 import sys
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import EmulatedBase
 with EmulatedBase(sys.argv[1]):
     print("ready", flush=True)
     sys.stdin.read()

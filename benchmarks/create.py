@@ -32,7 +32,7 @@ PERIOD_S = 0.02
 
 ROBOT = """
 import sys
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 with CreateEmulator() as robot:
     print(robot.port, flush=True)
     sys.stdin.read()

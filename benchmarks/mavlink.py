@@ -25,8 +25,8 @@ from typing import Any
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.startup import RATES_HZ
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
 
 TARGET = 0.03
 COMMAND_S = 0.05

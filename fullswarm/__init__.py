@@ -20,6 +20,7 @@ Further files:
                    themselves back
 ``earth.py``       Places on earth in a swarm's own frame: the plane that touches the WGS84 ellipsoid at the swarm's
                    origin
+``emulators/``     Emulated robots: the other end of the wire of each make, on real ports
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): worlds, trials, how they are run, and what came of them
 ``geometry.py``    Angles, the unicycle map and frame changes
@@ -30,6 +31,7 @@ Further files:
 ``localization/``  Poses from outside: what measures robots from the base station becomes pose fixes on the bus
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
+``reasons.py``     Why robots stand and requests are refused: codes for programs, texts for people
 ``registry.py``    Drivers and behaviours by name: a table first, entry points only on a miss
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class FullswarmError(Exception):
@@ -31,13 +31,18 @@ class FullswarmError(Exception):
         File and key, port, robot or address; empty when there is none.
     hint
         What the reader can do about it.
+    code, parameters
+        A :class:`~fullswarm.reasons.Code` and what it is about, where a program decides by them.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: str = "", hint: str = "") -> None:
+    def __init__(
+        self, what: str, *, where: str = "", hint: str = "", code: str = "", parameters: Mapping[str, str] | None = None
+    ) -> None:
         super().__init__(what)
         self.what, self.where, self.hint = what, where, hint
+        self.code, self.parameters = code, dict(parameters or {})
 
     def __str__(self) -> str:
         """One line: ``where: what (hint)``."""
@@ -91,10 +96,15 @@ class SafetyStop(FullswarmError):
     exit_code = 4
 
 
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return which of `known` may be meant; empty when nothing is near."""
+    return next(iter(difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.6)), "")
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """``did you mean 'x'?`` for the nearest of `known`, or the whole choice when nothing is near."""
     choices = sorted(known)
-    near = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    near = nearest(word, choices)
     if near:
-        return f"did you mean '{near[0]}'?"
+        return f"did you mean '{near}'?"
     return f"known: {', '.join(choices)}" if choices else "none is known yet"

@@ -56,6 +56,8 @@ Value = (
 Its numbers may be anything: the process that carries requests out refuses them, with a reason for the sender.
 """
 Parameters = Annotated[dict[str, Value], Meta(max_length=256)]
+About = Annotated[dict[str, str], Meta(max_length=MOST)]
+"""What a reason is about, by name; see :mod:`fullswarm.reasons`."""
 
 LARGEST = 1e15
 """Of what is measured; a sum of many such numbers is finite."""
@@ -90,13 +92,15 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
     stamp_s: Stamp = 0.0  # orders the requests of one operator, and all stops, on one clock; others by arrival
 
 
-class RequestStatus(Message, frozen=True, kw_only=True):
+class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/2"):
     """What became of a request; the newest one for an `id` holds."""
 
     request_id: str
     behaviour: str
     phase: Phase
     reason: str = ""  # why it was refused or superseded
+    code: str = ""  # of the reason, see `fullswarm.reasons`
+    parameters: About = {}  # what the reason is about
     robots: Names = ()  # which shall run it
     running: Names = ()  # which confirmed
     missing: Names = ()  # addressed, but not present now; they get it when they join
@@ -185,7 +189,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     stamp_s: Stamp = 0.0
 
 
-class ControlAck(Message, frozen=True, kw_only=True):
+class ControlAck(Message, frozen=True, kw_only=True, tag="ControlAck/2"):
     """A robot's answer to a ControlRequest."""
 
     request_id: str
@@ -194,6 +198,8 @@ class ControlAck(Message, frozen=True, kw_only=True):
     enabled: bool
     accepted: bool
     reason: str = ""
+    code: str = ""  # of the reason, see `fullswarm.reasons`
+    parameters: About = {}
     core: str = ""
     sequence: Ordinal = 0
 
@@ -325,7 +331,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     moving: bool = False
     estop: bool = False
     stop_reason: str = ""  # why it stands although a behaviour is on
+    stop_code: str = ""  # of `stop_reason`, see `fullswarm.reasons`
+    stop_parameters: About = {}
     fault: str = ""
+    fault_code: str = ""  # of `fault`, if its driver has one for it
     battery: Annotated[float, Meta(ge=-1.0, le=100.0)] = -1.0  # 0 to 1; -1: unknown
     contacts: Count = 0  # touching now
     collisions: Count = 0  # since the agent started
@@ -338,7 +347,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     filter_note: str = ""  # why the safety filter brakes: not merely limits
 
 
-class HealthReport(Message, frozen=True, kw_only=True):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

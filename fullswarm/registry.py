@@ -1,7 +1,8 @@
 """Drivers and behaviours by name: a table first, entry points only on a miss.
 
-Importing this file imports none of them. Outside packages use the entry point groups ``fullswarm.drivers``
-(URL scheme → class) and ``fullswarm.behaviours`` (law name → module). A name of the table cannot be taken over.
+Importing this file imports none of them. Outside packages use the entry point groups ``fullswarm.drivers`` (URL scheme
+→ record of the make, or its driver class alone) and ``fullswarm.behaviours`` (law name → module). A name of the table
+cannot be taken over.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ BEHAVIOUR_GROUP = "fullswarm.behaviours"
 
 DRIVERS = MappingProxyType(
     {
-        "sim": "fullswarm.drivers.sim.driver:SimDriver",
-        "null": "fullswarm.drivers.null.driver:NullDriver",
-        "create": "fullswarm.drivers.create_oi.driver:CreateDriver",
-        "mavlink+udp": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
-        "mavlink+udpout": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
-        "mavlink+tcp": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
-        "mavlink+serial": "fullswarm.drivers.mavlink.driver:MavlinkDriver",
-        "can+odrive": "fullswarm.drivers.can.driver:CanBaseDriver",
-        "can+vesc": "fullswarm.drivers.can.driver:CanBaseDriver",
+        "sim": "fullswarm.drivers.sim:MAKE",
+        "null": "fullswarm.drivers.null:MAKE",
+        "create": "fullswarm.drivers.create_oi:MAKE",
+        "can+odrive": "fullswarm.drivers.can:ODRIVE",
+        "can+vesc": "fullswarm.drivers.can:VESC",
+        "mavlink+udp": "fullswarm.drivers.mavlink:MAKE",
+        "mavlink+udpout": "fullswarm.drivers.mavlink:MAKE",
+        "mavlink+tcp": "fullswarm.drivers.mavlink:MAKE",
+        "mavlink+serial": "fullswarm.drivers.mavlink:MAKE",
     }
 )
+"""Each scheme's record (:class:`fullswarm.drivers.make.Make`). `robots find` asks them in this order."""
 
 _LAWS = "fullswarm.agent.behaviours"
 LAWS = MappingProxyType(
@@ -61,12 +63,27 @@ def driver_class(url: str) -> Any:
     ConfigError
         Unknown scheme, or a plug-in that does not import; says which and why.
     """
+    found = record(url)
+    return found if isinstance(found, type) else found.driver_class()
+
+
+def record(url: str) -> Any:
+    """Return what the table or an entry point names for a URL's scheme: the record of a make, or a driver class.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scheme, or a plug-in that does not import; says which and why.
+    """
     module, _, name = driver_target(url).partition(":")
-    return getattr(_import(module, url), name)
+    found = getattr(_import(module, url), name, None)
+    if found is None:
+        raise ConfigError(f"'{module}' has no '{name}'", where=url, hint="install its package again")
+    return found
 
 
 def driver_target(url: str) -> str:
-    """Return where the driver class for a URL is, ``module:name``. Imports nothing: a mistyped URL is told at once.
+    """Return where the record for a URL is, ``module:name``. Imports nothing: a mistyped URL is refused at once.
 
     Raises
     ------

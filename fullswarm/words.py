@@ -1,4 +1,4 @@
-"""Words that both ends of the wire must agree on: what an id may look like, how reasons begin."""
+"""Words that both ends of the wire must agree on: what an id may look like, names with a meaning of their own."""
 
 from __future__ import annotations
 
@@ -12,15 +12,3 @@ TRUTH = "truth"
 
 STOP = "stop"
 """The behaviour that enables nothing."""
-
-STOPPED_BY = "it was stopped by"
-"""How the reason of a robot begins that stands because somebody asked for that: no cause for alarm."""
-
-ESTOP_WAS = "its e-stop was"
-"""The same for an e-stop, engaged or released: that it is latched stands elsewhere."""
-
-ESTOP_LATCHED = "its e-stop is latched"
-"""How a robot's refusal begins that only the release of its e-stop ends."""
-
-LAPSED = "the operator's intent has run out"
-"""Why a robot stands whose stick was let go."""

@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.pose_conflicts import PoseConflicts
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
+from fullswarm.agent.robot_controller import RobotController, StopReason, explain_hazards
 from fullswarm.drivers.base import Fleet, Lifecycle
+from fullswarm.reasons import Code, given, reason
 
-ENDING = [Reason.DRIVER, Reason.HAZARD, Reason.BATTERY, Reason.OVERLAP, Reason.FRAME]
+ENDING = [StopReason.DRIVER, StopReason.HAZARD, StopReason.BATTERY, StopReason.OVERLAP, StopReason.FRAME]
 
 
 class DriverWatch:
@@ -43,7 +44,8 @@ class DriverWatch:
         """Notice a driver that fell from ACTIVE to READY although its task goes on: a fault that came and went."""
         wished = bool(self._controller.drive_on[0])
         if self._engaged and wished and state is Lifecycle.READY:
-            self._inbox.spend(0, self._fleet.fault(0) or "the robot stopped driving by itself")
+            fault = given(self._fleet.fault(0), self._fleet.fault_code(0))
+            self._inbox.spend(0, fault or reason(Code.DRIVER_STOPPED))
         # Engaged by the present wish: a driver still standing down from an earlier one will be READY on purpose.
         fresh = self._engaged or self._state is Lifecycle.READY
         self._engaged = wished and state is Lifecycle.ACTIVE and fresh
@@ -53,12 +55,12 @@ class DriverWatch:
         """End the tasks of robots that stand for a reason of `ENDING`; `hazards` (n,) of the newest reading."""
         reasons = self._controller.reason
         for row in np.flatnonzero(np.isin(reasons, ENDING)).tolist():
-            if reasons[row] in (Reason.OVERLAP, Reason.FRAME):
+            if reasons[row] in (StopReason.OVERLAP, StopReason.FRAME):
                 self._inbox.spend(row, self._conflicts.reason(row))
-            elif reasons[row] == Reason.HAZARD:
+            elif reasons[row] == StopReason.HAZARD:
                 self._inbox.spend(row, explain_hazards(int(hazards[row]), self._fleet.fault(row))[0])
-            elif reasons[row] == Reason.BATTERY:
-                self._inbox.spend(row, EXPLAIN[Reason.BATTERY])
+            elif reasons[row] == StopReason.BATTERY:
+                self._inbox.spend(row, reason(Code.BATTERY))
             elif self._been_ready and self._fleet.lifecycle(row) is Lifecycle.FAULT:
                 # Before it was ever ready it has not stopped from anything: a base may be switched on late.
-                self._inbox.spend(row, f"the driver failed: {self._fleet.fault(row)}")
+                self._inbox.spend(row, reason(Code.DRIVER_FAILED, fault=self._fleet.fault(row)))

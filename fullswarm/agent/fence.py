@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 
+from fullswarm.reasons import NONE, Reason
+
 REMEMBERED = 64
 
 
-class Memory(OrderedDict[str, str]):
-    """The newest `REMEMBERED` names with a word on each."""
+class Memory(OrderedDict[str, Reason]):
+    """The newest `REMEMBERED` names with a reason for each."""
 
-    def note(self, name: str, word: str = "") -> None:
+    def note(self, name: str, why: Reason = NONE) -> None:
         """Remember `name`, forgetting the oldest when there are too many."""
-        self[name] = word
+        self[name] = why
         self.move_to_end(name)
         while len(self) > REMEMBERED:
             self.popitem(last=False)
@@ -88,7 +90,7 @@ class Fence:
         """Something was started: no stop is in force any more."""
         self.halted = ""
 
-    def halt(self, order_id: str, why: str) -> None:
+    def halt(self, order_id: str, why: Reason) -> None:
         """Spend every request seen so far: a stop overrules also those that are wanted but not running.
 
         `order_id` is empty when a core was there to hear of it.

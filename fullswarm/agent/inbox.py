@@ -11,7 +11,7 @@ from fullswarm.agent.fence import Cores, Fence
 from fullswarm.agent.freshness import Freshness
 from fullswarm.agent.pose_conflicts import PoseConflicts
 from fullswarm.agent.reflexes import Reflexes
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
+from fullswarm.agent.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.state import Motion
 from fullswarm.agent.tasks import Task, Tasks
@@ -21,8 +21,8 @@ from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
+from fullswarm.reasons import NONE, Code, Reason, given, reason, spent
 from fullswarm.runtime import Scheduler
-from fullswarm.words import ESTOP_LATCHED, ESTOP_WAS, STOPPED_BY
 
 REMEMBERED_STOPS = 256
 
@@ -40,7 +40,7 @@ class Inbox:
 
     Attributes
     ----------
-    ended : why the last task of each robot was ended on board; empty: it was not
+    ended : why the last task of each robot was ended on board; false: it was not
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Inbox:
         self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
         self._reflexes, self._conflicts, self._wake = reflexes, conflicts, wake
         ids = fleet.ids
-        self.ended = [""] * len(ids)
+        self.ended = [NONE] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
         self._fences = [Fence(self._cores) for _ in ids]
@@ -104,7 +104,7 @@ class Inbox:
         if row is None:
             return
         if self._fences[row].replaced(request.core, self._scheduler.now_s()):
-            answer = self._answer(row, request, accepted=False, reason="another core commands this robot")
+            answer = self._answer(row, request, reason(Code.OTHER_CORE))
             self._bus.publish(self._keys.ack(request.robot), answer)
             return
         core, sequence = self._newest[row]
@@ -115,54 +115,57 @@ class Inbox:
                 self._bus.publish(self._keys.ack(request.robot), last)
             return
         self._newest[row] = (request.core, request.sequence)
-        accepted, reason = self._apply(row, request)
+        why_not = self._apply(row, request)
         self._wake()  # the wheels first, then the words
-        self._answers[row] = answer = self._answer(row, request, accepted=accepted, reason=reason)
+        self._answers[row] = answer = self._answer(row, request, why_not)
         self._bus.publish(self._keys.ack(request.robot), answer)
 
-    def _answer(self, row: int, request: ControlRequest, *, accepted: bool, reason: str) -> ControlAck:
+    def _answer(self, row: int, request: ControlRequest, why_not: Reason) -> ControlAck:
         task = self._tasks.of[row]
         return ControlAck(
             request_id=request.request_id,
             robot=request.robot,
             behaviour=request.behaviour,
             enabled=task is not None and task.request.request_id == request.request_id,
-            accepted=accepted,
-            reason=reason,
+            accepted=not why_not,
+            reason=why_not.text,
+            code=why_not.code,
+            parameters=dict(why_not.parameters),
             core=request.core,
             sequence=request.sequence,
         )
 
-    def _apply(self, row: int, request: ControlRequest) -> tuple[bool, str]:
+    def _apply(self, row: int, request: ControlRequest) -> Reason:
+        """Do what is asked; return why not, false if it is done."""
         fence = self._fences[row]
         if not request.enable:
             self._drop(row)
-            return True, ""
+            return NONE
         fence.see(request.request_id)
         if self._controller.estop[row]:
-            return False, f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`"
+            return reason(Code.ESTOP_LATCHED)
         if request.request_id in fence.spent:
-            return False, f"{fence.spent[request.request_id]}; ask for it again"
+            return spent(fence.spent[request.request_id])
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
-            words, remedy = explain_hazards(hazards, self._fleet.fault(row))
-            return False, f"{words}; {remedy}, then ask for it again"
+            seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
+            return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
         if self._reflexes.flat[row] and request.expires_s <= 0.0:
-            return False, EXPLAIN[Reason.BATTERY]
+            return reason(Code.BATTERY)
         conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
-            return False, conflict
+            return conflict
         try:
             self._tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:
-            return False, str(error)
+            return given(str(error))
         fence.accept()
         self._controller.law_failed[row] = False
-        self.ended[row] = ""
+        self.ended[row] = NONE
         if request.centralised:
             self._controller.forget(row)
-        return True, ""
+        return NONE
 
     def _sent_s(self, row: int, request: ControlRequest) -> float:
         """Return when an intent was sent, as far as can be known: it lives from then on, not from its arrival."""
@@ -171,7 +174,7 @@ class Inbox:
             return now_s
         return now_s - self._freshness[row].delay_s(request.core, request.stamp_s, now_s)
 
-    def spend(self, row: int, why: str) -> None:
+    def spend(self, row: int, why: Reason) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
         task = self._tasks.of[row]
         if task is None:
@@ -214,7 +217,7 @@ class Inbox:
             return
         self._remember(stop.id)
         for row in self._addressed(stop.robots):
-            self._halt(row, stop.id or "stop", f"{STOPPED_BY} {stop.source or 'an operator'}")
+            self._halt(row, stop.id or "stop", reason(Code.STOPPED, by=stop.source or "an operator"))
         self._wake()
 
     def _remember(self, stop_id: str) -> None:
@@ -231,11 +234,11 @@ class Inbox:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
             # not be started by it. Releasing a robot that is not latched stops nothing.
             if order.engaged or self._controller.estop[row]:
-                what = "engaged" if order.engaged else "released"
-                self._halt(row, order.id or "estop", f"{ESTOP_WAS} {what} by {order.source or 'an operator'}")
+                code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
+                self._halt(row, order.id or "estop", reason(code, by=order.source or "an operator"))
         self.estops.carry_out(order, rows, self._scheduler.now_s())
 
-    def _halt(self, row: int, order_id: str, why: str) -> None:
+    def _halt(self, row: int, order_id: str, why: Reason) -> None:
         """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
         unheard = not self.core_alive(self._scheduler.now_s())
         self._fences[row].halt(order_id if unheard else "", why)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.robot_controller import Reason, RobotController
+from fullswarm.agent.robot_controller import RobotController, StopReason
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
 from fullswarm.agent.state import Motion
@@ -123,7 +123,7 @@ class Reporter:
 
     def _rows(self) -> Index:
         """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
-        moving = self._controller.reason == Reason.MOVING
+        moving = self._controller.reason == StopReason.MOVING
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 
     def _reasons(self, rows: Index) -> list[str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.agent.neighbours import Neighbours
 from fullswarm.agent.state import Motion
 from fullswarm.kernels import kernel
+from fullswarm.reasons import NONE, Code, Reason, reason
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -98,23 +99,12 @@ class PoseConflicts:
         newest_s = float(heard.arrival_s[: heard.count].max()) if heard.count else -math.inf
         self.frame_conflict = foreign or (self.own_frame and now_s - newest_s <= OWN_FRAME_S)
 
-    def reason(self, row: int) -> str:
-        """Return why robot `row` may not drive by itself, and what to do; empty if it may."""
+    def reason(self, row: int) -> Reason:
+        """Return why robot `row` may not drive by itself, and what to do; false if it may."""
         if self.frame_conflict:
             if self.own_frame:
-                return (
-                    "its position counts from where it was switched on, and other robots are present: write [world] "
-                    "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only"
-                )
-            return (
-                f"the position of '{self._neighbours.own_frame_host}' counts from where it was switched on: "
-                "write [world] origin = [latitude, longitude] into its fleet file; until then robots can be driven by "
-                "hand only"
-            )
+                return reason(Code.FRAME)
+            return reason(Code.FOREIGN_FRAME, host=self._neighbours.own_frame_host)
         if self.overlap[row]:
-            name = self._neighbours.names[int(self._whom[row])]
-            return (
-                f"'{name}' is reported in the same place, so one position is wrong: check where both robots are, then "
-                "drive them apart by hand or correct their poses (`pose` in the fleet file, pose fixes)"
-            )
-        return ""
+            return reason(Code.OVERLAP, robot=self._neighbours.names[int(self._whom[row])])
+        return NONE

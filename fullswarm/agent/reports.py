@@ -11,7 +11,7 @@ from fullswarm.agent.driver_watch import DriverWatch
 from fullswarm.agent.fixes import Fixes
 from fullswarm.agent.inbox import Inbox
 from fullswarm.agent.pose_conflicts import PoseConflicts
-from fullswarm.agent.robot_controller import EXPLAIN, Reason, RobotController, explain_hazards
+from fullswarm.agent.robot_controller import CODES, RobotController, StopReason, explain_hazards
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.state import Identity, Motion
@@ -23,6 +23,7 @@ from fullswarm.kernels import kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
+from fullswarm.reasons import NONE, Reason, reason
 from fullswarm.runtime import LoopStats
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
@@ -146,14 +147,16 @@ class Reports:
             stamp_s=now_s,
         )
 
-    def _why(self, row: int, reason: int) -> str:
-        if reason == Reason.LAW:
+    def _why(self, row: int, number: int) -> Reason:
+        if number == StopReason.LAW:
             return self._wishes.law_error[row]
-        if reason == Reason.HAZARD and self._state.reading is not None:
+        if number == StopReason.HAZARD and self._state.reading is not None:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
-        if reason in (Reason.OVERLAP, Reason.FRAME):
+        if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
-        return self._inbox.ended[row] if reason == Reason.IDLE else EXPLAIN.get(reason, "")
+        if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
+            return self._inbox.ended[row] if number == StopReason.IDLE else NONE
+        return reason(CODES[number])
 
     def _robots(self) -> Iterator[RobotHealth]:
         """Yield one entry per robot; whole columns become lists first, which a large swarm feels."""
@@ -171,6 +174,7 @@ class Reports:
             task, description = self._tasks.of[row], fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
             pose = self._fixes.health(row, sensed[row])
+            why = self._why(row, reasons[row])
             stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
             yield RobotHealth(
                 robot=robot,
@@ -185,8 +189,11 @@ class Reports:
                 sequence=request.sequence,
                 moving=not standing[row],
                 estop=estops[row],
-                stop_reason=self._why(row, reasons[row]),
+                stop_reason=why.text,
+                stop_code=why.code,
+                stop_parameters=dict(why.parameters),
                 fault=fleet.fault(row),
+                fault_code=fleet.fault_code(row),
                 battery=battery[row],
                 contacts=contacts[row],
                 collisions=collisions[row],

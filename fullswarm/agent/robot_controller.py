@@ -17,13 +17,13 @@ from fullswarm.agent.reflexes import Reflexes
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
-from fullswarm.words import LAPSED
+from fullswarm.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-class Reason(enum.IntEnum):
+class StopReason(enum.IntEnum):
     """Why a robot stands; `decide` says in which order they count."""
 
     MOVING = 0
@@ -47,31 +47,30 @@ class Reason(enum.IntEnum):
 
 
 # The kernels' own numbers: compiled code knows no enum, and plain Python reads a global faster than a member.
-MOVING, ESTOP, DRIVER, READING, HAZARD, IDLE, LAW, HUB, CORE = (int(each) for each in tuple(Reason)[:9])
-EXPIRED, STALE, BATTERY, CLOCK, POSE, FENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(Reason)[9:])
+MOVING, ESTOP, DRIVER, READING, HAZARD, IDLE, LAW, HUB, CORE = (int(each) for each in tuple(StopReason)[:9])
+EXPIRED, STALE, BATTERY, CLOCK, POSE, FENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(StopReason)[9:])
 
-EXPLAIN: dict[int, str] = {
-    Reason.MOVING: "",
-    Reason.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
-    Reason.DRIVER: "the driver is not ready",
-    Reason.READING: "the robot has told nothing new for too long",
-    Reason.IDLE: "",
-    Reason.LAW: "the law failed",
-    Reason.HUB: "the hub is lost",
-    Reason.CORE: "the core's heartbeat is silent",
-    Reason.EXPIRED: LAPSED,
-    Reason.STALE: "no fresh command",
-    Reason.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
-    Reason.CLOCK: "this computer stood still; what it knows is too old",
-    Reason.POSE: "the estimator has no pose",
-    Reason.FENCE: "it would leave the arena",
-    Reason.OVERLAP: "another robot is reported in the same place",
-    Reason.FRAME: "the positions of the robots do not count from one origin",
-    Reason.UNSURE: (
-        "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
-        "it drives on once that is back"
-    ),
+CODES: dict[int, Code] = {
+    StopReason.MOVING: Code.NONE,
+    StopReason.ESTOP: Code.ESTOP,
+    StopReason.DRIVER: Code.DRIVER,
+    StopReason.READING: Code.READING,
+    StopReason.HAZARD: Code.HAZARD,
+    StopReason.IDLE: Code.NONE,
+    StopReason.LAW: Code.LAW,
+    StopReason.HUB: Code.HUB,
+    StopReason.CORE: Code.CORE,
+    StopReason.EXPIRED: Code.EXPIRED,
+    StopReason.STALE: Code.STALE,
+    StopReason.BATTERY: Code.BATTERY,
+    StopReason.CLOCK: Code.CLOCK,
+    StopReason.POSE: Code.POSE,
+    StopReason.FENCE: Code.FENCE,
+    StopReason.OVERLAP: Code.OVERLAP,
+    StopReason.FRAME: Code.FRAME,
+    StopReason.UNSURE: Code.UNSURE,
 }
+"""What the kernels' numbers are called on the wire."""
 
 HAZARDS: dict[Hazard, tuple[str, str]] = {
     Hazard.CLIFF: ("a cliff sensor sees no floor", "put it on safe ground"),
@@ -88,8 +87,8 @@ STILL = 1e-3
 """m/s and rad/s: less is no motion."""
 
 
-def explain_hazards(hazards: int, fault: str) -> tuple[str, str]:
-    """Return which hazards stop a robot, by name, and what to do about them.
+def explain_hazards(hazards: int, fault: str) -> tuple[Reason, str]:
+    """Return which hazards stop a robot, and what to do about them.
 
     Parameters
     ----------
@@ -102,7 +101,8 @@ def explain_hazards(hazards: int, fault: str) -> tuple[str, str]:
     elif fault and Hazard.ESTOP_BUTTON in seen:
         seen[Hazard.ESTOP_BUTTON] = fault, HAZARDS[Hazard.ESTOP_BUTTON][1]
     words, remedies = zip(*seen.values(), strict=True) if seen else ((), ())
-    return " and ".join(words), " and ".join(dict.fromkeys(remedies))
+    names = " ".join(str(each.name).lower() for each in seen)
+    return Reason(Code.HAZARD, " and ".join(words), {"hazards": names}), " and ".join(dict.fromkeys(remedies))
 
 
 class RobotController:
@@ -111,7 +111,7 @@ class RobotController:
     Attributes
     ----------
     estop : (n,) latched e-stop
-    reason : (n,) :class:`Reason` of the last tick
+    reason : (n,) :class:`StopReason` of the last tick
     changed : a reason changed in the last tick
     drive_on : (n,) drivers that shall be ACTIVE: a task is on and no e-stop is latched
     speed_limit, turn_limit : (n,) m/s and rad/s in force
@@ -128,7 +128,7 @@ class RobotController:
         self._turn_accel = np.array([each.turn_accel_rad_s2 for each in limits])
         self.estop = np.zeros(count, bool)
         self.law_failed = np.zeros(count, bool)
-        self.reason = np.full(count, int(Reason.IDLE), np.int64)
+        self.reason = np.full(count, int(StopReason.IDLE), np.int64)
         self.wished = np.zeros((count, 2))
         self.valid_until_s = np.full(count, -math.inf)
         self.changed = False
@@ -185,7 +185,7 @@ def why_not(
     fresh: bool, hazard: int, active: bool, estop: bool, law_failed: bool, wish: float, valid_until_s: float,
     flat: bool, slept: bool, no_pose: bool, unsure: bool, overlap: bool, frame_conflict: bool,
 ) -> int:  # fmt: skip
-    """Return why one robot may not move, a number of :class:`Reason`; 0: it may."""
+    """Return why one robot may not move, a number of :class:`StopReason`; 0: it may."""
     why = MOVING
     if estop:
         why = ESTOP
@@ -231,7 +231,7 @@ def decide(
     turn_limit: Array, reverse: Flags, accel: Array, turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags,
     twist: Array,
 ) -> bool:  # fmt: skip
-    """Fill `reason` (n,), numbers of :class:`Reason`, `drive_on` (n,) and `twist` (n, 2); tell if a reason changed."""
+    """Fill `reason` (n,; see :class:`StopReason`), `drive_on` (n,) and `twist` (n, 2); tell if a reason changed."""
     changed = False
     for i in range(active.shape[0]):
         hazard = int(hazards[i])

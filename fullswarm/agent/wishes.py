@@ -19,6 +19,7 @@ from fullswarm.agent.tasks import Group, Tasks
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.reasons import NONE, Code, reason
 
 log = structlog.get_logger()
 
@@ -30,7 +31,7 @@ class Wishes:
 
     Attributes
     ----------
-    law_error : what the last failure of each robot's law was, empty if it never failed
+    law_error : what the last failure of each robot's law was, false if it never failed
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class Wishes:
         self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
         self._planar = np.full((count, 2), math.nan)
         self._law_errors: set[str] = set()
-        self.law_error = [""] * count
+        self.law_error = [NONE] * count
 
     def near(self, now_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
@@ -113,10 +114,10 @@ class Wishes:
         return group.planar
 
     def _law_failed(self, group: Group, error: Exception) -> None:
-        text = f"law '{group.law}': {type(error).__name__}: {error}"
+        why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}")
         self._controller.law_failed[group.rows] = True
         for row in group.rows:
-            self.law_error[row] = text
-        if text not in self._law_errors:
-            self._law_errors.add(text)
+            self.law_error[row] = why
+        if why.text not in self._law_errors:
+            self._law_errors.add(why.text)
             log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)

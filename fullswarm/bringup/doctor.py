@@ -16,13 +16,15 @@ from fullswarm.bringup import checks, gamepad, machine
 from fullswarm.bringup.checks import Check
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.drivers.base import Description
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.drivers.frames import check_frames
+from fullswarm.drivers.guardian import TakesGuardian, needs_guardian
+from fullswarm.drivers.make import Make, broken, emulated_as, make_of
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 
 HUB_S = 1.5
 LOW_BATTERY = 0.2
-_EXTRA_OF = {"sim": "sim", "mavlink": "mavlink", "can": "can"}
 
 
 def preflight(fleet: Path | None, robot: str, *, press: bool, yes: bool, as_json: bool) -> int:
@@ -69,6 +71,8 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     began_s, began_wall_s = clock.now_s(), wall_time_s()
     yield machine.python()
     yield from machine.extras(_needed_extras(config))
+    for why in broken().values():
+        yield Check("outside make", "failure", why, "install its package again, or remove it")
     yield from machine.serial_ports()
     yield machine.interferer()
     yield from gamepad.checks()
@@ -76,6 +80,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     yield machine.network_time()
     if config is not None:
         yield from _frame(config)
+        yield from _evidence(config)
         yield _hub(config)
         for robot in config.robot:
             yield from _robot(config, robot)
@@ -86,14 +91,21 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
 def _needed_extras(config: SwarmConfig | None) -> frozenset[str]:
     if config is None:
         return frozenset()
-    needed = {_EXTRA_OF[family] for each in config.robot if (family := _family(each.url)) in _EXTRA_OF}
-    emulated = {"rover": "mavlink", "odrive": "can", "vesc": "can"}
-    needed |= {emulated[each.emulate] for each in config.robot if each.emulate in emulated}
-    if any(each.emulate for each in config.robot):
-        needed.add("sim")
+    needed = {make.extra for each in config.robot for make in _makes_of(each)} - {""}
     if config.agent.estimator == "ekf":
         needed.add("estimation")
     return frozenset(needed)
+
+
+def _makes_of(robot: RobotConfig) -> Iterator[Make]:
+    """Yield the makes whose code a robot runs: its driver's, and for one of a world the simulator's."""
+    try:
+        yield make_of(robot.url)  # of an emulated robot without a driver: the simulated one
+        if robot.emulate:
+            yield emulated_as(robot.emulate)[0]
+            yield make_of("sim:")
+    except ConfigError:
+        return  # the robot's own check says what is wrong
 
 
 def _family(url: str) -> str:
@@ -125,22 +137,42 @@ def _robot(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
 
     name, url = f"robot {robot.id}", robot.url
     if robot.emulate is not None:
-        yield Check(name, "ok", f"emulated by the world: {robot.emulate}")
+        try:
+            emulated_as(robot.emulate)
+            yield Check(name, "ok", f"emulated by the world: {robot.emulate}")
+        except FullswarmError as error:
+            yield Check(name, "failure", error.what, error.hint)
         return
     try:
+        make = make_of(url)
         driver = registry.driver_class(url)(url)  # touches nothing, but refuses a wrong URL
         warning = getattr(driver, "warning", "")
         if warning:
             yield Check(name, "warning", warning)
-        if _family(url) in ("sim", "null"):
+        if make.simulated:
             yield Check(name, "ok", f"simulated: {url}")
             return
+        yield from _guardian(name, driver)
         device = list(_device(config, robot))
         yield from device
         if all(each.status != "failure" for each in device):
             yield from _answer(name, url)
     except FullswarmError as error:
         yield Check(name, "failure", error.what, error.hint)
+
+
+def _evidence(config: SwarmConfig) -> Iterator[Check]:
+    """Say what was proven for each make of the fleet, as far as its record tells."""
+    for make in dict.fromkeys(make for each in config.robot for make in _makes_of(each) if not make.simulated):
+        yield Check(f"evidence for {make.name}", "ok", make.proven())
+
+
+def _guardian(name: str, driver: object) -> Iterator[Check]:
+    """Warn of a robot that drives on when its agent is killed, and whose driver takes no guardian."""
+    description = getattr(driver, "description", None)
+    if isinstance(description, Description) and needs_guardian(description) and not isinstance(driver, TakesGuardian):
+        what = "it drives on when its agent is killed: no quick watchdog of its own, and its driver takes no guardian"
+        yield Check(name, "warning", what, "keep a hand at its switch; its driver needs guard(), see decision 14")
 
 
 def _frame(config: SwarmConfig) -> Iterator[Check]:
@@ -170,9 +202,8 @@ def _answer(name: str, url: str) -> Iterator[Check]:
 
     asked = ask.ask_url(url)
     if not asked.robots:
-        held = "held by" in asked.problem
-        mend = "" if held else "fullswarm robots find"
-        yield Check(name, "warning" if held else "failure", f"not asked: {asked.problem}", mend)
+        mend = "" if asked.held else "fullswarm robots find"
+        yield Check(name, "warning" if asked.held else "failure", f"not asked: {asked.problem}", mend)
         return
     for each in asked.robots:
         if _family(each.url) != _family(url):

@@ -8,47 +8,23 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import quote
 
 from fullswarm import output
 from fullswarm.bringup import mishaps
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import LinkFaults
+from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.launch.typed import Typed
 from fullswarm.runtime import Runtime
 
 LOOK_S, TELL_S, LISTEN_S = 0.1, 1.0, 0.05
-DEFAULT_LISTEN = "udp://127.0.0.1:14550"
-CAN_BODY = "left=1&right=2&wheel_radius=0.05&base=0.3"
-CAN_OPTIONS = {"odrive": CAN_BODY, "vesc": f"{CAN_BODY}&pole_pairs=7&gear=10"}
-NOT_FOR = {  # which option means nothing to which make
-    "create": ("listen",),
-    "mavlink": (),
-    "odrive": ("listen", "model"),
-    "vesc": ("listen", "model"),
-}
-
-
-class Emulator(Protocol):
-    """What all makes have in common."""
-
-    faults: LinkFaults
-
-    @property
-    def url(self) -> str:
-        """What our driver opens."""
-        ...
-
-    def close(self) -> None:
-        """Switch the robot off and give up its port."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +68,23 @@ def run(wish: Wish, faults: LinkFaults, orders: Sequence[str], seconds: float | 
 
 
 def _refuse_misfits(wish: Wish) -> None:
-    for name in NOT_FOR[wish.make]:
-        if getattr(wish, name) is not None:
+    emulation = _emulation(wish.make)
+    useless = {
+        "listen": not emulation.listens,
+        "model": len(emulation.models) < 2,
+        "port": emulation.models[0].place != "path" and not emulation.listens,
+    }
+    for name, nothing in useless.items():
+        if nothing and getattr(wish, name) is not None:
             raise ConfigError(f"means nothing to an emulated {wish.make}", where=f"--{name}")
     if sum(each is not None for each in (wish.port, wish.listen, wish.url)) > 1:
         raise ConfigError("--port, --listen and --url exclude each other", hint="name one place")
+
+
+def _emulation(name: str) -> Emulation:
+    emulation = named(name).emulation
+    assert emulation is not None, name  # noqa: S101  (`named` returns no other)
+    return emulation
 
 
 # ---------------------------------------------------------------- starting
@@ -112,65 +100,21 @@ def _port_path(wish: Wish) -> Iterator[str]:
 
 @contextmanager
 def _started(wish: Wish, path: str, body: Body) -> Iterator[Emulator]:
-    builders: dict[str, Callable[[Wish, str, Body], Emulator]] = {
-        "create": _create, "mavlink": _rover, "odrive": _base, "vesc": _base,
-    }  # fmt: skip
-    emulator = builders[wish.make](wish, path, body)
+    make, emulation = named(wish.make), _emulation(wish.make)
+    emulator: Emulator
+    if emulation.bench:
+        bench = Bench(path, wish.port, wish.listen, wish.url, wish.model)
+        emulator = emulation_part(make, emulation.bench)(bench, body)
+    else:
+        models = {each.name: each for each in emulation.models}
+        name = wish.model or emulation.models[0].name
+        if name not in models:
+            raise ConfigError(f"no model '{name}'", where="--model", hint=did_you_mean(name, models))
+        emulator = emulation_part(make, emulation.start)(wish.url or models[name].driver_url(quote(path)), body)
     try:
         yield emulator
     finally:
         emulator.close()
-
-
-def _create(wish: Wish, path: str, body: Body) -> Emulator:
-    from fullswarm.drivers.create_oi.emulator import CreateEmulator
-    from fullswarm.drivers.create_oi.protocol import GENERATIONS
-    from fullswarm.drivers.create_oi.settings import parse_url
-
-    if wish.url is not None:
-        settings = parse_url(wish.url)
-        return CreateEmulator(settings.generation, body, port=settings.path).start()
-    model = wish.model or "create2"
-    if model not in GENERATIONS:
-        raise ConfigError(f"no model '{model}'", where="--model", hint=did_you_mean(model, GENERATIONS))
-    return CreateEmulator(GENERATIONS[model], body, port=path).start()
-
-
-def _rover(wish: Wish, path: str, body: Body) -> Emulator:
-    address = f"pty:{path}" if wish.port is not None else wish.listen or DEFAULT_LISTEN
-    if wish.url is not None:
-        address = _other_end(wish.url)
-    model = wish.model or "rover"
-    if model == "px4":
-        from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
-
-        return Px4Emulator(address, body).start()
-    if model != "rover":
-        raise ConfigError(f"no model '{model}'", where="--model", hint=did_you_mean(model, ("rover", "px4")))
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
-
-    return RoverEmulator(address, body).start()
-
-
-def _other_end(url: str) -> str:
-    """Return the vehicle's end of the link that a driver's URL names."""
-    from fullswarm.drivers.mavlink.link import parse_url
-
-    address, _ = parse_url(url)
-    if address.device:
-        return f"pty:{address.device}"
-    kind = {"mavlink+udp": "udp", "mavlink+udpout": "udpin", "mavlink+tcp": "tcp"}[address.scheme]
-    host = f"[{address.host}]" if ":" in address.host else address.host
-    return f"{kind}://{host}:{address.port}"
-
-
-def _base(wish: Wish, path: str, body: Body) -> Emulator:
-    from fullswarm.drivers.can.emulator import EmulatedBase
-
-    url = wish.url or f"can+{wish.make}://{path}?interface=slcan&{CAN_OPTIONS[wish.make]}"
-    if urlsplit(url).scheme != f"can+{wish.make}":
-        raise ConfigError(f"this is not a base with {wish.make}", where=url, hint=f"write can+{wish.make}://...")
-    return EmulatedBase(url, body).start()
 
 
 # ---------------------------------------------------------------- what a client opens
@@ -187,27 +131,11 @@ def _announce(wish: Wish, url: str, *, as_json: bool) -> None:
 
 
 def openings(url: str) -> dict[str, str]:
-    """Return what other people's clients open for the robot that our driver opens as `url`."""
-    parts = urlsplit(url)
-    scheme, path = parts.scheme, parts.netloc + parts.path
-    if scheme == "create":
-        if "model=create1" in parts.query:
-            return {"port": f"{path} at 57600 baud"}
-        return {"pycreate2": f"Create2(port='{path}', baud=115200)", "port": f"{path} at 115200 baud"}
-    if scheme == "mavlink+serial":
-        return {"pymavlink": f"mavutil.mavlink_connection('{path}', baud=115200)", "port": path}
-    if scheme.startswith("mavlink+"):
-        kinds = {"mavlink+udp": ("udpin", "udpin"), "mavlink+udpout": ("udpout", "udpout")}
-        ours, mavsdk = kinds.get(scheme, ("tcp", "tcpout"))
-        return {
-            "pymavlink": f"mavutil.mavlink_connection('{ours}:{path}')",
-            "MAVProxy": f"mavproxy.py --master={ours}:{path}",
-            "MAVSDK": f"{mavsdk}://{path}",
-        }
-    options = dict(each.partition("=")[::2] for each in parts.query.split("&"))
-    more = f", port={options['port']}" if "port" in options else ""
-    interface = options.get("interface", "socketcan")
-    return {"python-can": f"can.Bus(interface='{interface}', channel='{path}'{more})"}
+    """Return what other clients open for the robot that our driver opens as `url`."""
+    make = make_of(url)
+    clients = make.emulation.clients if make.emulation else ""
+    found: dict[str, str] = emulation_part(make, clients)(url) if clients else {}
+    return found
 
 
 def _json_line(value: object) -> str:
@@ -220,7 +148,7 @@ def _json_line(value: object) -> str:
 class _Teller:
     """Says on stderr what the robot is told and does: on a change, and each second while it moves."""
 
-    def __init__(self, emulator: Any, body: FreeBody) -> None:
+    def __init__(self, emulator: Emulator, body: FreeBody) -> None:
         self._emulator, self._body = emulator, body
         self._told, self._told_s = "", -math.inf
 
@@ -238,21 +166,9 @@ class _Teller:
 
     def _mode(self) -> str:
         """Return the mode that the firmware is in, where it has one."""
-        firmware = getattr(self._emulator, "firmware", None)
-        mode = getattr(self._emulator, "mode", getattr(firmware, "mode", None))
-        if mode is None:
-            return ""
-        if firmware is None or not hasattr(firmware, "armed"):
-            return f"{getattr(mode, 'name', mode)} "
-        return f"{_autopilot_mode(self._emulator, mode)} {'armed' if firmware.armed else 'disarmed'} "
-
-
-def _autopilot_mode(emulator: Any, mode: int) -> str:
-    from fullswarm.drivers.mavlink.emulator import RoverEmulator
-    from fullswarm.drivers.mavlink.protocol import mode_name
-    from fullswarm.drivers.mavlink.px4 import Px4
-
-    return mode_name(mode) if isinstance(emulator, RoverEmulator) else Px4().mode_name(mode)
+        make = make_of(self._emulator.url)
+        mode = make.emulation.mode if make.emulation else ""
+        return f"{emulation_part(make, mode)(self._emulator)} " if mode else ""
 
 
 def _plain(value: float) -> float:

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from rich.markup import escape
 from rich.table import Table
 
 from fullswarm import output
-from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.clock import MonotonicClock
+from fullswarm.drivers.make import Scope, make_of, makes
 from fullswarm.drivers.probe import ask
-from fullswarm.drivers.probe.found import Asked, Found
-from fullswarm.errors import ConfigError
-
-DEFAULT_UDP = "127.0.0.1:14550"
-CHECK = """no robot found; what to check:
-- Create or Roomba: switched on (press Clean), serial cable plugged in at both ends; off the charger to drive
-- rover over USB or radio: powered; over UDP: it sends to this machine and port (--udp 0.0.0.0:14550 hears the network)
-- CAN: interface up (ip link set can0 up type can bitrate 250000), controllers powered; other buses: --can
-- ports that you may not use: `fullswarm doctor` prints the command"""
+from fullswarm.drivers.probe.found import Found
 
 
 def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_json: bool) -> int:
@@ -33,22 +26,29 @@ def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_jso
         A bus was named and python-can is not installed.
     """
     answers = []
-    for name, question in _questions(ports, can, udp, MonotonicClock()):
+    for name, question in ask.questions(Scope(tuple(ports), tuple(can), tuple(udp)), MonotonicClock()):
         output.progress(f"asking {name} ...")
         answers.append(question())
     found = [robot for each in answers for robot in each.robots]
     if as_json:
-        output.data_json({"robots": [asdict(each) for each in found], "ports": [asdict(each) for each in answers]})
+        output.data_json({"robots": [_facts(each) for each in found], "ports": [asdict(each) for each in answers]})
     elif found:
         output.data_table(_table(found))
         output.data(f"\n{fleet_lines(found)}")
+        for make in dict.fromkeys(make_of(each.url) for each in found if each.url):
+            output.progress(f"what was proven for {make.robots}: {make.proven()}")
     for each in answers:
         if each.problem:
             product = f" ({each.product})" if each.product else ""
             output.progress(f"{each.port}{product}: {each.problem}")
     if not found:
-        output.progress(CHECK)
+        output.progress(_checks())
     return 0 if found else 1
+
+
+def _facts(robot: Found) -> dict[str, object]:
+    evidence = make_of(robot.url).evidence if robot.url else ()
+    return {**asdict(robot), "evidence": [asdict(each) for each in evidence]}
 
 
 def fleet_lines(found: Sequence[Found]) -> str:
@@ -62,37 +62,11 @@ def fleet_lines(found: Sequence[Found]) -> str:
     return "\n".join(lines) or "no driver fits any of these"
 
 
-def _questions(
-    ports: Sequence[str], can: Sequence[str], udp: Sequence[str], clock: Clock
-) -> list[tuple[str, Callable[[], Asked]]]:
-    """Return what to ask, with its name."""
-    from fullswarm.drivers.probe import can_bus, mavlink
-
-    everything = not (ports or can or udp)
-    serial = ask.serial_ports() if everything else [ask.SerialPort(path, path) for path in ports]
-    buses = can_bus.interfaces_up() if everything else can
-    addresses = [_address(each) for each in ([DEFAULT_UDP] if everything else udp)]
-    for each in buses:
-        can_bus.channel_url(each)  # what is written wrong is refused before anything is asked
-    return [
-        *((_name(port), lambda port=port: ask.ask_serial(port, clock)) for port in serial),
-        *((bus, lambda bus=bus: can_bus.ask_channel(bus, clock)) for bus in buses),
-        *(
-            (f"udp {host}:{port}", lambda host=host, port=port: mavlink.ask_udp(host, port, clock))
-            for host, port in addresses
-        ),
-    ]
-
-
-def _name(port: ask.SerialPort) -> str:
-    return f"{port.path} ({port.product})" if port.product else port.path
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(f"'{text}' is not a UDP port", where="--udp", hint="e.g. 14550, or 0.0.0.0:14550")
-    return host.strip("[]") or "127.0.0.1", int(port)
+def _checks() -> str:
+    """Return what to check when no robot was found."""
+    each = dict.fromkeys(make.check for make in makes() if make.check)
+    last = "ports that you may not use: `fullswarm doctor` prints the command"
+    return "\n- ".join(["no robot found; what to check:", *each, last])
 
 
 def _table(found: Sequence[Found]) -> Table:

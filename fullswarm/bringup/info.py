@@ -165,7 +165,8 @@ def _swarm(hub: str | None, swarm: str) -> dict[str, str]:
 
 
 def _ports() -> dict[str, str]:
-    from fullswarm.drivers.probe import ask, can_bus
+    from fullswarm.drivers.can import probe as can_bus
+    from fullswarm.drivers.probe import ask
 
     serial = [f"{each.device} {each.product}".strip() for each in ask.serial_ports()]
     pads = [file.name for file in sorted(Path("/dev/input").glob("js*"))]

@@ -47,6 +47,13 @@ def fleet_robots(context: typer.Context, incomplete: str) -> Offer:
     return _listed([(robot, "") for robot in _known(context, live=False).robots], incomplete)
 
 
+def emulated_makes(incomplete: str) -> Offer:
+    """Offer the makes that can be emulated."""
+    from fullswarm.drivers.make import makes
+
+    return _listed([(each.name, each.robots) for each in makes() if each.emulation], incomplete)
+
+
 def behaviours(context: typer.Context, incomplete: str) -> Offer:
     """Offer what can be asked for."""
     records = _known(context, live=True).behaviours

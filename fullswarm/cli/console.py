@@ -36,6 +36,7 @@ def console(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Prints the address to open."""
+    from fullswarm.drivers.make import makes
     from fullswarm.operator.console.serve import Options, serve
     from fullswarm.operator.session import Target
 
@@ -47,6 +48,7 @@ def console(
         open_browser=open_browser,
         insecure_network=insecure_network,
         as_json=as_json,
+        icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     return serve(Target(hub, swarm), options, leave_with_parent if with_parent else None)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,15 +18,6 @@ hardware_app = typer.Typer()
 robots_app = typer.Typer(invoke_without_command=True)
 hardware_app.add_typer(robots_app, name="robots")
 PANEL = "Robots and ports"
-
-
-class Make(StrEnum):
-    """What can be emulated."""
-
-    CREATE = "create"
-    MAVLINK = "mavlink"
-    ODRIVE = "odrive"
-    VESC = "vesc"
 
 
 @robots_app.callback()
@@ -148,7 +138,14 @@ def doctor(
 @hardware_app.command(rich_help_panel=PANEL)
 @shell_command(logs=True)
 def emulate(
-    make: Annotated[Make, typer.Argument(help="Whose firmware.")],
+    make: Annotated[
+        str,
+        typer.Argument(
+            metavar="MAKE",
+            help="create, mavlink, odrive, vesc, or one of an outside package.",
+            autocompletion=completion.emulated_makes,
+        ),
+    ],
     port: Annotated[Path | None, typer.Option(metavar="PATH", help="Where its serial port shall be.")] = None,
     listen: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="mavlink: udp://, udpin://, tcp://HOST:PORT or pty:")
@@ -173,4 +170,4 @@ def emulate(
 
     orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
     faults = LinkFaults(drop, corrupt, delay)
-    return run(Wish(make.value, port, listen, url, model), faults, orders, seconds, as_json=as_json)
+    return run(Wish(make, port, listen, url, model), faults, orders, seconds, as_json=as_json)

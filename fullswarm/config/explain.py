@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
 from fullswarm.config.positions import KeyPath
-from fullswarm.errors import did_you_mean
+from fullswarm.errors import did_you_mean, nearest
 from fullswarm.units import unit_of
 
 MUST_BE = {
@@ -69,12 +69,11 @@ def explain(error: ErrorDetails, schema: type[BaseModel], extra_keys: Sequence[s
 def _unknown_key(path: KeyPath, schema: type[BaseModel], extra_keys: Sequence[str]) -> str:
     name = str(path[-1])
     known = [*_fields(schema, path[:-1]), *(extra_keys if len(path) == 1 else ())]
-    guess = did_you_mean(name, known)
-    if not guess.startswith("did you mean"):
+    if not nearest(name, known):
         for section in _sections_with(schema, name):
             if section != dotted(path[:-1]):
                 return f"unknown key here, it belongs in [{section}]"
-    return f"unknown key, {guess}"
+    return f"unknown key, {did_you_mean(name, known)}"
 
 
 def _text(error: ErrorDetails) -> str:

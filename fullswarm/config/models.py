@@ -77,7 +77,6 @@ Size = Annotated[float, Field(le=1e6)]
 Bounds = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], AfterValidator(_bounds)]
 Box = tuple[Coordinate, Coordinate, Size, Size, float]
 Conditions = Annotated[str, AfterValidator(_conditions)]
-Emulated = Literal["create1", "roomba500", "create2", "rover", "odrive", "vesc"]
 Point = tuple[float, float]
 Origin = Annotated[tuple[float, float], AfterValidator(_on_earth)]
 
@@ -197,7 +196,9 @@ class RobotConfig(Section):
 
     id: RobotId
     driver: str = ""  # URL; empty: sim://<id>
-    emulate: Emulated | None = None  # the world gives it a body and a port; its real driver talks to that
+    emulate: Annotated[str, Field(min_length=1, max_length=64)] | None = (
+        None  # the world gives it a body and a port; its real driver talks to that
+    )
     pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
     host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
     ssh_user: str = "fullswarm-admin"

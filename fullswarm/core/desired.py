@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from fullswarm.messages import ControlAck, ControlRequest, RobotHealth, Value
+from fullswarm.reasons import NONE, Code, Reason, given, reason
 
 RESEND_S = 0.1
 RESEND_MAX_S = 0.5
@@ -68,7 +69,7 @@ class Desired:
     switched_s: float = -math.inf
     lapses_s: float = math.inf
     settled: bool = False  # the robot confirmed `order`
-    refused: str = ""  # why it said no to `order`
+    refused: Reason = NONE  # why it said no to `order`
     active: str = ""  # the behaviour it last said it runs
     flight: ControlRequest | None = None  # sent, not acknowledged
     tries: int = 0
@@ -81,7 +82,7 @@ class Desired:
         """Change what is wanted."""
         if self.flight is not None and self.flight.enable:
             self._maybe = self.flight.behaviour
-        self.order, self.settled, self.refused = order, False, ""
+        self.order, self.settled, self.refused = order, False, NONE
         self.lapses_s = now_s + order.expires_s if order is not None and order.intent else math.inf
         if self.flight is not None and (order is None or self.flight.enable):
             self._land()
@@ -157,16 +158,16 @@ class Desired:
             self.active, self._maybe = flight.behaviour, ""
             self.settled = True
         else:
-            self.refused = ack.reason or "no reason given"
+            self.refused = given(ack.reason or "no reason given", ack.code, ack.parameters)
         return True
 
-    def compare(self, health: RobotHealth, restarted: bool, now_s: float) -> str:
+    def compare(self, health: RobotHealth, restarted: bool, now_s: float) -> Reason:
         """Compare with what the robot reports.
 
         Returns
         -------
-        str
-            Empty, or why the robot itself has given up what was wanted: then nothing is wanted any more.
+        Reason
+            False, or why the robot itself has given up what was wanted: then nothing is wanted any more.
         """
         if restarted:
             self._land()
@@ -174,25 +175,26 @@ class Desired:
             self._maybe = ""
         if self._foreign(health) and not restarted:
             overdue = now_s - self.acked_s >= BEHIND_S and self.order is not None
-            return "another core commands it" if overdue else ""  # do not fight over it
+            return reason(Code.OTHER_CORE) if overdue else NONE  # do not fight over it
         if self._stale(health, restarted, now_s):
-            return ""
+            return NONE
         order, running = self.order, health.behaviour
         if order is None:
             self._observe(running)
-            return ""
+            return NONE
         same = running != "" and (running, health.request_id) == (order.behaviour, order.request_id)
         # Commands are numbered per core: a centralised order of an earlier one must be enabled anew.
         if same and not (order.centralised and health.core != self.core):
             self._confirm(health)
-            return ""
+            return NONE
         if not running and not order.stands and (order.adopted or self.settled):
             if not restarted:
-                return health.stop_reason or "the robot has stopped by itself"
+                told = given(health.stop_reason, health.stop_code, health.stop_parameters)
+                return told or reason(Code.DRIVER_STOPPED)
             if order.adopted:
-                return "the robot was started again, and the core lost the parameters when it was itself"
+                return given("the robot was started again, and the core lost the parameters when it was itself")
         self._observe(running)
-        return ""
+        return NONE
 
     def _foreign(self, health: RobotHealth) -> bool:
         """Tell whether the robot runs what another core asked for, although it has obeyed this one."""

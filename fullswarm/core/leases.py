@@ -13,6 +13,7 @@ from fullswarm.bus import Bus
 from fullswarm.errors import RequestRefused
 from fullswarm.keys import Keys
 from fullswarm.messages import Lease, LeaseRequest, Leases
+from fullswarm.reasons import Code
 from fullswarm.runtime import Scheduler, Timer
 
 LAPSE_S = 3.0
@@ -77,7 +78,8 @@ class Authority:
         found = [(robot, self._held[robot]) for robot in robots if robot in self._held]
         others = [(robot, held) for robot, held in found if held.operator != operator]
         if others and not take:
-            raise RequestRefused(_who_holds(others), hint=HINT)
+            holders = {robot: held.operator for robot, held in others}
+            raise RequestRefused(_who_holds(others), hint=HINT, code=Code.HELD, parameters=holders)
         now_s = self._scheduler.now_s()
         for robot, held in found:
             if held.operator == operator:

@@ -23,7 +23,8 @@ from fullswarm.core.schema import Record
 from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, RequestStatus, StopRequest, Value
+from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, Phase, RequestStatus, StopRequest, Value
+from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
 from fullswarm.words import STOP
 
 UNNAMED = "somebody without a name"
@@ -74,8 +75,8 @@ class MainController:
             else:
                 self._accept(request)
         except RequestRefused as error:
-            reason = f"{error.what} ({error.hint})" if error.hint else error.what
-            self._refuse(request, reason)
+            text = f"{error.what} ({error.hint})" if error.hint else error.what
+            self._refuse(request, given(text, error.code, error.parameters))
 
     def _record_stop(self, request: BehaviourRequest) -> None:
         """Record when a stop was sent, also one that arrived as `StopRequest` before."""
@@ -94,12 +95,9 @@ class MainController:
             raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
             self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
-        reason, robots = self._overtaken(request, robots)
+        overtaken, robots = self._overtaken(request, robots)
         if not robots:
-            status = RequestStatus(
-                request_id=request.id, behaviour=record.name, phase="superseded", reason=reason, robots=request.robots
-            )
-            self._board.publish(status)
+            self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
         team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
         orders = {robot: _order(request.id, record, parameters[robot], line, stamp_s, team) for robot in robots}
@@ -116,21 +114,17 @@ class MainController:
                 ),
                 lasting=record.expires_s == 0.0,
             )
-        self._handler.submit(orders, reason, at_once=record.name == STOP)
+        self._handler.submit(orders, overtaken, at_once=record.name == STOP)
 
-    def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[Reason, tuple[str, ...]]:
         """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""
         line = _line(request)
         found = {robot: self._newest.note(robot, request.id, line, request.stamp_s) for robot in robots}
         newer = {robot: request_id for robot, request_id in found.items() if request_id}
         if not newer:
-            return "", robots
+            return NONE, robots
         left = tuple(robot for robot in robots if robot not in newer)
-        reasons = (
-            f"{', '.join(robot for robot in newer if newer[robot] == each)}: superseded by {each}, which came first"
-            for each in dict.fromkeys(newer.values())
-        )
-        return "; ".join(reasons), left
+        return joined({robot: reason(Code.CAME_FIRST, by=request_id) for robot, request_id in newer.items()}), left
 
     def _addressed(self, robots: Sequence[str], *, lenient: bool = False) -> tuple[str, ...]:
         """Return the robots that a request means; none named: all that are known.
@@ -149,25 +143,19 @@ class MainController:
             raise RequestRefused(f"unknown robot{plural} {names}{origin}", hint=did_you_mean(strangers[0], known))
         return tuple(dict.fromkeys(robot for robot in meant if robot in known)) or known
 
-    def _refuse(self, request: BehaviourRequest, reason: str) -> None:
-        status = RequestStatus(
-            request_id=request.id,
-            behaviour=request.behaviour,
-            phase="refused",
-            reason=reason,
-            robots=request.robots,
-        )
-        self._board.publish(status)
+    def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
+        self._board.publish(_status(request.id, request.behaviour, "refused", why, request.robots))
 
     def _stopped(self, request: StopRequest) -> None:
-        self._stand(request.id, request.robots, "")
+        self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Want nothing of robots in e-stop: releasing it must not start any."""
         if estop.engaged:
-            self._stand(estop.id, estop.robots, "e-stop" + (f": {estop.reason}" if estop.reason else ""))
+            text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
+            self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 
-    def _stand(self, request_id: str, robots: Sequence[str], reason: str) -> None:
+    def _stand(self, request_id: str, robots: Sequence[str], why: Reason) -> None:
         """Want nothing of `robots`, unknown ones left out: a stop is never refused for a slip of the pen."""
         if not request_id:  # it cannot be told from others, so each one counts
             request_id = next(name for name in self._unnamed if not self._known(name))
@@ -178,10 +166,22 @@ class MainController:
         addressed = [robot for robot in dict.fromkeys(robots) if robot in known] if robots else known
         orders = {robot: Order(request_id=request_id, behaviour=STOP) for robot in addressed}
         if orders:
-            self._handler.submit(orders, reason, at_once=True)
+            self._handler.submit(orders, why, at_once=True)
         else:
             none = "no robot is known" if not robots else f"no robot is called {', '.join(robots)}"
-            self._board.publish(RequestStatus(request_id=request_id, behaviour=STOP, phase="ended", reason=none))
+            self._board.publish(_status(request_id, STOP, "ended", given(none)))
+
+
+def _status(request_id: str, behaviour: str, phase: Phase, why: Reason, robots: tuple[str, ...] = ()) -> RequestStatus:
+    return RequestStatus(
+        request_id=request_id,
+        behaviour=behaviour,
+        phase=phase,
+        reason=why.text,
+        code=why.code,
+        parameters=dict(why.parameters),
+        robots=robots,
+    )
 
 
 def adopted_order(library: Library, remapper: Remapper, request_id: str, behaviour: str) -> Order | None:

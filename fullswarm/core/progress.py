@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from fullswarm.core.desired import Desired
 from fullswarm.messages import Phase, RequestStatus
+from fullswarm.reasons import NONE, Reason, joined
 
 
 @dataclass(slots=True)
@@ -17,11 +18,11 @@ class Progress:
     behaviour: str
     robots: tuple[str, ...]
     ran: bool = False  # all robots present ran it at some time
-    reason: str = ""
-    left: dict[str, str] = field(default_factory=dict)  # robot → why it does not hold the request any more
+    reason: Reason = NONE
+    left: dict[str, Reason] = field(default_factory=dict)  # robot → why it does not hold the request any more
     beaten: bool = False
 
-    def leave(self, robot: str, reason: str, *, beaten: bool) -> None:
+    def leave(self, robot: str, reason: Reason, *, beaten: bool) -> None:
         """Note that `robot` does not hold the request any more; `beaten`: by another request."""
         self.left[robot] = reason
         self.reason, self.beaten = reason, beaten
@@ -40,7 +41,7 @@ class Progress:
         """Return what to tell the operator now."""
         running: list[str] = []
         missing: list[str] = []
-        refused: dict[str, str] = {}
+        refused: dict[str, Reason] = {}
         waiting = unsettled = False
         for robot in self.holders():
             state = desired[robot]
@@ -55,15 +56,14 @@ class Progress:
                 waiting, unsettled = waiting or not held, True
         if running and not unsettled:
             self.ran = True
-        reason = "; ".join(
-            f"{', '.join(robot for robot in refused if refused[robot] == why)}: {why}"
-            for why in dict.fromkeys(refused.values())
-        )
+        why = joined(refused) if refused else self.reason
         return RequestStatus(
             request_id=self.request_id,
             behaviour=self.behaviour,
             phase=self._phase(len(refused), waiting),
-            reason=reason or self.reason,
+            reason=why.text,
+            code=why.code,
+            parameters=dict(why.parameters),
             robots=self.robots,
             running=tuple(running),
             missing=tuple(missing),

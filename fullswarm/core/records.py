@@ -15,6 +15,7 @@ from fullswarm.core.schema import Record, build
 from fullswarm.core.shapes import shape
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
 from fullswarm.messages import ParamEntry, Value
+from fullswarm.reasons import Code
 from fullswarm.store import Store, Stored
 
 PREFIX = "behaviour/"
@@ -199,9 +200,9 @@ def resolve(
     if record.formation and not problems:
         each = _targets(record, complete, robots, problems)
     if problems:
-        raise RequestRefused(
-            "; ".join(problems), hint=f"parameters of {record.name}: {', '.join(record.parameters) or 'none'}"
-        )
+        text = "; ".join(problems)
+        hint = f"parameters of {record.name}: {', '.join(record.parameters) or 'none'}"
+        raise RequestRefused(text, hint=hint, code=Code.PARAMETERS, parameters={"problems": text})
     return each
 
 

@@ -24,6 +24,7 @@ from fullswarm.core.roster import Member, Roster
 from fullswarm.core.status import StatusBoard
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus
+from fullswarm.reasons import NONE, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
@@ -85,7 +86,7 @@ class RequestHandler:
         self._restore(newest)
 
     # ------------------------------------------------------------ asked by the main controller
-    def submit(self, orders: Mapping[str, Order], reason: str = "", *, at_once: bool = False) -> None:
+    def submit(self, orders: Mapping[str, Order], why: Reason = NONE, *, at_once: bool = False) -> None:
         """Want these orders, all of one request, of these robots.
 
         `at_once` skips the schedule interval: a stop waits for nothing.
@@ -93,7 +94,7 @@ class RequestHandler:
         if not orders:
             return
         first = next(iter(orders.values()))
-        self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=reason)
+        self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=why)
         # The robots first, then the words: what this supersedes is told of at the end, without a timer.
         self._held_back = True
         applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]
@@ -168,12 +169,12 @@ class RequestHandler:
 
     def _leave(self, robot: str, old: Order, new: Order) -> None:
         if old.request_id != new.request_id:
-            self._release(robot, old.request_id, f"superseded by {new.request_id}", beaten=True)
+            self._release(robot, old.request_id, reason(Code.SUPERSEDED, by=new.request_id), beaten=True)
 
-    def _release(self, robot: str, request_id: str, reason: str, *, beaten: bool) -> None:
+    def _release(self, robot: str, request_id: str, why: Reason, *, beaten: bool) -> None:
         progress = self._requests.get(request_id)
         if progress is not None:
-            progress.leave(robot, reason, beaten=beaten)
+            progress.leave(robot, why, beaten=beaten)
             self._mark(request_id)
 
     # ------------------------------------------------------------ sending
@@ -194,15 +195,15 @@ class RequestHandler:
         now_s = self._scheduler.now_s() + 1e-9
         for state in self._robots.values():
             if now_s >= state.lapses_s and state.order is not None:
-                self._give_up(state, f"the intent lapsed after {state.order.expires_s:g} s")
+                self._give_up(state, reason(Code.LAPSED, after_s=f"{state.order.expires_s:g}"))
             elif now_s >= state.resend_s and state.present:
                 self._send(state)
 
-    def _give_up(self, state: Desired, reason: str) -> None:
+    def _give_up(self, state: Desired, why: Reason) -> None:
         order = state.order
         if order is not None:
             state.want(None, self._scheduler.now_s())
-            self._release(state.robot, order.request_id, reason, beaten=False)
+            self._release(state.robot, order.request_id, why, beaten=False)
             self._keep([state.robot])
 
     # ------------------------------------------------------------ what the robots say
@@ -240,7 +241,7 @@ class RequestHandler:
         order = self._adopted(request_id, behaviour)
         if order is None:
             return
-        self._hold(order, state.robot).reason = "adopted after a restart of the core"
+        self._hold(order, state.robot).reason = given("adopted after a restart of the core")
         state.want(order, self._scheduler.now_s())
         state.settled = order.adopted
         self._keep([state.robot])

@@ -18,6 +18,7 @@ Further files:
                          share a port
 ``guardian.py``          Guardian processes: they stop a robot whose driver is silent or gone (decision 14)
 ``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or gone
+``make.py``              The record of a make, and where all records are found
 ``mavlink/``             MAVLink ground rovers: ArduPilot Rover (GUIDED) and PX4 (OFFBOARD)
 ``null/``                The null make: ``null://<id>``, a robot that is nowhere
 ``probe/``               What robot is on a port, asked without moving it: for `fullswarm robots find` and `fullswarm

@@ -154,7 +154,10 @@ class Driver(Protocol):
 
     @property
     def fault(self) -> str:
-        """Why it is in FAULT, or why it does not become or stay ACTIVE, and what to do; empty otherwise."""
+        """Why it is in FAULT, or why it does not become or stay ACTIVE, and what to do; empty otherwise.
+
+        A driver may have a `fault_code` beside it, a :class:`~fullswarm.reasons.Code`: operators get advice by that.
+        """
         ...
 
     @property
@@ -255,6 +258,10 @@ class Fleet(Protocol):
 
     def fault(self, row: int) -> str:
         """Return why robot `row` is in FAULT, or does not become or stay ACTIVE; empty otherwise."""
+        ...
+
+    def fault_code(self, row: int) -> str:
+        """Return the :class:`~fullswarm.reasons.Code` of robot `row`'s fault; empty where its driver has none."""
         ...
 
     def firmware(self, row: int) -> str:

@@ -117,6 +117,11 @@ class OneRobot:
         del row
         return self._driver.fault if self._absent is None else str(self._absent)
 
+    def fault_code(self, row: int) -> str:
+        """Return the code of the driver's fault, if it has one."""
+        del row
+        return str(getattr(self._driver, "fault_code", "") if self._absent is None else self._absent.code)
+
     def firmware(self, row: int) -> str:
         """Return the device's firmware."""
         del row

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
-from fullswarm.errors import did_you_mean
-
-CAN_DEFAULT, CAN_PORT, SYSTEM = "socketcan", "43113", "1"
+from fullswarm.drivers.make import Claim, emulated, make_of
+from fullswarm.errors import ConfigError, did_you_mean, nearest
 
 
 def load_fleet(path: Path | str, overrides: Iterable[str] = (), *, here: bool = False) -> SwarmConfig:
@@ -34,14 +32,16 @@ def load_fleet(path: Path | str, overrides: Iterable[str] = (), *, here: bool = 
 def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str]]:
     """Yield (robot, key, what is wrong)."""
     schemes: tuple[str, ...] = ()
+    words = emulated() if any(robot.emulate for robot in config.robot) else {}
     for robot in config.robot:
+        if robot.emulate and robot.emulate not in words:
+            yield robot.id, "emulate", f"no emulated robot '{robot.emulate}', {did_you_mean(robot.emulate, words)}"
         scheme = urlsplit(robot.url).scheme
         if scheme in registry.DRIVERS:
             continue
         schemes = schemes or registry.driver_schemes()
-        guess = did_you_mean(scheme, schemes)
-        if scheme not in schemes and (guess.startswith("did you mean") or (here and not robot.elsewhere)):
-            yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {guess}"
+        if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
+            yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
     if here:
         yield from _starts(config)
     taken: dict[tuple[str, ...], RobotConfig] = {}
@@ -49,9 +49,9 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
         if not robot.driver or not (here or robot.elsewhere):
             continue
         for claim in _claims(robot):
-            other = taken.setdefault((robot.host if robot.elsewhere else "", *claim), robot)
+            other = taken.setdefault((robot.host if robot.elsewhere else "", *claim.words), robot)
             if other is not robot:
-                yield robot.id, "driver", f"{' '.join(claim)} is taken by {other.id}: {_advice(claim)}"
+                yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other.id}: {claim.advice}"
                 break
 
 
@@ -69,53 +69,8 @@ def _starts(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
         yield robot, "pose", what
 
 
-def _advice(claim: tuple[str, ...]) -> str:
-    if claim[0] == "the CAN node":
-        return "give each wheel a node id of its own"
-    if claim[0] == "the MAVLink system":
-        return "give each rover a system id of its own (SYSID_THISMAV) and name it with ?sysid="
-    return "give each robot a port of its own"
-
-
-def _claims(robot: RobotConfig) -> Iterator[tuple[str, ...]]:
-    """Yield what only one robot of a computer can have."""
-    parts = urlsplit(robot.url)
-    options = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
-    scheme, kind = parts.scheme, parts.scheme.partition("+")[0]
-    if kind == "create" or scheme == "mavlink+serial":
-        yield _device(parts.path, robot)
-    elif kind == "can":
-        yield from _can(parts, options, robot)
-    elif scheme == "mavlink+udp":
-        # Whoever listens on all addresses listens on each; one socket per port is all that a computer's agents need.
-        yield "the UDP port", _port(parts)
-    elif kind == "mavlink":
-        host, system = parts.hostname or "", options.get("sysid", SYSTEM)
-        yield "the MAVLink system", system, "at", f"{scheme.removeprefix('mavlink+')} {host}:{_port(parts)}"
-    elif scheme == "sim":
-        yield "the simulated robot", f"{parts.netloc}{parts.path}"
-    elif scheme != "null":
-        yield "the URL", robot.url
-
-
-def _can(parts: SplitResult, options: dict[str, str], robot: RobotConfig) -> Iterator[tuple[str, ...]]:
-    """Yield a serial adapter as a whole, of a bus the nodes of both wheels."""
-    channel, interface = parts.netloc + parts.path, options.get("interface", CAN_DEFAULT)
-    if interface == "slcan":
-        yield _device(channel, robot)
-        return
-    bus = f"{channel}:{options.get('port', CAN_PORT)}" if interface == "udp_multicast" else channel
-    for node in (options.get("left", ""), options.get("right", "")):
-        yield "the CAN node", node, "of", bus, f"({parts.scheme.removeprefix('can+')})"
-
-
-def _device(path: str, robot: RobotConfig) -> tuple[str, ...]:
-    """Name a serial device; links such as those of /dev/serial/by-id are followed where they are."""
-    return "the port", path if robot.elsewhere else os.path.realpath(path)
-
-
-def _port(parts: SplitResult) -> str:
+def _claims(robot: RobotConfig) -> tuple[Claim, ...]:
     try:
-        return str(parts.port)
-    except ValueError:  # the driver says what is wrong with it
-        return parts.netloc
+        return make_of(robot.url).claims_of(robot.url, elsewhere=robot.elsewhere)
+    except ConfigError:  # no such driver here: said above, or another computer has it
+        return (Claim(("the URL", robot.url)),)

@@ -20,6 +20,7 @@ import serial
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.errors import DriverError
+from fullswarm.reasons import Code
 
 STUCK_S = 0.25
 """A port that takes no byte for this long is lost."""
@@ -387,7 +388,8 @@ def claim(path: str, baud: int) -> serial.Serial:
     except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
         number = getattr(error, "errno", None)
         what, hint = _advice(path, number, error)
-        raise DriverError(what, where=path, hint=hint) from error
+        code = Code.PORT_HELD if number in (errno.EAGAIN, errno.EBUSY) else Code.NONE
+        raise DriverError(what, where=path, hint=hint, code=code) from error
 
 
 def _advice(path: str, number: int | None, error: Exception) -> tuple[str, str]:

@@ -21,6 +21,7 @@ from fullswarm.evaluate.trial import TrialFailed, parameters
 from fullswarm.evaluate.trial_watch import Measurement, finite, joined
 from fullswarm.evaluate.witness import Witness
 from fullswarm.messages import RequestStatus, Value
+from fullswarm.reasons import Code
 
 LOOK_S = 0.1
 """How often it is looked whether the trial is over."""
@@ -37,7 +38,6 @@ SUMMARY_S = 4.0
 MEASURED_S = 0.6
 """After so long whatever robots measured at the end has been sent: they do it twice a second."""
 ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
-LAW_FAILED = "law '"
 """How a robot begins to tell that its law has raised an error."""
 
 
@@ -231,7 +231,7 @@ def _check(swarm: LiveSwarm, statuses: list[RequestStatus], passed_s: float) -> 
             raise TrialHeld(f"an e-stop holds the robot: {health.stop_reason}", where=row.robot)
         if health is not None and health.lifecycle == "FAULT":
             raise TrialFailed(f"it is in FAULT: {health.fault or 'without a reason'}", where=row.robot)
-        if health is not None and health.stop_reason.startswith(LAW_FAILED):
+        if health is not None and health.stop_code == Code.LAW:
             raise TrialFailed(health.stop_reason, where=row.robot)
         if row.silent:
             raise TrialFailed(f"it has been silent for {row.age_s:.1f} s", where=row.robot)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 from fullswarm import kernels
 from fullswarm.config import SwarmConfig
-from fullswarm.config.models import Emulated
+from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.live_run import asked_of, drive, terms
@@ -16,7 +14,6 @@ from fullswarm.evaluate.trial_watch import Measurement
 from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.ports import on_free_ports
 
-EMULATED: tuple[str, ...] = get_args(Emulated)
 EMULATED_MARGIN_M = 0.08
 """Odometry and fixes are a few centimetres off, and a rover needs time to brake."""
 
@@ -55,8 +52,8 @@ def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmCo
     """Put every robot behind an emulated port; agents keep the cell's limits where the make could do more."""
     if emulate is None:
         return config
-    if emulate not in EMULATED:
-        raise ConfigError(f"nobody emulates a '{emulate}'", where="--emulate", hint=did_you_mean(emulate, EMULATED))
+    if emulate not in (known := emulated()):
+        raise ConfigError(f"no emulated robot '{emulate}'", where="--emulate", hint=did_you_mean(emulate, known))
     body, asked = dict(trial.body), dict(trial.agent)
     usual = {
         "estimator": "ekf",

@@ -282,7 +282,7 @@ def check(statuses: list[RequestStatus], swarm: Lockstep) -> None:
     newest = statuses[-1] if statuses else None
     if newest is None or newest.phase in ("refused", "superseded"):
         raise TrialFailed(f"the core refused: {newest.reason}" if newest else "the core did not answer")
-    errors = {error for agent in swarm.agents for error in agent.wishes.law_error if error}
+    errors = {why.text for agent in swarm.agents for why in agent.wishes.law_error if why}
     if errors:
         raise TrialFailed("; ".join(sorted(errors)))
     ran = sum(task is not None for agent in swarm.agents for task in agent.tasks.of)

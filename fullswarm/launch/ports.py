@@ -59,13 +59,15 @@ def free_port(usual: int) -> int:
 def _on_free_port(config: SwarmConfig, robot: RobotConfig, wished: bool) -> RobotConfig:
     """Write the driver of an emulated robot down; its port, if it is one of the network, is free."""
     from fullswarm.drivers import emulated
+    from fullswarm.drivers.make import emulated_as
 
     if not robot.emulate or robot.driver:
         return robot
     url = emulated.driver_url(config, robot)
     port = urlsplit(url).port
     if port is not None:
-        url = url.replace(f":{port}", f":{_free(socket.SOCK_DGRAM, port, wished)}", 1)
+        kind = socket.SOCK_STREAM if emulated_as(robot.emulate)[1].place == "tcp" else socket.SOCK_DGRAM
+        url = url.replace(f":{port}", f":{_free(kind, port, wished)}", 1)
     return robot.model_copy(update={"driver": url})
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers import emulated
+from fullswarm.drivers.make import Emulator
 from fullswarm.drivers.sim.bodies import SKIN_RATE_HZ, SteppedBodies
 from fullswarm.drivers.sim.emulator import WorldServer
 from fullswarm.drivers.sim.world import World
@@ -61,7 +62,7 @@ class WorldNode:
         self.world = World(settings, ids, nodes.start_poses(config))
         self._server = WorldServer(self.world, settings.address, insecure_network=insecure_network)
         self.bodies = SteppedBodies(self.world, [each.id for each in skins])
-        self.emulators: dict[str, emulated.Emulator] = {}
+        self.emulators: dict[str, Emulator] = {}
         try:
             for robot in skins:
                 if robot.emulate is not None:

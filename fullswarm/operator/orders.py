@@ -14,7 +14,8 @@ from fullswarm.operator.leases import GROUP, LeaseHolder
 from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target
 from fullswarm.operator.teleop import BEHAVIOUR, Teleop
-from fullswarm.words import ESTOP_LATCHED, ROBOT_ID
+from fullswarm.reasons import Code, holds
+from fullswarm.words import ROBOT_ID
 
 ANSWER_S = 2.0
 """For the robots to answer a request that the core accepted; they do within 0.1 s unless messages are lost."""
@@ -103,7 +104,8 @@ def request(
 def refusal(status: RequestStatus) -> FullswarmError:
     """Return the error for a request that the core refused, or robots."""
     if status.refused_by:
-        kind = SafetyStop if ESTOP_LATCHED in status.reason else FullswarmError
+        latched = holds(status.code, status.parameters, Code.ESTOP_LATCHED)
+        kind = SafetyStop if latched else FullswarmError
         return kind(status.reason, where=status.behaviour)
     # The core's reason mostly ends with what to do; two hints would be one too many.
     hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` shows what can be asked for"

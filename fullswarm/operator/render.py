@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from rich.markup import escape
 from rich.table import Table
@@ -10,13 +11,11 @@ from rich.table import Table
 from fullswarm.messages import Summary
 from fullswarm.operator.known import natural
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
-from fullswarm.words import ESTOP_WAS, LAPSED, STOPPED_BY
+from fullswarm.reasons import DELIBERATE, Code
 
 _UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
 STANDS_M_S = 0.005
-NO_ALARM = (STOPPED_BY, ESTOP_WAS, LAPSED)
-"""Reasons for which a robot without a behaviour just stands."""
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
 """What makes room for who holds the robots."""
@@ -54,7 +53,7 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     if snapshot.leases:
         table.add_column("held by", overflow="fold", max_width=10)
     table.add_column("state", overflow="fold", min_width=16, ratio=1)
-    rows = sorted(snapshot.robots, key=lambda row: (not row_state(row)[1], natural(row.robot)))
+    rows = sorted(snapshot.robots, key=lambda row: (not row_state(row).attention, natural(row.robot)))
     if max_rows is not None and len(rows) > max_rows:
         rows = rows[: max(1, max_rows - 1)]
     for row in rows:
@@ -64,33 +63,47 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     return table
 
 
-def row_state(row: RobotRow) -> tuple[str, bool]:
-    """Return what a robot is doing, in words, and whether it needs attention."""
+@dataclass(frozen=True, slots=True)
+class RowState:
+    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
+
+    word: str
+    why: str = ""
+    attention: bool = False
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.word}: {self.why}" if self.why else self.word
+
+
+def row_state(row: RobotRow) -> RowState:
+    """Return what a robot is doing."""
     health = row.health
     if row.silent:
-        return f"SILENT for {row.age_s:.0f} s", True
+        return RowState(f"SILENT for {row.age_s:.0f} s", attention=True)
     if health is None:
-        return "no health report", True
+        return RowState("no health report", attention=True)
     if health.fault or health.lifecycle == "FAULT":
         latched = "E-STOP, " if health.estop else ""
         # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
         word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
-        return f"{latched}{word}: {health.fault or 'no reason given'}", True
+        return RowState(latched + word, health.fault or "no reason given", attention=True)
     if health.estop:
         # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
         rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
-        return "E-STOP, still rolling" if rolls else "E-STOP", True
-    alarm = health.behaviour or not health.stop_reason.startswith(NO_ALARM)
-    if health.stop_reason and health.stop_reason != LAPSED and alarm:
-        return f"STOPPED: {health.stop_reason}", True
+        return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
+    alarm = health.behaviour or health.stop_code not in DELIBERATE
+    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
+        return RowState("STOPPED", health.stop_reason, attention=True)
     doing = "moving" if health.moving else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
         doing = f"{health.lifecycle.lower()}, not ready"
     if health.contacts:
-        return f"{doing}, TOUCHING", True
+        return RowState(f"{doing}, TOUCHING", attention=True)
     if 0.0 <= health.battery < 0.2:
-        return f"{doing}, BATTERY {health.battery:.0%}", True
-    return doing, False
+        return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
+    return RowState(doing)
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:
@@ -124,7 +137,7 @@ def _title(snapshot: Snapshot) -> str:
 
 
 def _cells(row: RobotRow, holders: dict[str, str] | None) -> list[str]:
-    state, attention = row_state(row)
+    state = row_state(row)
     health = row.health
     collisions = "" if health is None else str(health.collisions)
     cells = {
@@ -140,7 +153,8 @@ def _cells(row: RobotRow, holders: dict[str, str] | None) -> list[str]:
     if holders is not None:
         cells = {name: text for name, text in cells.items() if name not in _LEAST}
         cells["held by"] = escape(holders.get(row.robot, "-"))
-    return [*cells.values(), f"[bold red]{escape(state)}[/]" if attention else escape(state)]
+    text = escape(state.text)
+    return [*cells.values(), f"[bold red]{text}[/]" if state.attention else text]
 
 
 def _number(value: float, digits: int) -> str:

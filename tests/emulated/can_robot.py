@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase
-from fullswarm.drivers.can.odrive_emulator import ODriveEmulator
 from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.can.odrive import ODriveEmulator
 
 ODRIVE = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&watchdog=0.5"
 VESC = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&gear=10&pole_pairs=7"

@@ -10,7 +10,7 @@ import can
 import pytest
 from odrive_can.odrive import CanMsg, DriveError, ODriveCAN
 
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import EmulatedBase
 
 OPTIONS = "interface=slcan&left=1&right=2&wheel_radius=0.05&base=0.3"
 

@@ -10,7 +10,7 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Pose
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import EmulatedBase
 from tests.emulated.can_robot import wait, wait_state
 from tests.unit.can_square import Square, error_m
 

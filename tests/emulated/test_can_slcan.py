@@ -14,14 +14,14 @@ import pytest
 
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase
-from fullswarm.drivers.can.pty import PtyWire
+from fullswarm.emulators.can.adapter import PtyWire
+from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.errors import DriverError
 from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait, wait_state
 
 OTHER_PROCESS = """
 import sys
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import EmulatedBase
 with EmulatedBase(sys.argv[1]):
     print("ready", flush=True)
     sys.stdin.read()

@@ -16,17 +16,17 @@ from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
-from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.drivers.sim.emulator import WorldServer
 from fullswarm.drivers.sim.world import World
+from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
 from tests.emulated.rover_link import IN_THE_WORLD
 

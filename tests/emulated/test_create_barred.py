@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 
 from fullswarm.drivers.base import Lifecycle
-from fullswarm.drivers.create_oi.firmware import Quirks
 from fullswarm.drivers.create_oi.session import NEWS_S
+from fullswarm.emulators.create_oi.firmware import Quirks
 from tests.emulated.create_bench import GO, Bench
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
 from fullswarm.drivers.create_oi import protocol
-from fullswarm.drivers.create_oi.firmware import Quirks
 from fullswarm.drivers.create_oi.protocol import Mode, Op
 from fullswarm.drivers.create_oi.senses import Charging
+from fullswarm.emulators.create_oi.firmware import Quirks
 from fullswarm.errors import DriverError
 from tests.emulated.create_bench import GO, Bench, Held
 

@@ -11,8 +11,8 @@ import pytest
 import serial
 
 from fullswarm.drivers.create_oi import protocol
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Frame, Mode, StreamParser
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 
 
 def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:

@@ -17,8 +17,8 @@ import serial
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import CREATE2, Mode, Op, StreamParser
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import DriverError
 
 GO = Twist(0.3, 0.5)
@@ -208,7 +208,7 @@ def test_a_path_of_ones_own_is_claimed_and_left_clean(tmp_path: Path) -> None:
 
 KILLED = """
 import os, sys
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 CreateEmulator(port=sys.argv[1]).start()
 os._exit(9)
 """

@@ -14,8 +14,8 @@ import pytest
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
 from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.geometry import wrap
 
 SPEED_M_S, TURN_RAD_S = 0.45, 1.5

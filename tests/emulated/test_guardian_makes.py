@@ -21,21 +21,21 @@ import pytest
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.emulator import EmulatedBase
-from fullswarm.drivers.can.odrive_emulator import ODriveEmulator
 from fullswarm.drivers.can.odrive_states import AxisState
-from fullswarm.drivers.can.vesc_emulator import VescEmulator
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode as OiMode
 from fullswarm.drivers.guardian import SILENCE_S
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
 from fullswarm.drivers.mavlink.link import TcpPort, UdpPort
 from fullswarm.drivers.mavlink.protocol import Mode
-from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
 from fullswarm.drivers.mavlink.signing import EPOCH_S, TICKS_S
+from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.can.odrive import ODriveEmulator
+from fullswarm.emulators.can.vesc import VescEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 from fullswarm.errors import DriverError
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
 from tests.emulated.test_can_driver import GROUP, multicast_refusal

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from tests.unit.rover_agent import FASTEST, RoverAgent
 
 CONFIRMED_S, TRIES = 1.0, 20
@@ -73,7 +73,7 @@ def test_a_rover_without_satellites_stands_and_says_why(rover: Rover) -> None:
     rover.runtime.run(1.5)
     rolled_m, lost_s = rover.body.state().rolled_m, rover.runtime.now_s()
     rover.emulator.set_gps(False)
-    rover.until(lambda: rover.reason is Reason.UNSURE, STANDS_S)
+    rover.until(lambda: rover.reason is StopReason.UNSURE, STANDS_S)
     rover.until(lambda: abs(rover.body.state().speed_m_s) < 0.05, STANDS_S)
     took_s, way_m = rover.runtime.now_s() - lost_s, rover.body.state().rolled_m - rolled_m
     assert took_s < STANDS_S

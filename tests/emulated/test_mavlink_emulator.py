@@ -20,8 +20,8 @@ from fullswarm.drivers.base import Pose
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.faults import LinkFaults
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.emulator import RoverEmulator, open_port
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.emulators.mavlink.emulator import RoverEmulator, open_port
 from fullswarm.errors import ConfigError, DriverError
 from tests.emulated.rover_link import free_port
 

@@ -19,6 +19,7 @@ import pytest
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers import emulated
 from fullswarm.drivers.base import Driver, Lifecycle, Pose, Twist
+from fullswarm.drivers.make import emulated_as
 from fullswarm.drivers.sim.bodies import SteppedBodies, WorldBody
 from fullswarm.drivers.sim.world import World
 from fullswarm.geometry import wrap
@@ -42,7 +43,7 @@ def rig(make: str, folder: Path) -> Iterator[tuple[Driver, WorldBody]]:
     else:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
-            url = url.replace(str(emulated.FIRST_ROVER_PORT), str(probe.getsockname()[1]))
+            url = url.replace(str(emulated_as("rover")[1].first_port), str(probe.getsockname()[1]))
     world = World(config.world_or_default, ("r1",), [config.robot[0].pose])
     bodies = SteppedBodies(world, ("r1",))
     closing = threading.Event()
@@ -58,7 +59,7 @@ def rig(make: str, folder: Path) -> Iterator[tuple[Driver, WorldBody]]:
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    emulator = emulated.start(make, url, bodies.of["r1"])  # type: ignore[arg-type]  # a word of the table below
+    emulator = emulated.start(make, url, bodies.of["r1"])
     driver: Driver = driver_class(url)(url)
     try:
         driver.open()

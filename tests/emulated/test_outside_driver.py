@@ -8,16 +8,25 @@ import os
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
 
 from fullswarm import registry
-from fullswarm.drivers.base import Twist
+from fullswarm.clock import MonotonicClock
+from fullswarm.drivers import emulated
+from fullswarm.drivers.base import Lifecycle, Twist
+from fullswarm.drivers.body import FreeBody
+from fullswarm.drivers.fleet_file import load_fleet
+from fullswarm.drivers.guardian import guarded
+from fullswarm.errors import ConfigError
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.testing import Rig, check_driver
 
+CLOCK = MonotonicClock()
 PACKAGE = Path(__file__).parents[2] / "examples" / "outside_driver"
 
 
@@ -60,6 +69,104 @@ def test_one_command_checks_it_with_all_its_hands(installed: Path) -> None:
     assert "after open(), deactivate() and close()" in told["checked"].values()
 
 
+def paths(installed: Path) -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), str(PACKAGE.parents[1])])}
+
+
+def fullswarm(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "fullswarm", *arguments]
+    return subprocess.run(command, env=paths(installed), check=False, capture_output=True, text=True, timeout=120)
+
+
+def test_every_command_knows_the_outside_make_as_a_built_in_one(installed: Path, tmp_path: Path) -> None:
+    emulate = [sys.executable, "-m", "fullswarm", "emulate", "acme", "--json"]
+    with subprocess.Popen(
+        emulate, env=paths(installed), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+    ) as scout:
+        try:
+            assert scout.stdout is not None
+            url = json.loads(scout.stdout.readline())["url"]
+            found = fullswarm(installed, "robots", "find", "--json")
+            robot = next(each for each in json.loads(found.stdout)["robots"] if each["make"] == "Acme")
+            assert (robot["url"], robot["battery"]) == (url, 1.0)
+            assert [each["proof"] for each in robot["evidence"]] == ["emulated"]
+            tested = fullswarm(installed, "robots", "test", url, "--yes", "--json")
+            assert tested.returncode == 0, tested.stdout + tested.stderr
+            checked = fullswarm(installed, "robots", "check", url, "--yes", "--json")
+            assert checked.returncode == 0, checked.stdout + checked.stderr
+            fleet = tmp_path / "fleet.toml"
+            robots = f'[[robot]]\nid = "a1"\ndriver = "{url}"\n[[robot]]\nid = "a2"\nemulate = "scout"\n'
+            fleet.write_text(robots, encoding="utf-8")
+            looked = json.loads(fullswarm(installed, "doctor", str(fleet), "--json").stdout)
+            told = {each["name"]: each for each in looked["checks"]}
+            assert "never on hardware" in told["evidence for acme"]["what"]
+            assert (told["robot a1"]["status"], "Acme Scout" in told["robot a1"]["what"]) == ("ok", True)
+            assert told["robot a2"]["what"] == "emulated by the world: scout"
+        finally:
+            scout.terminate()
+
+
+def test_a_fleet_file_emulates_it(installed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(installed))
+    fleet, body = tmp_path / "fleet.toml", FreeBody()
+    fleet.write_text('[[robot]]\nid = "a1"\nemulate = "scout"\n', encoding="utf-8")
+    config = on_free_ports(load_fleet(fleet), wished=False)
+    url = emulated.driver_url(config, config.robot[0])
+    robot = emulated.start("scout", url, body)
+    driver = guarded(registry.driver_class(url)(url))
+    try:
+        driver.open()
+        until(lambda: driver.state is Lifecycle.READY)
+        driver.activate()
+        until(lambda: driver.state is Lifecycle.ACTIVE)
+        driver.command(Twist(0.2, 0.0))
+        until(lambda: body.state().speed_m_s > 0.1)
+    finally:
+        driver.close()
+        robot.close()
+    fleet.write_text('[[robot]]\nid = "a1"\nemulate = "scuot"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match="did you mean 'scout'"):
+        load_fleet(fleet)
+    for name in [each for each in sys.modules if each.startswith("fullswarm_acme")]:
+        del sys.modules[name]
+
+
+DRIVES = """
+import sys, time
+from fullswarm import registry
+from fullswarm.drivers.base import Lifecycle, Twist
+from fullswarm.drivers.guardian import guarded
+driver = guarded(registry.driver_class(sys.argv[1])(sys.argv[1]))
+driver.open()
+while True:
+    if driver.state is Lifecycle.READY:
+        driver.activate()
+    driver.command(Twist(0.5, 0.0))
+    time.sleep(0.05)
+"""
+
+
+def test_its_guardian_stops_it_when_its_driver_is_killed(emulator: Any, installed: Path) -> None:
+    command = [sys.executable, "-c", DRIVES, emulator.url]
+    with subprocess.Popen(command, env=paths(installed), stdin=subprocess.DEVNULL) as driver:
+        try:
+            until(lambda: emulator.body.state().speed_m_s > 0.45)
+        finally:
+            driver.kill()
+        killed_s = CLOCK.now_s()
+        until(lambda: emulator.body.state().speed_m_s == 0.0)
+        # Braking from 0.5 m/s takes 0.25 s. Without its guardian the robot drives on for a second before that.
+        assert CLOCK.now_s() - killed_s < 0.9
+        until(lambda: not emulator.motors_on)
+
+
+def until(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
+    end_s, pause = CLOCK.now_s() + limit_s, Event()
+    while not condition():
+        assert CLOCK.now_s() < end_s, "it does not come about"
+        pause.wait(0.01)
+
+
 @pytest.fixture
 def emulator(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(installed))
@@ -74,7 +181,7 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
 ) -> None:
     kind = registry.driver_class(emulator.url)
     session = importlib.import_module("fullswarm_acme.emulator")
-    monkeypatch.setattr(session, "WATCHDOG_S", 5.0)  # of the firmware; the driver's description still says 0.5 s
+    monkeypatch.setattr(session, "WATCHDOG_S", 5.0)  # of the firmware; the driver's description still says 1 s
     monkeypatch.setattr("fullswarm.testing.driver.check_contract", lambda *_: None)
     monkeypatch.setattr("fullswarm.testing.driver.check_claims", lambda _: None)
     monkeypatch.setattr("fullswarm.testing.driver.check_faults", lambda _: None)
@@ -84,5 +191,5 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
         return Twist(now.speed_m_s, now.turn_rad_s)
 
     rig = Rig(make=lambda: kind(emulator.url), body_speed=speed, other_process=True)
-    with pytest.raises(AssertionError, match=r"still moves .* paused; its description says watchdog_s=0\.5"):
+    with pytest.raises(AssertionError, match=r"still moves .* paused; its description says watchdog_s=1\.0"):
         check_driver(rig, settle_s=1.0)

@@ -12,9 +12,9 @@ import serial
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.body import BodyState
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.drivers.can import probe as can_bus
+from fullswarm.drivers.create_oi import probe as create
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator, Quirks
 from fullswarm.drivers.create_oi.protocol import (
     CREATE1,
     CREATE2,
@@ -26,10 +26,14 @@ from fullswarm.drivers.create_oi.protocol import (
     simple,
     stream,
 )
+from fullswarm.drivers.mavlink import probe as mavlink
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.emulator import RoverEmulator
-from fullswarm.drivers.mavlink.px4_emulator import Px4Emulator
-from fullswarm.drivers.probe import ask, can_bus, create, mavlink
+from fullswarm.drivers.probe import ask
+from fullswarm.drivers.probe.line import Line
+from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.create_oi.emulator import CreateEmulator, Quirks
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 from fullswarm.errors import ConfigError
 
 CLOCK = MonotonicClock()
@@ -142,7 +146,7 @@ def silent_port() -> Iterator[tuple[int, str]]:
 def test_echo_and_garbage_are_no_robot(silent_port: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
     master, path = silent_port
     monkeypatch.setattr(create, "ANSWER_S", 0.02)
-    with ask.Line(path, CLOCK) as line:
+    with Line(path, CLOCK) as line:
         os.write(master, bytes(range(256)) * 4)
         assert create.ask(line, path, 115200, b"") is None
 

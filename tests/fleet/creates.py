@@ -13,7 +13,7 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 
 DIALOUT = 20
 WAKE_S = 60.0

@@ -13,7 +13,7 @@ from typing import Self
 
 import pytest
 
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from tests.machines.packages import REPOSITORY
 
 SWARM, ROBOT = "card", "r1"

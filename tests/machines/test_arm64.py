@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.bus.hub import Hub
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from tests.machines.cache import cache_folder
 from tests.machines.debian import Recipe, root_filesystem
 from tests.machines.needs import require, which

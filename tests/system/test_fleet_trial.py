@@ -18,8 +18,8 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array
 from fullswarm.drivers.body import FreeBody
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.settings import parse_url
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.evaluate.experiment import Trial, TrialResult, scenario_of
 from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, Provenance, Record, trial_id

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fullswarm.agent.node import AgentNode
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import Clock, SimClock
@@ -18,8 +18,8 @@ from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.firmware import Firmware
 from fullswarm.drivers.mavlink.session import Session
+from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest, EStop, EStopReceipt, HealthReport, Heartbeat, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime
@@ -116,8 +116,8 @@ class RoverAgent:
         self.until(lambda: self.driver.state is Lifecycle.READY and bool(self.health))
 
     @property
-    def reason(self) -> Reason:
-        return Reason(int(self.agent.controller.reason[0]))
+    def reason(self) -> StopReason:
+        return StopReason(int(self.agent.controller.reason[0]))
 
     @property
     def standing(self) -> bool:

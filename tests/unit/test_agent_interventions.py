@@ -7,7 +7,7 @@ import pytest
 
 from fullswarm import kernels
 from fullswarm.agent.interventions import EDGE, LEAST_M_S, NOTHING, OBSTACLE, PERIOD_S, ROBOT, blame
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.agent.safety.filter import BLIND, EXPLAIN
 from fullswarm.messages import Interventions
 from tests.unit.agent_bench import Bench
@@ -86,7 +86,7 @@ def test_a_robot_that_stands_anyway_is_not_held_by_the_filter() -> None:
     made.enable("move", EAST, "r1", filtered=True)
     made.run(1.0)
     assert len(made.newest.robots) == 1
-    made.agent.controller.reason[0] = Reason.BATTERY
+    made.agent.controller.reason[0] = StopReason.BATTERY
     made.agent.interventions.tell()
     made.runtime.mailbox.drain()
     assert len(made.newest.robots) == 0

@@ -200,7 +200,7 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
     driving(bench)
     bench.enable("move_to_goal", {"goal": [1.0, 1.0]})
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    assert "needs a parameter" in bench.agent.wishes.law_error[0]
+    assert "needs a parameter" in bench.agent.wishes.law_error[0].text
     driving(bench)
 
 
@@ -211,7 +211,7 @@ def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench, monkeypatch
     driving(bench)
     broken.append(True)
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    assert "not finite" in bench.agent.wishes.law_error[0]
+    assert "not finite" in bench.agent.wishes.law_error[0].text
 
 
 seeds = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fullswarm.agent.pose_conflicts import APART, DWELL_S, OVERLAP
-from fullswarm.agent.robot_controller import Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.config import load_swarm
 from fullswarm.drivers.frames import check_frames, in_frame, own_frame
 from fullswarm.errors import ConfigError
@@ -52,8 +52,8 @@ def bench() -> Bench:
     return Bench([(2.0, 10.0, 0.0)])
 
 
-def reason(bench: Bench) -> Reason:
-    return Reason(int(bench.agent.controller.reason[0]))
+def reason(bench: Bench) -> StopReason:
+    return StopReason(int(bench.agent.controller.reason[0]))
 
 
 @pytest.mark.parametrize("filtered", [False, True])
@@ -65,7 +65,7 @@ def test_two_robots_in_one_place_are_an_alarm_that_ends_what_they_do(bench: Benc
         bench.run(0.1)
     assert not bench.commanded.any()
     assert bench.agent.tasks.of[0] is None
-    assert "ghost" in bench.agent.inbox.ended[0]
+    assert "ghost" in bench.agent.inbox.ended[0].text
     bench.enable("move_to_goal", FAR, request_id="q2")
     assert not bench.acks[-1].accepted
     assert "by hand" in bench.acks[-1].reason
@@ -88,7 +88,7 @@ def test_driving_by_hand_moves_it_apart_and_then_it_drives_again(bench: Bench) -
     bench.enable("move_to_goal", FAR, request_id="q3")
     assert bench.acks[-1].accepted
     bench.run(0.5)
-    assert reason(bench) is Reason.MOVING
+    assert reason(bench) is StopReason.MOVING
 
 
 @pytest.mark.parametrize("overlap", [-0.2, 0.0, 0.1, 0.4])
@@ -134,11 +134,11 @@ def test_a_robot_in_a_frame_of_its_own_bars_whoever_hears_it(bench: Bench) -> No
     ghost = Ghost(bench, own_frame=True)
     bench.enable("move_to_goal", FAR)
     bench.run(0.5)
-    assert reason(bench) is Reason.MOVING
+    assert reason(bench) is StopReason.MOVING
     ghost.place = (15.0, 3.0)  # far away, as it says
     bench.run(0.5)
     assert not bench.commanded.any()
-    assert "[world] origin" in bench.agent.inbox.ended[0]
+    assert "[world] origin" in bench.agent.inbox.ended[0].text
 
 
 def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Bench) -> None:
@@ -147,12 +147,12 @@ def test_a_robot_in_a_frame_of_its_own_drives_only_while_it_is_alone(bench: Benc
     bench.agent.pose_conflicts.own_frame = True
     bench.enable("move_to_goal", FAR)
     bench.run(0.5)
-    assert reason(bench) is Reason.MOVING or math.isfinite(bench.agent.pose[0, 0])
+    assert reason(bench) is StopReason.MOVING or math.isfinite(bench.agent.pose[0, 0])
     ghost = Ghost(bench)
     ghost.place = (15.0, 3.0)
     bench.run(0.5)
     assert not bench.commanded.any()
-    assert "switched on" in bench.agent.inbox.ended[0]
+    assert "switched on" in bench.agent.inbox.ended[0].text
     bench.run(TICK_S)
 
 

@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fullswarm import reasons
 from fullswarm.agent.reflexes import Reflexes, Thresholds
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading, Hazard
+from fullswarm.reasons import TEXTS, Code
 from tests.unit.agent_bench import TICK_S, Bench
 
 TTL_S, READING_S = 0.3, 0.5
@@ -30,8 +32,8 @@ def bench() -> Bench:
     return made
 
 
-def reason(bench: Bench) -> Reason:
-    return Reason(int(bench.agent.controller.reason[0]))
+def reason(bench: Bench) -> StopReason:
+    return StopReason(int(bench.agent.controller.reason[0]))
 
 
 def battery(bench: Bench, level: float) -> None:
@@ -45,10 +47,10 @@ def test_a_low_battery_ends_the_task_at_once_and_says_so(bench: Bench) -> None:
     assert bench.time_to_zero_s() <= TICK_S + 1e-9
     bench.run(TICK_S)
     assert bench.agent.tasks.of[0] is None
-    assert bench.agent.inbox.ended[0] == EXPLAIN[Reason.BATTERY]
+    assert bench.agent.inbox.ended[0] == reasons.reason(Code.BATTERY)
     bench.enable("move_to_goal", FAR, request_id="q2")
     assert not bench.acks[-1].accepted
-    assert bench.acks[-1].reason == EXPLAIN[Reason.BATTERY]
+    assert (bench.acks[-1].code, bench.acks[-1].reason) == (Code.BATTERY, TEXTS[Code.BATTERY])
 
 
 def test_it_drives_again_only_when_charged_well_above_the_threshold(bench: Bench) -> None:
@@ -90,7 +92,7 @@ def test_a_robot_that_is_not_filtered_stops_at_the_edge(accel: float) -> None:
     bench.run(12.0)
     assert bench.agent.pose[0, 0] <= 10.0 + 1e-6
     assert bench.agent.pose[0, 0] > 9.7
-    assert reason(bench) is Reason.FENCE
+    assert reason(bench) is StopReason.FENCE
 
 
 def flocking() -> dict[str, Any]:
@@ -105,7 +107,7 @@ def test_outside_it_turns_round_and_drives_back() -> None:
     bench.enable("drive", STICKS, expires_s=0.3)
     bench.run(0.2)
     assert not bench.commanded.any()
-    assert reason(bench) is Reason.FENCE
+    assert reason(bench) is StopReason.FENCE
     bench.enable("move_to_goal", {"goal": [5.0, 5.0], "gain": 0.5, "arrive_radius_m": 0.05}, request_id="home")
     furthest = 0.0
     for _ in range(400):
@@ -205,7 +207,7 @@ def test_after_a_leap_of_the_clock_nothing_old_moves_it(bench: Bench, seconds: f
     began_s = bench.runtime.now_s()
     bench.agent.tick()  # the very first one
     assert not bench.commanded.any()
-    assert reason(bench) in (Reason.CLOCK, Reason.READING)
+    assert reason(bench) in (StopReason.CLOCK, StopReason.READING)
     while bench.runtime.now_s() < began_s + TTL_S - 1.5 * TICK_S:
         run_on(bench, TICK_S)
         assert not bench.commanded.any()
@@ -223,7 +225,7 @@ def test_a_command_from_before_the_leap_is_stale(bench: Bench) -> None:
     assert not bench.commanded.any()
     run_on(bench, 1.0)
     assert not bench.commanded.any()
-    assert reason(bench) is Reason.STALE
+    assert reason(bench) is StopReason.STALE
 
 
 def test_a_clock_that_goes_back_is_a_leap_too() -> None:
@@ -242,7 +244,7 @@ def test_readings_that_stop_as_those_of_a_frozen_world(bench: Bench, monkeypatch
     monkeypatch.setattr(bench.agent.fleet, "read", lambda: frozen)
     took_s = bench.time_to_zero_s()
     assert took_s <= READING_S + TICK_S + 1e-9
-    assert reason(bench) is Reason.READING
+    assert reason(bench) is StopReason.READING
 
 
 def test_a_row_of_its_own_for_every_robot() -> None:

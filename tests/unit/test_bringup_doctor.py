@@ -154,7 +154,7 @@ def test_a_weak_battery_is_a_warning_and_a_held_port_too(monkeypatch: pytest.Mon
     assert "battery 10%" in check.what
     (check,) = doctor._answer("robot r1", "mavlink+serial:///dev/p")
     assert (check.status, check.mend) == ("failure", found.url)
-    monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", problem="the port is held by agent (pid 7)"))
+    monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", problem="agent (pid 7) has it", held=True))
     assert [each.status for each in doctor._answer("robot r1", "create:///dev/p")] == ["warning"]
     monkeypatch.setattr(ask, "ask_url", lambda _: Asked("p", problem="nobody answers"))
     assert [each.status for each in doctor._answer("robot r1", "create:///dev/p")] == ["failure"]

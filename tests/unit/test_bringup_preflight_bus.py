@@ -10,6 +10,7 @@ from fullswarm.bringup.preflight_bus import PINGS, Heard
 from fullswarm.messages import Ping, RobotHealth
 from fullswarm.operator.session import Session
 from fullswarm.operator.view import FleetView, RobotRow
+from fullswarm.reasons import Code
 from tests.unit.agent_bench import Bench
 
 HEALTH = RobotHealth(robot="r1", driver="sim://r1", make="iRobot", model="Create 2", firmware="", lifecycle="READY")
@@ -92,10 +93,10 @@ def _health(**fields: object) -> RobotHealth:
 @pytest.mark.parametrize(
     ("fields", "status", "mend"),
     [
-        ({"lifecycle": "FAULT", "fault": "a wheel motor draws too much current (overcurrent)"}, "failure", "Free its"),
+        ({"lifecycle": "FAULT", "fault": "a wheel is blocked", "fault_code": Code.OVERCURRENT}, "failure", "Free its"),
         ({"lifecycle": "OPEN"}, "failure", "cable and power"),
         ({"estop": True}, "warning", "fullswarm estop --clear"),
-        ({"stop_reason": "the hub is lost"}, "warning", "hub or its network"),
+        ({"stop_reason": "the hub is lost", "stop_code": Code.HUB}, "warning", "hub or its network"),
         ({"pose_note": "no fix for 3 s"}, "warning", "position source"),
     ],
 )

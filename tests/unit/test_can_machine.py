@@ -10,7 +10,7 @@ import pytest
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
 from fullswarm.drivers.can import odrive
 from fullswarm.drivers.can.odrive_states import AxisState
-from fullswarm.drivers.can.vesc_emulator import VescEmulator
+from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.geometry import wrap
 from tests.unit.can_rig import BASE_M, LIMIT_M_S, Rig
 from tests.unit.can_square import Square, error_m

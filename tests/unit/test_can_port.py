@@ -62,7 +62,7 @@ def test_one_direction_that_fails_is_not_excused_by_the_other(
 
 
 def test_python_can_is_imported_only_when_a_bus_is_opened() -> None:
-    code = "import sys, fullswarm.drivers.can.driver, fullswarm.drivers.can.emulator; sys.exit('can' in sys.modules)"
+    code = "import sys, fullswarm.drivers.can.driver, fullswarm.emulators.can.emulator; sys.exit('can' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=30).returncode == 0
 
 

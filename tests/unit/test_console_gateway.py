@@ -15,6 +15,7 @@ from fullswarm.messages import (
 )
 from fullswarm.operator.console import advice
 from fullswarm.perf.coverage import pack
+from fullswarm.reasons import Code
 from tests.unit.console_bench import KEYS, ConsoleBench, health
 
 
@@ -91,15 +92,18 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"fault": "/dev/ttyUSB0: the charger is plugged in"}, "Take it off its charger."),
-        ({"fault": "p: it does not go into Safe mode; the cause may be its charger"}, advice.BARRED),
+        ({"fault": "/dev/ttyUSB0: not activated", "fault_code": Code.CHARGER}, "Take it off its charger."),
+        ({"fault": "the charger is plugged in"}, advice.BARRED),
+        ({"fault": "one that a newer version knows", "fault_code": "flood"}, advice.BARRED),
         ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, advice.UNKNOWN),
         ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, advice.UNKNOWN),
         ({"fault": "no such battery message", "lifecycle": "FAULT"}, advice.UNKNOWN),
-        ({"stop_reason": "a wheel hangs and its safety switch keeps the motors off"},
+        ({"stop_reason": "two hazards", "stop_code": Code.HAZARD,
+          "stop_parameters": {"hazards": "wheel_drop motors_off"}},
          "Put all its wheels on the floor, away from edges. Release its safety switch."),
-        ({"stop_reason": "the pilot took over and a wheel hangs"}, ""),
-        ({"stop_reason": "the operator's intent has run out", "behaviour": "drive_bc"}, ""),
+        ({"stop_reason": "the pilot took over and a wheel hangs", "stop_code": Code.HAZARD,
+          "stop_parameters": {"hazards": "wheel_drop estop_button"}}, ""),
+        ({"stop_reason": "over", "stop_code": Code.EXPIRED, "behaviour": "drive_bc"}, ""),
     ],
 )  # fmt: skip
 def test_advice_is_given_only_where_the_cause_is_certain(

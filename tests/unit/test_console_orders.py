@@ -15,6 +15,7 @@ from fullswarm.messages import (
 from fullswarm.operator.console.alarms import STOP_WATCH_S
 from fullswarm.operator.console.gateway import KEPT_S, MOST_DESKS
 from fullswarm.operator.view import SILENT_S
+from fullswarm.reasons import Code, joined, reason
 from tests.unit.console_bench import KEYS, ConsoleBench, health
 
 
@@ -60,8 +61,9 @@ def test_a_refusal_advises_the_button_of_the_page_and_no_shell(bench: ConsoleBen
     page, desk = bench.join()
     asked = bench.say(desk, page, "request", behaviour="flocking")
     bench.run(0.01)
-    reason = "refused by r1: its e-stop is latched; clear it with `fullswarm estop --clear`"
-    bench.status(asked["request_id"], "refused", behaviour="flocking", reason=reason)
+    why = joined({"r1": reason(Code.ESTOP_LATCHED)})
+    told = {"reason": why.text, "code": why.code, "refused_by": ("r1",)}
+    bench.status(asked["request_id"], "refused", behaviour="flocking", **told)
     bench.run(0.01)
     assert "e-stop is latched; clear it with the button 'Clear the e-stop…'" in page.last("request")["reason"]
     assert "`" not in page.last("request")["reason"] + page.log("refused")[-1]

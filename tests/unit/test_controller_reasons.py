@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from fullswarm.agent import robot_controller
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import CODES, StopReason
+from fullswarm.reasons import TEXTS
 
 
-@pytest.mark.parametrize("reason", Reason)
-def test_each_reason_has_its_number_in_the_kernels_and_its_words(reason: Reason) -> None:
+@pytest.mark.parametrize("reason", StopReason)
+def test_each_reason_has_its_number_in_the_kernels_and_its_words(reason: StopReason) -> None:
     assert getattr(robot_controller, reason.name) == reason.value
-    assert reason in EXPLAIN or reason is Reason.HAZARD  # whose words are those of the hazards
+    assert CODES[reason] in TEXTS or reason is StopReason.HAZARD  # whose words are those of the hazards

@@ -52,7 +52,7 @@ class Robot:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("POLL_S", 0.001), ("SICK_S", 0.01), ("SILENT_S", 0.05)):
+    for name, value in (("POLL_S", 0.001), ("SICK_S", 0.5), ("SILENT_S", 1.0)):
         monkeypatch.setattr(work, name, value)
 
 

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
 
+import fullswarm
 from fullswarm.deploy.release import layers, sums, targets
 from fullswarm.deploy.release.bundle import BundleRequest, make, plan
 from fullswarm.deploy.release.keys import Keys
@@ -15,6 +21,7 @@ from fullswarm.errors import ConfigError
 from tests.unit import wheelhouse
 
 PI = targets.target("rpi-arm64")
+EXAMPLE = Path(__file__).parents[2] / "examples" / "outside_driver"
 BACKEND = """
 import zipfile
 
@@ -54,6 +61,37 @@ def test_a_wheel_goes_into_the_app_layer_and_its_needs_below(store: Store, house
     )
     assert not [each for each in files if each.endswith(("direct_url.json", "RECORD"))]
     assert Manifest.read(made).packages["acme-scout"] == "1.2"
+
+
+def example_wheel(folder: Path) -> Path:
+    """Return the wheel of examples/outside_driver, with the files and entry points that its project names."""
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    info, path = f"fullswarm_acme-{project['version']}.dist-info", folder / "fullswarm_acme-0.1.0-py3-none-any.whl"
+    groups = project["entry-points"].items()
+    points = "".join(f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in table.items()) for group, table in groups)
+    head = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\nRequires-Dist: fullswarm\n"
+    with zipfile.ZipFile(path, "w") as file:
+        for each in sorted((EXAMPLE / "fullswarm_acme").glob("*.py")):
+            file.write(each, f"fullswarm_acme/{each.name}")
+        file.writestr(f"{info}/METADATA", head)
+        file.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        file.writestr(f"{info}/entry_points.txt", points)
+        file.writestr(f"{info}/RECORD", "")
+    return path
+
+
+def test_a_robot_finds_the_make_of_an_outside_driver_in_its_release(store: Store, house: Path, tmp_path: Path) -> None:
+    made = make(BundleRequest(PI, packages=(example_wheel(tmp_path),), wheels=house), store, Keys(tmp_path / "keys"))
+    code = (
+        "from fullswarm import registry; from fullswarm.drivers.make import make_of; url = 'acme://192.168.7.20:7700'; "
+        "print(make_of(url).name, make_of(url).guarded, registry.driver_class(url).__module__)"
+    )
+    repository = Path(fullswarm.__file__).parents[1]
+    # The release's own fullswarm is a stand-in here: this one's makes look for the package beside it.
+    command = [sys.executable, "-c", code]
+    paths = os.pathsep.join([str(repository), str(made / "app")])
+    run = subprocess.run(command, env={"PYTHONPATH": paths}, check=False, capture_output=True, text=True)
+    assert run.stdout.strip() == "acme True fullswarm_acme.driver", run.stderr
 
 
 def test_a_package_for_another_fullswarm_is_refused(store: Store, house: Path, tmp_path: Path) -> None:

@@ -20,13 +20,13 @@ from fullswarm import registry
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Twist
 from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.create_oi.session import PARK
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPlan, guarded
 from fullswarm.drivers.guardian_process import REPEATS
 from fullswarm.drivers.link import HolderLost
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import DriverError
 
 CLOCK = MonotonicClock()

@@ -6,12 +6,13 @@ import math
 
 import pytest
 
-from fullswarm.agent.robot_controller import EXPLAIN, Reason
+from fullswarm.agent.robot_controller import StopReason
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.aiding import SIGMA_M, Aiding
 from fullswarm.drivers.mavlink.codec import decode, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.reasons import Code
 from tests.unit.mavlink_bench import Px4Bench
 from tests.unit.mavlink_wire import Wire
 from tests.unit.rover_agent import Lab
@@ -104,7 +105,7 @@ def driving(seed: int = 0, **settings: float) -> Lab:
     lab.drive(1.0)
     lab.until(lambda: lab.truth.speed_m_s > 0.98)
     lab.runtime.run(1.0 + 0.07 * seed)  # at any moment between two fixes
-    assert lab.reason is Reason.MOVING
+    assert lab.reason is StopReason.MOVING
     return lab
 
 
@@ -114,14 +115,14 @@ def test_a_rover_that_loses_its_satellites_stands_long_before_its_firmware_stops
     lab = driving(seed)
     rolled_m, lost_s = lab.truth.rolled_m, lab.runtime.now_s()
     lab.rover.cover_antenna(True) if covered else lab.rover.set_gps(False)
-    lab.until(lambda: lab.reason is Reason.UNSURE, BARRED_S)
+    lab.until(lambda: lab.reason is StopReason.UNSURE, BARRED_S)
     lab.until(lambda: abs(lab.truth.speed_m_s) < 0.05, STANDS_S)
     assert lab.runtime.now_s() - lost_s < STANDS_S
     assert lab.truth.rolled_m - rolled_m < STANDS_M
     lab.runtime.run(0.5)
     assert lab.driver.state is Lifecycle.ACTIVE, "the firmware has not noticed yet"
     health = lab.health[-1]
-    assert health.stop_reason == EXPLAIN[Reason.UNSURE]
+    assert health.stop_code == Code.UNSURE
     assert health.position_sigma_m > 0.1
     assert "satellite receiver" in health.fault
     lab.close()
@@ -158,7 +159,7 @@ def test_after_the_firmware_s_failsafe_it_does_not_move_by_itself() -> None:
 def test_a_wider_margin_of_the_filter_allows_more_dead_reckoning() -> None:
     lab = driving(safety_margin_m=0.5)
     lab.rover.set_gps(False)
-    took_s = lab.until(lambda: lab.reason is Reason.UNSURE, 5.0)
+    took_s = lab.until(lambda: lab.reason is StopReason.UNSURE, 5.0)
     assert took_s > 2.0
     lab.close()
 
@@ -169,7 +170,7 @@ def test_a_good_signal_never_bars_motion() -> None:
     for _ in range(1000):
         lab.runtime.run(0.02)
         reasons.add(lab.reason)
-    assert reasons == {Reason.MOVING}
+    assert reasons == {StopReason.MOVING}
     lab.close()
 
 

@@ -12,12 +12,12 @@ from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StreamParser, dialect
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.firmware import Firmware
 from fullswarm.drivers.mavlink.maps import SphereMap
-from fullswarm.drivers.mavlink.px4_firmware import Px4Firmware
-from fullswarm.drivers.mavlink.rover.chart import Chart
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
+from fullswarm.emulators.mavlink.firmware import Firmware
+from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
+from fullswarm.emulators.mavlink.rover.chart import Chart
 from tests.unit.mavlink_bench import LIMITS, STEP_S
 
 BERLIN = (52.5163, 13.3777)

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import pytest
 
-from fullswarm.drivers.mavlink.firmware import LOOP_S
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.settings import LIMITS
+from fullswarm.emulators.mavlink.firmware import LOOP_S
 from tests.unit.mavlink_wire import Wire
 
 WITHIN = 0.15

@@ -17,8 +17,8 @@ from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, StationEncoder, StreamParser, decode, dialect
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS, HOLD, MANUAL, OFFBOARD, Px4, Steering
-from fullswarm.drivers.mavlink.px4_firmware import Px4Firmware
 from fullswarm.drivers.mavlink.settings import LIMITS, read_settings
+from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
 from fullswarm.errors import ConfigError
 from tests.unit.mavlink_bench import Px4Bench
 

@@ -8,7 +8,7 @@ from fullswarm.drivers.base import STAND, Hazard, Lifecycle
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import FrameSigner
 from fullswarm.drivers.mavlink.px4 import HOLD, MANUAL, OFFBOARD
-from fullswarm.drivers.mavlink.px4_firmware import Px4Firmware
+from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
 from tests.unit.mavlink_bench import Px4Bench
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle
-from fullswarm.drivers.mavlink.firmware import Firmware
 from fullswarm.drivers.mavlink.protocol import Mode, Result
+from fullswarm.emulators.mavlink.firmware import Firmware
 from tests.unit.mavlink_bench import ArduBench
 
 

@@ -8,8 +8,8 @@ from fullswarm.drivers.base import STAND, Hazard, Lifecycle
 from fullswarm.drivers.guardian_process import Frames
 from fullswarm.drivers.mavlink.codec import Encoder, StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
-from fullswarm.drivers.mavlink.rover import parameters
-from tests.unit.mavlink_bench import ArduBench
+from fullswarm.emulators.mavlink.rover import parameters
+from tests.unit.mavlink_bench import STEP_S, ArduBench
 
 
 def test_after_a_cut_it_is_ready_within_two_seconds_never_active_and_disarmed_first() -> None:
@@ -217,3 +217,37 @@ def test_a_rover_that_nothing_watches_over_is_not_driven() -> None:
     assert not bench.rover.armed
     bench.session.unguarded = ""
     bench.ready()
+
+
+class MuteBench(ArduBench):
+    """The vehicle hears the session; whether the session hears it is switched by `mute`. Each frame is a datagram."""
+
+    mute = ready_with_a_fault = False
+
+    def step(self) -> None:
+        self.clock.advance_to(self.now_s + STEP_S)
+        for frame in self.rover.tick(self.now_s):
+            self.hear(self._pass(frame, self._down))
+            for answer in self.session.tick(self.now_s):
+                for message in self._pass(answer, self._up):
+                    self.rover.receive(message, self.now_s)
+            self.ready_with_a_fault |= self.session.lifecycle is Lifecycle.READY and bool(
+                self.session.fault or self.session.unaided(self.now_s)
+            )
+
+    def _pass(self, frame: bytes, parser: StreamParser) -> list[object]:
+        return [] if self.mute and parser is self._down else super()._pass(frame, parser)
+
+
+@pytest.mark.parametrize("silent_s", [1.2 + 0.07 * number for number in range(24)])
+def test_a_vehicle_that_speaks_again_is_ready_once_its_receiver_is_heard_and_not_with_a_fault(silent_s: float) -> None:
+    bench = MuteBench()
+    bench.active()
+    bench.run(1.0, bench.drive)
+    bench.mute = True
+    bench.run(silent_s, bench.drive)
+    assert bench.session.lifecycle in (Lifecycle.FAULT, Lifecycle.OPEN)
+    bench.mute = False
+    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 4.0, bench.drive)
+    bench.run(0.5, bench.drive)
+    assert not bench.ready_with_a_fault

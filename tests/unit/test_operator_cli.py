@@ -26,8 +26,8 @@ from fullswarm.messages import (
 )
 from fullswarm.operator import session
 from fullswarm.operator.session import Session, Target
+from fullswarm.reasons import Code, Reason, given, joined, reason
 from fullswarm.runtime import Runtime
-from fullswarm.words import ESTOP_LATCHED
 
 RECORD: dict[str, object] = {
     "summary": "Keep together",
@@ -51,7 +51,7 @@ class FakeSwarm:
         self.targets: list[Target] = []
         self.core_alive, self.standing, self.deaf = True, True, "r2"
         self.robots: tuple[str, ...] = ("r1", "r2")
-        self.refusing: dict[str, str] = {}
+        self.refusing: dict[str, Reason] = {}
         self.interrupt_after_s: float | None = None
 
     @contextmanager
@@ -98,11 +98,13 @@ class FakeSwarm:
             )
 
     def _refuse(self, request: BehaviourRequest) -> None:
-        asked = request.robots or self.robots
+        asked, why = request.robots or self.robots, joined(self.refusing)
         self.status(
             request,
             phase="refused" if set(asked) == set(self.refusing) else "running",
-            reason="; ".join(f"{robot}: {why}" for robot, why in self.refusing.items()),
+            reason=why.text,
+            code=why.code,
+            parameters=dict(why.parameters),
             robots=asked,
             running=tuple(robot for robot in asked if robot not in self.refusing),
             refused_by=tuple(self.refusing),
@@ -178,7 +180,7 @@ def test_a_request_names_who_runs_it_and_who_is_missing(swarm: FakeSwarm) -> Non
 
 
 def test_without_waiting_the_core_s_word_is_enough(swarm: FakeSwarm) -> None:
-    swarm.refusing = {"r1": f"{ESTOP_LATCHED}; clear it", "r2": f"{ESTOP_LATCHED}; clear it"}
+    swarm.refusing = dict.fromkeys(("r1", "r2"), reason(Code.ESTOP_LATCHED))
     result = run("request", "flocking", "--no-wait")
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
@@ -187,10 +189,8 @@ def test_without_waiting_the_core_s_word_is_enough(swarm: FakeSwarm) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("why", "code"), [(f"{ESTOP_LATCHED}; clear it with `fullswarm estop --clear`", 4), ("the battery is low", 1)]
-)
-def test_a_request_that_the_only_robot_refuses_fails(swarm: FakeSwarm, why: str, code: int) -> None:
+@pytest.mark.parametrize(("why", "code"), [(reason(Code.ESTOP_LATCHED), 4), (reason(Code.BATTERY), 1)])
+def test_a_request_that_the_only_robot_refuses_fails(swarm: FakeSwarm, why: Reason, code: int) -> None:
     swarm.refusing = {"r1": why}
     for more in ((), ("--wait",)):
         result = run("request", "flocking", "--robots", "r1", *more)
@@ -202,8 +202,8 @@ def test_a_request_that_the_only_robot_refuses_fails(swarm: FakeSwarm, why: str,
     assert json.loads(told.stdout)["refused_by"] == ["r1"]
 
 
-@pytest.mark.parametrize(("why", "code"), [(ESTOP_LATCHED, 4), ("cliff; put it on safe ground", 1)])
-def test_a_request_that_some_robot_refuses_names_it(swarm: FakeSwarm, why: str, code: int) -> None:
+@pytest.mark.parametrize(("why", "code"), [(reason(Code.ESTOP_LATCHED), 4), (given("cliff; put it on safe ground"), 1)])
+def test_a_request_that_some_robot_refuses_names_it(swarm: FakeSwarm, why: Reason, code: int) -> None:
     swarm.refusing = {"r2": why}
     result = run("request", "flocking", "--robots", "r1,r2")
     assert result.exit_code == code

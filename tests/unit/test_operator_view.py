@@ -14,8 +14,8 @@ from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
 from fullswarm.operator.render import fleet_table, footer_lines, row_state
 from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
+from fullswarm.reasons import Code
 from fullswarm.runtime import Runtime
-from fullswarm.words import LAPSED
 
 KEYS = Keys("lab")
 
@@ -128,6 +128,11 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
     assert listening.view.present() == ("r1", "r9")
 
 
+def said(seen: RobotRow) -> tuple[str, bool]:
+    state = row_state(seen)
+    return state.text, state.attention
+
+
 @pytest.mark.parametrize(
     ("fields", "state"),
     [
@@ -138,11 +143,11 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
         ({"estop": True, "fault": "port gone", "lifecycle": "FAULT"}, ("E-STOP, FAULT: port gone", True)),
         ({"fault": "the charger is plugged in"}, ("STOPPED: the charger is plugged in", True)),
         ({"stop_reason": "the hub is lost"}, ("STOPPED: the hub is lost", True)),
-        ({"stop_reason": "it was stopped by ann", "behaviour": ""}, ("standing", False)),
-        ({"stop_reason": "it was stopped by ann", "behaviour": "drive"}, ("STOPPED: it was stopped by ann", True)),
-        ({"stop_reason": LAPSED, "behaviour": ""}, ("standing", False)),
-        ({"stop_reason": LAPSED, "behaviour": "drive_bc"}, ("standing", False)),
-        ({"stop_reason": "its e-stop was released by ann", "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": "ann did it", "stop_code": Code.STOPPED, "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": "ann did it", "stop_code": Code.STOPPED, "behaviour": "drive"}, ("STOPPED: ann did it", True)),
+        ({"stop_reason": "over", "stop_code": Code.EXPIRED, "behaviour": ""}, ("standing", False)),
+        ({"stop_reason": "over", "stop_code": Code.EXPIRED, "behaviour": "drive_bc"}, ("standing", False)),
+        ({"stop_reason": "ann did it", "stop_code": Code.ESTOP_RELEASED, "behaviour": ""}, ("standing", False)),
         ({"lifecycle": "FAULT"}, ("FAULT: no reason given", True)),
         ({"lifecycle": "OPEN"}, ("open, not ready", False)),
         ({"contacts": 1, "moving": True}, ("moving, TOUCHING", True)),
@@ -150,18 +155,18 @@ def test_a_closed_view_hears_nothing(listening: Listening) -> None:
     ],
 )
 def test_states_are_said_in_words(fields: dict[str, object], state: tuple[str, bool]) -> None:
-    assert row_state(row("r1", 0.1, **fields)) == state
+    assert said(row("r1", 0.1, **fields)) == state
 
 
 def test_who_stands_already_is_not_said_to_roll() -> None:
     reported = row("r1", 0.1, estop=True, moving=True)
-    assert row_state(replace(reported, speed_m_s=0.0)) == ("E-STOP", True)
-    assert row_state(replace(reported, speed_m_s=-0.1)) == ("E-STOP, still rolling", True)
+    assert said(replace(reported, speed_m_s=0.0)) == ("E-STOP", True)
+    assert said(replace(reported, speed_m_s=-0.1)) == ("E-STOP, still rolling", True)
 
 
 def test_silence_comes_before_what_was_last_heard() -> None:
-    assert row_state(row("r1", 7.0, moving=True)) == ("SILENT for 7 s", True)
-    assert row_state(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, None)) == ("no health report", True)
+    assert said(row("r1", 7.0, moving=True)) == ("SILENT for 7 s", True)
+    assert said(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, None)) == ("no health report", True)
 
 
 def full_snapshot() -> Snapshot:

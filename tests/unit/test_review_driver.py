@@ -19,6 +19,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat
 from fullswarm.operator.console.advice import advise
 from fullswarm.operator.view import RobotRow
+from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys()
@@ -27,7 +28,7 @@ KEYS = Keys()
 class Base:
     """A driver whose state the test sets; standing down takes it a while, as it takes a rover."""
 
-    url, firmware, fault = "test://r1", "", ""
+    url, firmware, fault, fault_code = "test://r1", "", "", ""
     description = Description("test", "test", 0.17, Limits(0.5, 2.0, 2.0, 20.0), senses_pose=True)
     state = Lifecycle.READY
     hazards = Hazard.NONE
@@ -136,12 +137,12 @@ def test_a_base_that_is_switched_on_late_runs_what_it_should() -> None:
 def test_a_robot_that_is_barred_tells_why_keeps_its_task_and_drives_when_that_is_over(lone: Lone) -> None:
     reports: list[HealthReport] = []
     lone.bus.subscribe(KEYS.health("r1"), HealthReport, reports.append)
-    lone.base.fault = "the charger is plugged in"
+    lone.base.fault, lone.base.fault_code = "the charger is plugged in", Code.CHARGER
     assert not lone.drives("a")
     health = reports[-1].robots[0]
     assert (health.lifecycle, health.fault, health.behaviour) == ("READY", "the charger is plugged in", "drive")
     assert advise(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, health)) == "Take it off its charger."
-    lone.base.fault = ""
+    lone.base.fault = lone.base.fault_code = ""
     lone.runtime.run(1.0)
     assert lone.base.applied != STAND
 

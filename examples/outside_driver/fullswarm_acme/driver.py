@@ -8,10 +8,11 @@ import threading
 from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import Description, Lifecycle, Reading, Twist
+from fullswarm.drivers.base import STAND, Description, Lifecycle, Reading, Twist
+from fullswarm.drivers.guardian import Guardian, StopPlan
 from fullswarm.errors import ConfigError, DriverError
 
-from fullswarm_acme.protocol import WATCHDOG_S
+from fullswarm_acme.protocol import WATCHDOG_S, drive, line
 from fullswarm_acme.session import LIMITS, Session
 
 PORT = 7700
@@ -20,6 +21,9 @@ TICK_S = 0.01
 DEAF_S = 2.0
 """A connection without a word for so long is opened anew: TCP itself would not notice for minutes."""
 CHUNK = 4096
+STOP = line(drive(STAND))
+PLAN = StopPlan(((0.0, STOP), (0.05, STOP), (0.1, STOP)), leave=((1.0, line("DISABLE")),))
+"""What the guardian sends when this process is killed or paused: the robot itself would drive on for a second."""
 
 
 class AcmeDriver:
@@ -41,11 +45,13 @@ class AcmeDriver:
         self._session = self._new_session()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
+        self._guardian: Guardian | None = None
 
     @property
     def state(self) -> Lifecycle:
-        """Where the driver stands."""
-        return self._session.state
+        """Where the driver stands; not READY before its guardian watches."""
+        state, guardian = self._session.state, self._guardian
+        return Lifecycle.OPEN if state is Lifecycle.READY and guardian is not None and guardian.trouble else state
 
     @property
     def fault(self) -> str:
@@ -56,6 +62,10 @@ class AcmeDriver:
     def firmware(self) -> str:
         """What the robot says it runs."""
         return self._session.firmware
+
+    def guard(self) -> None:
+        """Have a guardian from the next `open` on."""
+        self._guardian = self._guardian or Guardian(self._clock)
 
     def open(self) -> None:
         """Connect and greet; ``DriverError`` if nobody answers there. Opening twice is fine."""
@@ -78,7 +88,8 @@ class AcmeDriver:
     def activate(self) -> None:
         """Ask for motors on; ACTIVE when the robot shows it."""
         with self._lock:
-            self._session.activate()
+            if self.state is Lifecycle.READY:
+                self._session.activate()
 
     def deactivate(self) -> None:
         """ACTIVE → READY, motors off."""
@@ -110,18 +121,26 @@ class AcmeDriver:
             except OSError as error:
                 with self._lock:
                     self._session.lost(f"the link is gone ({error.strerror or error}); trying again")
+                if self._guardian is not None:
+                    self._guardian.release()
                 if link is not None:
                     link.close()
                     link = None
                 self._closing.wait(AGAIN_S)
         with self._lock:
             last_words = self._session.closed()
+        if self._guardian is not None:
+            self._guardian.release()
         if link is not None:
             _say_and_close(link, last_words)
 
     def _serve(self, link: socket.socket) -> None:
         """Talk until closing; ``OSError`` when the link is gone or deaf."""
         began_s = self._clock.now_s()
+        guardian = self._guardian
+        if guardian is not None:
+            guardian.watch(link.fileno())
+            guardian.stop_with(PLAN)
         with self._lock:
             self._session.linked()
         while not self._closing.is_set():
@@ -130,6 +149,10 @@ class AcmeDriver:
                 data = link.recv(CHUNK)
                 if not data:
                     raise ConnectionResetError("it hung up")
+            if guardian is not None:
+                stopped = guardian.beat()
+                if self._session.state is Lifecycle.ACTIVE and (stopped or guardian.trouble):
+                    raise ConnectionAbortedError(guardian.trouble or "the guardian stopped it: this process was paused")
             now_s = self._clock.now_s()
             with self._lock:
                 self._session.received(data, now_s)

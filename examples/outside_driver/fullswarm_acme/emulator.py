@@ -1,13 +1,13 @@
-"""A Scout to try the driver on: its firmware and a TCP port, over a body. Run one with ``acme-emulator``."""
+"""A Scout to try the driver on: its firmware and a TCP port, over a body. `fullswarm emulate acme` runs one."""
 
 from __future__ import annotations
 
 import contextlib
 import select
 import socket
-import sys
 import threading
 from typing import Self
+from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Pose, Twist
@@ -21,7 +21,7 @@ STEP_S = 0.02
 
 
 class Firmware:
-    """What the robot's own computer does: obey lines, ramp, stop by itself after 0.5 s without DRIVE."""
+    """What the robot's own computer does: obey lines, ramp, stop by itself after 1 s without DRIVE."""
 
     def __init__(self, body: Body, boot: int = 1) -> None:
         self.body, self.battery, self.estop = body, 1.0, False
@@ -233,14 +233,6 @@ def _listen(port: int) -> socket.socket:
     return listener
 
 
-def main() -> None:
-    """Run an emulated Scout until Ctrl-C: ``acme-emulator [port]``."""
-    with AcmeEmulator(int(sys.argv[1]) if len(sys.argv) > 1 else 7700) as robot:
-        sys.stdout.write(f"an Acme Scout is at {robot.url}; Ctrl-C switches it off\n")
-        sys.stdout.flush()
-        with contextlib.suppress(KeyboardInterrupt):
-            threading.Event().wait()
-
-
-if __name__ == "__main__":
-    main()
+def start(url: str, body: Body) -> AcmeEmulator:
+    """Switch on the Scout at the other end of a driver's URL."""
+    return AcmeEmulator(urlsplit(url).port or 7700, body).start()

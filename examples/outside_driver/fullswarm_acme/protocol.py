@@ -21,7 +21,7 @@ from fullswarm.drivers.base import Pose, Twist
 from fullswarm.geometry import wrap
 
 LONGEST = 120
-WATCHDOG_S = 0.5
+WATCHDOG_S = 1.0
 MODES = ("IDLE", "ON", "ESTOP")
 _STATE = re.compile(r"STATE (IDLE|ON|ESTOP) ((?:-?\d{1,9} ){5})([01]) (\d{1,3})")
 _ROBOT = re.compile(r"ROBOT (\w{1,20}) ([\w.]{1,20}) (\d{1,9})")

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fullswarm.deploy.release.manifest import Manifest
+from fullswarm.deploy.release.own import ONBOARD
+from fullswarm.drivers.make import make_of
 from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,9 +20,12 @@ TARGET_OF = {"aarch64": "rpi-arm64", "x86_64": "x86_64"}
 
 def needs(robot: RobotConfig, config: SwarmConfig) -> frozenset[str]:
     """Return the extras that a release must have, or the robot's agent would not start."""
-    family = robot.url.partition(":")[0].partition("+")[0]
+    try:
+        driver = {make_of(robot.url).extra} & ONBOARD.keys()
+    except ConfigError:
+        driver = set()  # its package is on board only: brought by `bundle --package`
     fuses = {"estimation"} if config.agent.estimator == "ekf" else set()
-    return frozenset({family} & {"mavlink", "can"} | fuses)
+    return frozenset(driver | fuses)
 
 
 def choose(

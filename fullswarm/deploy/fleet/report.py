@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fullswarm import output
-from fullswarm.deploy.fleet.rollout import GOOD
+from fullswarm.deploy.fleet.rollout import GOOD, Stage
 from fullswarm.deploy.fleet.work import Outcome
 
 MANY = 110
@@ -36,7 +36,7 @@ class Row:
         return cls(
             robot,
             str(outcome.stage),
-            outcome.what + changed if "runs it already" not in outcome.what else outcome.what,
+            outcome.what if outcome.stage is Stage.CURRENT else outcome.what + changed,
             outcome.mend,
             outcome.release,
             outcome.shipped_bytes,

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from fullswarm import __version__
 from fullswarm.deploy.release.layers import OWN
+from fullswarm.drivers.make import built_in
 from fullswarm.errors import ConfigError, did_you_mean
 
 ONBOARD: Mapping[str, str] = {
-    "mavlink": "MAVLink rovers",
-    "can": "CAN bases",
+    **{each.extra: each.robots for each in built_in() if each.extra and not each.simulated},
     "estimation": "agent.estimator = 'ekf' (brings SciPy: 25 MB)",
     "core": "the behaviour `navigate` (brings SciPy and OSQP: 30 MB)",
 }

@@ -31,6 +31,7 @@ from fullswarm.drivers.can import odrive, vesc
 from fullswarm.drivers.can.odrive_axis import OdriveCodec
 from fullswarm.drivers.can.protocol import Wheel, WheelCodec
 from fullswarm.drivers.can.vesc_motor import VescCodec
+from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.errors import ConfigError, did_you_mean
 
 Sign = Literal["1", "-1"]
@@ -229,3 +230,22 @@ def _impossible(base: BaseOptions, drive: OdriveOptions | VescOptions, greatest_
                 "lower s_pid_min_erpm in the VESC and min_erpm here, or check gear and pole_pairs"
             )
     return problems
+
+
+def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:
+    """Return what only one robot of a computer can have: a serial adapter, or of a bus the nodes of both wheels."""
+    parts = urlsplit(url)
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    channel, interface = parts.netloc + parts.path, options.get("interface", "socketcan")
+    if interface == "slcan":
+        return (device_claim(channel, elsewhere=elsewhere),)
+    bus = (
+        f"{channel}:{options.get('port', BusOptions.model_fields['port'].default)}"
+        if interface == "udp_multicast"
+        else channel
+    )
+    make = f"({parts.scheme.removeprefix('can+')})"
+    nodes = (options.get("left", ""), options.get("right", ""))
+    return tuple(
+        Claim(("the CAN node", node, "of", bus, make), "give each wheel a node id of its own") for node in nodes
+    )

@@ -3,16 +3,38 @@
 ``protocol`` (commands, generations) and ``packets`` (sensors, the stream) are bytes only. ``session`` is the whole
 conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back; ``odometry`` is its
 dead reckoning, ``senses`` what it asks and hears of hazards and power, ``waking`` how it keeps a robot awake.
-``settings`` reads the URL, ``driver`` puts a session on a serial port.
-
-``firmware`` is the robot's end of the conversation, with ``counters`` (encoders, battery), ``panel`` (lamps, songs)
-and ``waits`` (Create 1); ``emulator`` puts it on a ``pty_port`` and over a body.
+``settings`` reads the URL, ``driver`` puts a session on a serial port, ``probe`` asks ports for robots.
 
 The Open Interface has no command timeout: a robot goes on with its last drive command for ever. Everything here
 that sends zero by itself exists for that reason.
-
-Further files:
-
-``surroundings.py``  Holds what an emulated Create's light, infrared and cliff sensors see, and returns their packets'
-                     values
 """
+
+from __future__ import annotations
+
+from fullswarm.drivers.make import Emulation, Evidence, Icon, Make, Model
+
+MAKE = Make(
+    name="create",
+    robots="iRobot Creates and Roombas",
+    schemes=("create",),
+    driver="fullswarm.drivers.create_oi.driver:CreateDriver",
+    claims="fullswarm.drivers.create_oi.settings:claims",
+    example="create:///dev/ttyUSB0?model=create2",
+    limits="Create 1, Roomba 500, Create 2 over serial; Safe mode; the device has no watchdog; `speed_step=28.5` "
+    "reports the wheels' own steps. Three falls in 10 s are a FAULT until it has stood safely for 10 s",
+    guarded=True,
+    emulation=Emulation(
+        start="fullswarm.emulators.create_oi:start",
+        models=(
+            Model("create2", "create://{port}?model=create2"),
+            Model("create1", "create://{port}?model=create1"),
+            Model("roomba500", "create://{port}?model=roomba500"),
+        ),
+        clients="fullswarm.emulators.create_oi:clients",
+        mode="fullswarm.emulators.create_oi:mode",
+    ),
+    probe="fullswarm.drivers.create_oi.probe",
+    check="Create or Roomba: switched on (press Clean), serial cable plugged in at both ends; off the charger to drive",
+    icon=Icon("circle", "C"),
+    evidence=(Evidence("emulated", "our emulator, which pycreate2 drives as well", "2026-11-23"),),
+)

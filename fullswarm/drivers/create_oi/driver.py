@@ -65,6 +65,12 @@ class CreateDriver:
             return self._session.trouble(self._clock.now_s())
 
     @property
+    def fault_code(self) -> str:
+        """The :class:`~fullswarm.reasons.Code` of `fault` where the robot's own sensors are the cause; else empty."""
+        with self._lock:
+            return self._session.trouble_code(self._clock.now_s())
+
+    @property
     def blocked(self) -> str:
         """Why the robot left ACTIVE by itself, or why activate() had no effect; stays until it is ACTIVE again."""
         with self._lock:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from fullswarm.drivers.base import Hazard, Twist
 from fullswarm.drivers.create_oi.protocol import TOP_MM_S, Generation, Sensors, frame_size
+from fullswarm.reasons import NONE, Code, Reason, given
 
 HOLD_S = 0.2
 """A hazard is reported at least this long: a reader at 10 Hz must not miss a blip of one frame."""
@@ -129,14 +130,14 @@ class Senses:
         return hazards
 
     @property
-    def cause(self) -> str:
-        """What would make the robot leave Safe mode at once; empty when nothing would."""
+    def cause(self) -> Reason:
+        """What would make the robot leave Safe mode at once; false when nothing would."""
         hazards = self.hazards
         if Hazard.WHEEL_DROP in hazards:
-            return "a wheel hangs"
+            return given("a wheel hangs", Code.WHEEL_DROP)
         if Hazard.CLIFF in hazards:
-            return "a cliff sensor sees no floor"
-        return "the charger is plugged in" if self._charger else ""
+            return given("a cliff sensor sees no floor", Code.CLIFF)
+        return given("the charger is plugged in", Code.CHARGER) if self._charger else NONE
 
 
 class Banner:

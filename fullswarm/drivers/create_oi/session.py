@@ -39,6 +39,7 @@ from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, power, str
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.drivers.create_oi.waking import Brc, Waking
 from fullswarm.errors import DriverError
+from fullswarm.reasons import NONE, Reason, given
 
 COMMAND_TTL_S = 0.3
 SILENT_S = 0.5
@@ -76,6 +77,7 @@ class Session:
         self.state = Lifecycle.CLOSED
         self.fault = ""
         self.blocked = ""  # why the robot left ACTIVE or does not become it
+        self._cause = self._fault_cause = NONE  # what the robot sensed that has led to `blocked`, to `fault`
         self.reading: Reading | None = None
         self.docking = False
         generation = settings.generation
@@ -108,6 +110,12 @@ class Session:
         barred = self.blocked and now_s - self._barred_s <= NEWS_S
         return self.fault or (self._about(self.blocked) if barred else "")
 
+    def trouble_code(self, now_s: float) -> str:
+        """Return the :class:`~fullswarm.reasons.Code` of `trouble`, empty where the robot's sensors are not why."""
+        if self.fault:
+            return self._fault_cause.code
+        return self._cause.code if self.blocked and now_s - self._barred_s <= NEWS_S else ""
+
     @property
     def power(self) -> Power | None:
         """The battery as last told."""
@@ -129,7 +137,7 @@ class Session:
 
     def lost(self, reason: str) -> None:
         """Mark the port as gone."""
-        self.state, self.fault = Lifecycle.FAULT, self._about(reason)
+        self._fail(reason)
         self._hello_s = None
         self._forget()
         self._waking.release()
@@ -300,7 +308,7 @@ class Session:
         self._waking.active(now_s)
         if self._latched:
             self._calm_s = now_s
-            self._fail(self._latched)
+            self._fail(self._latched, self._cause)
 
     def _calm_down(self, now_s: float) -> None:
         """End the fault of too many falls when nothing has been wrong for long enough."""
@@ -362,8 +370,8 @@ class Session:
 
     def _fall(self, now_s: float) -> None:
         """Follow a robot that left Safe mode by itself."""
-        cause = self._senses.cause or f"the cause is unknown, it is in mode {self._mode}"
-        self._stand_down(now_s, f"the robot stopped itself: {cause}")
+        cause = self._senses.cause or given(f"the cause is unknown, it is in mode {self._mode}")
+        self._stand_down(now_s, f"the robot stopped itself: {cause}", cause)
         self._falls = [each for each in self._falls if now_s - each < FALL_WINDOW_S] + [now_s]
         if len(self._falls) >= FALLS:
             self._latched = (
@@ -371,19 +379,20 @@ class Session:
                 f"put it on safe ground, it is ready again after {CALM_S:.0f} s there"
             )
             self._calm_s = now_s
-            self._fail(self._latched)
+            self._fail(self._latched, cause)
 
-    def _stand_down(self, now_s: float, why: str) -> None:
+    def _stand_down(self, now_s: float, why: str, cause: Reason = NONE) -> None:
         self.state = Lifecycle.READY
-        self._bar(why, now_s)
+        self._bar(why, now_s, cause)
         self._forget()
         self._park(now_s)
 
     def _refuse(self, now_s: float) -> None:
-        self._bar(f"not activated: {self._senses.cause}; mend that first", now_s)
+        cause = self._senses.cause
+        self._bar(f"not activated: {cause}; mend that first", now_s, cause)
 
-    def _bar(self, why: str, now_s: float) -> None:
-        self.blocked, self._barred_s = why, now_s
+    def _bar(self, why: str, now_s: float, cause: Reason = NONE) -> None:
+        self.blocked, self._barred_s, self._cause = why, now_s, cause
 
     def _may_nudge(self) -> bool:
         chargers = self._newest.chargers if self._newest is not None else 0
@@ -412,8 +421,8 @@ class Session:
         """Drop an activation under way, a search for the dock and the set-point."""
         self._activate_by_s, self._safe_sent, self._wheels, self.docking = None, False, (0, 0), False
 
-    def _fail(self, reason: str) -> None:
-        self.state, self.fault = Lifecycle.FAULT, self._about(reason)
+    def _fail(self, reason: str, cause: Reason = NONE) -> None:
+        self.state, self.fault, self._fault_cause = Lifecycle.FAULT, self._about(reason), cause
 
     def _about(self, reason: str) -> str:
         return f"{self._settings.path}: {reason}"

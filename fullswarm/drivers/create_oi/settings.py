@@ -15,6 +15,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.create_oi.protocol import BAUD_CODES, CREATE2, GENERATIONS, TOP_MM_S, Generation
+from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.errors import ConfigError, did_you_mean
 
 ACCEL_M_S2 = 1.0
@@ -96,3 +97,8 @@ def describe(generation: Generation) -> Description:
         senses_bumps=True,
         watchdog_s=None,
     )
+
+
+def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:
+    """Return what only one robot of a computer can have: its serial port."""
+    return (device_claim(urlsplit(url).path, elsewhere=elsewhere),)

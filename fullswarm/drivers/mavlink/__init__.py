@@ -4,6 +4,7 @@
 
     driver.py        MavlinkDriver: the HAL contract; owns the link thread
       settings.py    what the URL asks for
+    probe.py         which vehicle is on a port, asked without moving it
       link.py        bytes in and out: UDP, TCP, serial port
       session.py     the conversation as a state machine; no I/O, no clock of its own
         autopilot.py what differs between autopilots; ArduPilot's Rover
@@ -20,11 +21,51 @@
       codec.py       frames ↔ messages (pymavlink's dialect)
       stream.py      bytes → frames: tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU
-    emulator.py      RoverEmulator: an emulated ArduPilot rover behind real ports
-      firmware.py    ArduRover as its wire shows it; no I/O, no clock of its own
-      rover/         its parts
-    px4_emulator.py  Px4Emulator: an emulated PX4 rover behind a real port
-      px4_firmware.py, px4_telemetry.py  PX4 as its wire shows it
 
 Set-points (twists) and poses from outside flow in, readings (pose, twist, battery, hazards) flow out.
 """
+
+from __future__ import annotations
+
+from fullswarm.drivers.make import Emulation, Evidence, Icon, Make, Model
+
+MAKE = Make(
+    name="mavlink",
+    robots="MAVLink rovers",
+    schemes=("mavlink+udp", "mavlink+udpout", "mavlink+tcp", "mavlink+serial"),
+    driver="fullswarm.drivers.mavlink.driver:MavlinkDriver",
+    claims="fullswarm.drivers.mavlink.settings:claims",
+    example="mavlink+udp://127.0.0.1:14550",
+    limits="ArduRover in GUIDED, PX4 in OFFBOARD (`autopilot=px4`); signing; takes pose fixes (`pose=external`); "
+    "`origin=lat,lon` puts its own position into the swarm's frame (added from `[world] origin`); NED and FRD end in "
+    "`protocol.py`",
+    extra="mavlink",
+    guarded=True,
+    emulation=Emulation(
+        start="fullswarm.emulators.mavlink:start",
+        models=(
+            Model(
+                "rover",
+                "mavlink+udp://127.0.0.1:{port}?speed=0.5&turn=2.0&radius=0.17",
+                place="udp",
+                first_port=14550,  # as ArduPilot's own simulator numbers its instances
+                port_step=10,
+            ),
+            Model("px4"),
+        ),
+        bench="fullswarm.emulators.mavlink:on_bench",
+        listens=True,
+        clients="fullswarm.emulators.mavlink:clients",
+        mode="fullswarm.emulators.mavlink:mode",
+    ),
+    probe="fullswarm.drivers.mavlink.probe",
+    check="rover over USB or radio: powered; over UDP: it sends to this machine and port (--udp 0.0.0.0:14550 hears "
+    "the network)",
+    icon=Icon("square", "M"),
+    evidence=(
+        Evidence("emulated", "our emulators of ArduPilot Rover 4.6 and PX4 1.16, which MAVLink clients drive as well",
+                 "2026-11-23"),
+        Evidence("recording", "a drive of ArduPilot Rover 4.6.3; not of PX4", "2026-11-21"),
+        Evidence("real firmware", "ArduPilot Rover 4.6.3 in its own simulator; not PX4", "2026-11-23"),
+    ),
+)  # fmt: skip

@@ -35,6 +35,7 @@ class Aiding:
     def __init__(self, *, receiver: bool = True, filtered: bool = True) -> None:
         self._by_receiver, self._filtered = receiver, filtered
         self._fix: p.SatelliteFix | None = None  # the newest message
+        self._heard_s = -math.inf  # and when it came
         self._fix_us = -1
         self._aided_s: float | None = None  # when a new fix came; None: there was none, it is aided by something else
         self._strained_s: float | None = None  # since when the filter rejects what aids it
@@ -50,9 +51,13 @@ class Aiding:
             bad = self._filtered and (body.strain > STRAINED or not body.good)
             self._strained_s = (now_s if self._strained_s is None else self._strained_s) if bad else None
             return
-        self._fix = body
+        self._fix, self._heard_s = body, now_s
         if self._by_receiver and body.fix_type >= FIX_3D and body.stamp_us != self._fix_us:
             self._fix_us, self._aided_s = body.stamp_us, now_s
+
+    def unheard(self, now_s: float) -> bool:
+        """Tell whether a receiver that had a fix has not been heard for so long that its state is not known."""
+        return self.has_receiver and now_s - self._heard_s >= TOLD_S
 
     def age_s(self, now_s: float) -> float:
         """Return for how long nothing has measured the position."""

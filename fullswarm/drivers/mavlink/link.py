@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from urllib.parse import parse_qsl, urlsplit
 
 from fullswarm.errors import ConfigError, DriverError, LinkLost, did_you_mean
+from fullswarm.reasons import Code
 
 CONNECT_S = 2.0
 WRITE_S = 0.2
@@ -329,4 +330,6 @@ def _cannot_open(address: Address, error: Exception) -> DriverError:
     number = getattr(error, "errno", None)
     text = getattr(error, "strerror", None) or str(error)
     hint = _HINTS.get(number, "") if number is not None else ""
-    return DriverError(f"cannot open the link: {text}", where=str(address), hint=hint or "check address and cable")
+    code = Code.PORT_HELD if number in (errno.EAGAIN, errno.EBUSY) else Code.NONE
+    what = f"cannot open the link: {text}"
+    return DriverError(what, where=str(address), hint=hint or "check address and cable", code=code)

@@ -24,6 +24,7 @@ from fullswarm.drivers.mavlink.settings import Options as Options
 from fullswarm.drivers.mavlink.signing import Signing
 from fullswarm.drivers.mavlink.startup import Startup
 from fullswarm.drivers.mavlink.vehicle import LINK_SILENCE_S, Vehicle
+from fullswarm.reasons import Code
 
 STATION_COMPONENT, AUTOPILOT_COMPONENT = 190, 1
 HEARTBEAT_S = 1.0
@@ -354,13 +355,16 @@ class Session:
         elif self.lifecycle is Lifecycle.OPEN and settled:
             if left_armed(self._vehicle, self.autopilot, by_us=self._armed_by_us):
                 self._begin_stand_down(now_s)
+            elif not self.why and self._vehicle.aiding.unheard(now_s):
+                self.why = "its satellite receiver has not been heard again yet"  # the vehicle was silent as a whole
             elif not self.why:
                 self.lifecycle = Lifecycle.READY
 
     def _problem(self, now_s: float) -> str:
-        why = self._startup.problem(now_s, self._vehicle) or self.unguarded
+        found = self._startup.problem(now_s, self._vehicle)
+        why = found.text or self.unguarded
         lost = "" if self._external is None else self._external.problem(now_s)
-        if why and lost and "know its position" in why:
+        if lost and found.code == Code.POSITION:
             why = f"{why}: {lost}"
         if not why and self._frame is not None:
             why = self._frame.problem(now_s)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from urllib.parse import parse_qsl, urlsplit
 
 from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.aiding import SIGMA_M
 from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot
@@ -160,3 +162,21 @@ def _positive(url: str, name: str, options: dict[str, str], default: float) -> f
     if not 0.0 < value < math.inf:
         raise ConfigError(f"{name} is '{text}'", where=url, hint=f"a number above 0, e.g. {name}={default:g}")
     return value
+
+
+def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:
+    """Return what only one robot of a computer can have: a serial device, a UDP port, or a system id at a host."""
+    parts = urlsplit(url)
+    if parts.scheme == "mavlink+serial":
+        return (device_claim(parts.path, elsewhere=elsewhere),)
+    try:
+        port = str(parts.port)
+    except ValueError:  # the driver says what is wrong with it
+        port = parts.netloc
+    if parts.scheme == "mavlink+udp":
+        # Whoever listens on all addresses listens on each; one socket per port is all that a computer's agents need.
+        return (Claim(("the UDP port", port)),)
+    system = dict(parse_qsl(parts.query, keep_blank_values=True)).get("sysid", "1")
+    where = f"{parts.scheme.removeprefix('mavlink+')} {parts.hostname or ''}:{port}"
+    advice = "give each rover a system id of its own (SYSID_THISMAV) and name it with ?sysid="
+    return (Claim(("the MAVLink system", system, "at", where), advice),)

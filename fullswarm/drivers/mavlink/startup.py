@@ -9,6 +9,7 @@ from fullswarm.drivers.mavlink.autopilot import Autopilot
 from fullswarm.drivers.mavlink.codec import StationEncoder
 from fullswarm.drivers.mavlink.requests import CommandQueue, EnsureParameter, ReadParameter
 from fullswarm.drivers.mavlink.vehicle import Vehicle
+from fullswarm.reasons import NONE, Code, Reason, given
 
 RATES_HZ: dict[int, float] = {
     p.MESSAGE_HEARTBEAT: 4.0,  # the armed bit comes with heartbeats only: 1 Hz would delay every confirmation
@@ -131,24 +132,24 @@ class Startup:
 
         self._queue.ask(p.COMMAND_MESSAGE_INTERVAL, make, done)
 
-    def problem(self, now_s: float, vehicle: Vehicle) -> str:
-        """Return what still keeps the vehicle from being READY; empty when nothing does."""
+    def problem(self, now_s: float, vehicle: Vehicle) -> Reason:
+        """Return what still keeps the vehicle from being READY; false when nothing does."""
         heartbeat = vehicle.heartbeat
         if heartbeat is None:
-            return "no heartbeat yet"
+            return given("no heartbeat yet")
         if self._autopilot.starting(heartbeat):
-            return "the autopilot is starting"
+            return given("the autopilot is starting")
         if heartbeat.status == p.STATUS_CRITICAL:
-            return f"a failsafe of the autopilot is on{_quoted(vehicle.texts_since(now_s - 30.0))}"
+            return given(f"a failsafe of the autopilot is on{_quoted(vehicle.texts_since(now_s - 30.0))}")
         setting = self._setting_problem()
         if setting:
-            return setting
+            return given(setting)
         if not self._ekf_ignored and (vehicle.ekf is None or not vehicle.ekf.good):
             flags = "unknown" if vehicle.ekf is None else f"{vehicle.ekf.flags:#x}"
-            return f"the autopilot does not know its position yet (EKF flags {flags})"
+            return given(f"the autopilot does not know its position yet (EKF flags {flags})", Code.POSITION)
         if vehicle.telemetry_silent(now_s):
-            return "no position or attitude is being sent"
-        return ""
+            return given("no position or attitude is being sent")
+        return NONE
 
     @property
     def unfit(self) -> str:

@@ -1,6 +1,18 @@
 """The null make: ``null://<id>``, a robot that is nowhere. The smallest legal driver, and the template for new ones.
 
-Further files:
-
-``driver.py``  The smallest legal driver: integrates what it is told on a clock
+``driver.py``  The driver: integrates what it is told on a clock
 """
+
+from __future__ import annotations
+
+from fullswarm.drivers.make import Make
+
+MAKE = Make(
+    name="null",
+    robots="null robots",
+    schemes=("null",),
+    driver="fullswarm.drivers.null.driver:NullDriver",
+    example="null://r1",
+    limits="integrates what it is told, no robot; the template",
+    simulated=True,
+)

@@ -1,9 +1,6 @@
 """What robot is on a port, asked without moving it: for `fullswarm robots find` and `fullswarm doctor`.
 
-In: ports, URLs, CAN interfaces. Out: :class:`.found.Asked` with the robots :class:`.found.Found` and the driver URL of
-each. ``ask`` serves serial ports and URLs; ``create``, ``mavlink`` and ``can_bus`` are each make's own part.
-
-Further files:
-
-``found.py``  What was found on a port
+- ``ask.py``: serial ports and URLs; asks the probe of each make
+- ``line.py``: a serial port that is being asked
+- ``found.py``: what was found
 """

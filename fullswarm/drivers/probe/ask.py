@@ -1,89 +1,25 @@
-"""Asks ports what robot is there, without moving anything: serial lines, a UDP port, a CAN bus, a driver's URL.
+"""Asks ports what robot is there, without moving anything: serial lines, and what the makes' own probes can ask.
 
-A port is claimed exclusively while it is asked and let go afterwards; one that another process holds is not touched.
-Each make's own part is in ``create``, ``mavlink`` and ``can_bus``.
+A port is claimed exclusively while it is asked and released afterwards; one that another process holds is not touched.
+Each make's own part is the ``probe.py`` of its folder, named by its record.
 """
 
 from __future__ import annotations
 
-import select
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import serial
 from serial.tools import list_ports
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.link import claim
-from fullswarm.drivers.probe.found import Asked
+from fullswarm.drivers.make import Probe, Scope, SerialProbe, make_of, makes
+from fullswarm.drivers.probe.found import Asked, unasked
+from fullswarm.drivers.probe.line import BAUDS, Line, SerialPort
 from fullswarm.errors import FullswarmError
 
-BAUDS = (115200, 57600)
-"""Create 2 and autopilots over USB first, then Create 1 and telemetry radios. See `create` on this order."""
-
-LISTEN_S = 0.2
-GAP_S = 0.002
 BY_ID = Path("/dev/serial/by-id")
-AUTOPILOT_VENDORS = frozenset({0x1209, 0x26AC, 0x2DAE, 0x3162})
-"""USB vendors of flight controllers (pid.codes/ArduPilot, 3D Robotics, CubePilot, Holybro): no Create behind these."""
-
-
-@dataclass(frozen=True, slots=True)
-class SerialPort:
-    """A serial port of this machine."""
-
-    path: str  # by id where there is one: it survives another USB socket
-    device: str
-    product: str = ""
-    vendor: int | None = None
-
-
-class Line:
-    """A claimed serial port, read and written with deadlines; a context manager.
-
-    Raises
-    ------
-    DriverError
-        The port is missing, forbidden, no serial port, or held: names the holder.
-    """
-
-    def __init__(self, path: str, clock: Clock) -> None:
-        self._port: serial.Serial = claim(path, BAUDS[0])
-        self._clock = clock
-
-    def __enter__(self) -> Line:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._port.close()
-
-    def set_baud(self, baud: int) -> None:
-        """Go on at another rate; what waited is forgotten."""
-        self._port.baudrate = baud
-        self._port.reset_input_buffer()
-
-    def send(self, data: bytes) -> None:
-        """Write at once. ``OSError`` when the port is gone."""
-        self._port.write(data)
-
-    def spell(self, data: bytes) -> None:
-        """Write byte by byte with pauses between."""
-        for each in data:
-            self._port.write(bytes([each]))
-            select.select([], [], [], GAP_S)
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Return what is there, waiting up to `timeout_s` for it."""
-        ready, _, _ = select.select([self._port.fileno()], [], [], max(0.0, timeout_s))
-        return bytes(self._port.read(4096)) if ready else b""
-
-    def gather(self, duration_s: float, size: int | None = None) -> bytes:
-        """Return all that comes in `duration_s`, or until `size` bytes are there."""
-        heard, end_s = b"", self._clock.now_s() + duration_s
-        while (left_s := end_s - self._clock.now_s()) > 0 and (size is None or len(heard) < size):
-            heard += self.receive(left_s)
-        return heard
 
 
 def serial_ports() -> list[SerialPort]:
@@ -103,37 +39,53 @@ def serial_ports() -> list[SerialPort]:
     return sorted(ports, key=lambda port: (not port.path.startswith(str(BY_ID)), port.path))
 
 
-def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
-    """Ask whoever is on a serial port; some 4 s when nobody is."""
-    from fullswarm.drivers.probe import create, mavlink
+def probes() -> list[Probe]:
+    """Return the probes of all makes, each once, in the order of the makes."""
+    targets = dict.fromkeys(each.probe for each in makes() if each.probe)
+    by_target = {each.probe: each for each in makes()}
+    return [probe for target in targets if (probe := by_target[target].load_probe()) is not None]
 
+
+def questions(scope: Scope, clock: Clock) -> list[tuple[str, Callable[[], Asked]]]:
+    """Return what `robots find` asks, serial ports first; what is written wrong is refused before anything is asked."""
+    named = [SerialPort(path, path) for path in scope.serial]
+    serial = serial_ports() if scope.everything else named
+    return [
+        *((_name(port), lambda port=port: ask_serial(port, clock)) for port in serial),
+        *(each for probe in probes() for each in probe.questions(scope, clock)),
+    ]
+
+
+def _name(port: SerialPort) -> str:
+    return f"{port.path} ({port.product})" if port.product else port.path
+
+
+def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
+    """Ask what is on a serial port, one make after the other; some 4 s when nothing answers."""
     known = port if isinstance(port, SerialPort) else SerialPort(port, port)
     clock = clock or MonotonicClock()
     asked = Asked(known.path, known.product)
+    serial: list[SerialProbe] = [each for each in probes() if hasattr(each, "ask_line")]  # type: ignore[misc]  # just asked
     try:
         with Line(known.path, clock) as line:
-            for baud in BAUDS:
-                line.set_baud(baud)
-                heard = line.gather(LISTEN_S)
-                if known.vendor not in AUTOPILOT_VENDORS and not mavlink.is_mavlink(heard):
-                    robot = create.ask(line, known.path, baud, heard)
-                    if robot is not None:
-                        return replace(asked, robots=(robot,))
-            for baud in BAUDS:
-                line.set_baud(baud)
-                url = f"mavlink+serial://{known.path}?baud={baud}"
-                robots = mavlink.ask(line, known.path, url, clock)
-                if robots:
-                    return replace(asked, robots=robots)
+            for probe in serial:
+                for baud in BAUDS:
+                    line.set_baud(baud)
+                    heard = line.gather(probe.LISTEN_S) if probe.LISTEN_S else b""
+                    if any(other.knows(known, heard) for other in serial if other is not probe):
+                        continue
+                    robots = probe.ask_line(line, known, baud, heard, clock)
+                    if robots:
+                        return replace(asked, robots=robots)
     except FullswarmError as error:
-        return replace(asked, problem=f"{error.what} ({error.hint})" if error.hint else error.what)
+        return replace(unasked(known.path, error), product=known.product)
     except OSError as error:
         return replace(asked, problem=f"the port vanished while it was asked: {error.strerror or error}")
     return replace(asked, problem="nobody answers: is the robot switched on?")
 
 
 def ask_url(url: str, clock: Clock | None = None) -> Asked:
-    """Ask the port that a driver's URL names; a scheme without a probe is a `problem`.
+    """Ask the port that a driver's URL names; a make without a probe is a `problem`.
 
     Raises
     ------
@@ -144,14 +96,9 @@ def ask_url(url: str, clock: Clock | None = None) -> Asked:
     """
     clock = clock or MonotonicClock()
     parts = urlsplit(url)
-    if parts.scheme in ("create", "mavlink+serial"):
+    probe = make_of(url).load_probe()
+    if probe is None:
+        return Asked(url, problem=f"'{parts.scheme}' cannot be asked without driving it")
+    if hasattr(probe, "ask_line") and not parts.netloc:
         return ask_serial(unquote(parts.path), clock)
-    if parts.scheme.startswith("mavlink+"):
-        from fullswarm.drivers.probe import mavlink
-
-        return mavlink.ask_url(url, clock)
-    if parts.scheme.startswith("can+"):
-        from fullswarm.drivers.probe import can_bus
-
-        return can_bus.ask_url(url, clock)
-    return Asked(url, problem=f"'{parts.scheme}' cannot be asked without driving it")
+    return probe.ask_url(url, clock)

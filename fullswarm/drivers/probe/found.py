@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fullswarm.errors import FullswarmError
+from fullswarm.reasons import Code
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -27,3 +30,10 @@ class Asked:
     product: str = ""  # what USB says
     robots: tuple[Found, ...] = ()
     problem: str = ""  # why nothing was learned, with what to do
+    held: bool = False  # the problem: another process uses the port
+
+
+def unasked(port: str, error: FullswarmError) -> Asked:
+    """Return a port that could not be opened."""
+    text = f"{error.what} ({error.hint})" if error.hint else error.what
+    return Asked(port, problem=text, held=error.code == Code.PORT_HELD)

@@ -19,3 +19,20 @@ Further files:
 ``world_kernels.py``      What a world does to every body once per step, whatever the engine
 ``bodies.py``             Bodies of the world for emulated firmware: what a skin drives instead of a free body
 """
+
+from __future__ import annotations
+
+from fullswarm.drivers.make import Icon, Make
+
+MAKE = Make(
+    name="sim",
+    robots="simulated robots",
+    schemes=("sim",),
+    driver="fullswarm.drivers.sim.driver:SimDriver",
+    claims="fullswarm.drivers.sim.protocol:claims",
+    example="sim://127.0.0.1:7450/r1",
+    limits="body of a world process; options as a query: `?speed_limit_m_s=4&turn_limit_rad_s=0.785&sensing_m=3`",
+    extra="sim",
+    simulated=True,
+    icon=Icon("circle", "S"),
+)

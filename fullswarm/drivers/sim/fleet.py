@@ -95,6 +95,11 @@ class SimFleet:
         del row
         return ""
 
+    def fault_code(self, row: int) -> str:
+        """Return the empty code."""
+        del row
+        return ""
+
     def firmware(self, row: int) -> str:
         """Return the engine and its version."""
         del row

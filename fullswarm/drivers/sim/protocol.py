@@ -14,10 +14,13 @@ Each datagram is one MessagePack struct with its name and version; an unknown ve
 
 from __future__ import annotations
 
+from urllib.parse import urlsplit
+
 import msgspec
 import numpy as np
 
 from fullswarm.drivers.base import Array
+from fullswarm.drivers.make import Claim
 from fullswarm.errors import ConfigError, MessageError
 
 MAX_BYTES = 65507  # of a UDP datagram's payload
@@ -123,3 +126,10 @@ def parse_address(text: str, where: str) -> tuple[str, int]:
     if not colon or not host or ":" in host or not port.isascii() or not port.isdigit() or int(port) > 65535:
         raise ConfigError(f"'{text}' is not an address", where=where, hint="write host:port, e.g. 127.0.0.1:7450")
     return host, int(port)
+
+
+def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:
+    """Return what only one agent can have: the simulated robot, whichever computer asks."""
+    del elsewhere
+    parts = urlsplit(url)
+    return (Claim(("the simulated robot", f"{parts.netloc}{parts.path}")),)

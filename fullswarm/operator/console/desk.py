@@ -179,7 +179,7 @@ class Desk:
         def heard(status: RequestStatus) -> None:
             # While it is held: afterwards it is the word on the zeros.
             if status.phase == "refused" and teleop is self._teleop and teleop.held:
-                self._block(for_page(status.reason) or "refused without a reason")
+                self._block(for_page(status) or "refused without a reason")
 
         teleop = Teleop(self._operator, self._place.scheduler, on_status=heard)
         return teleop

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
@@ -52,6 +52,7 @@ class Identity:
     process: str  # unlike any other's
     version: str
     read_only: bool = False
+    icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
 
 
 class Gateway:
@@ -199,6 +200,7 @@ class Gateway:
             "version": self._identity.version,
             "read_only": self._identity.read_only,
             "operator": desk.name,
+            "icons": dict(self._identity.icons),
         }
         # Written out here already: without a greeting the page would stay shut, whatever else it could show.
         with self._drawing("world"):
@@ -329,7 +331,9 @@ class Gateway:
             "request_id": status.request_id,
             "behaviour": status.behaviour,
             "phase": status.phase,
-            "reason": for_page(status.reason),
+            "reason": for_page(status),
+            "code": status.code,
+            "about": status.parameters,
             "robots": status.robots,
             "running": status.running,
             "missing": status.missing,

@@ -52,7 +52,7 @@ def fleet(seen: Snapshot, now_s: float) -> dict[str, Any]:
 
 
 def _robot(row: RobotRow) -> dict[str, Any]:
-    state, attention = row_state(row)
+    state = row_state(row)
     health = row.health or UNKNOWN
     return {
         "robot": row.robot,
@@ -69,9 +69,12 @@ def _robot(row: RobotRow) -> dict[str, Any]:
         "request_id": health.request_id,
         "moving": health.moving,
         "estop": health.estop,
-        "state": state,
-        "attention": attention,
+        "state": state.text,
+        "state_word": state.word,
+        "state_why": state.why,
+        "attention": state.attention,
         "stop_reason": health.stop_reason,
+        "stop_code": health.stop_code,
         "fault": health.fault,
         "advice": advise(row),
         "battery": None if health.battery < 0.0 else _finite(health.battery),

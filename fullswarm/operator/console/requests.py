@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -12,13 +11,15 @@ import msgspec
 
 from fullswarm.messages import BehaviourRequest, RequestStatus
 from fullswarm.operator.console.history import Journal, LogKind
+from fullswarm.reasons import Code
 
 REMEMBERED = 512
 STREAM_GAP_S = 2.0
 """A stick that was quiet for so long starts anew in the log."""
 NAMES_SHOWN = 6
-BEATEN = "superseded by "
-_CLEAR = re.compile(r"clear it with `fullswarm estop --clear[^`]*`")
+BEATEN = (Code.SUPERSEDED, Code.CAME_FIRST)
+ON_PAGE: dict[str, str] = {Code.ESTOP_LATCHED: "its e-stop is latched; clear it with the button 'Clear the e-stop…'"}
+"""Reasons whose texts tell people at a shell what to do; at a browser there is a button instead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +99,13 @@ class RequestBook:
         _bound(self._streams)
         return before_s is None or now_s - before_s > STREAM_GAP_S
 
-    def _readable(self, reason: str) -> str:
-        """Replace the id of a request by what it asked for, and in whose name."""
-        before, superseded, rest = reason.partition(BEATEN)
-        asked = self._asked.get(rest.split(",", 1)[0]) if superseded else None
-        return reason if asked is None else f"{before}{BEATEN}{asked.behaviour} of {asked.operator}"
+    def _readable(self, status: RequestStatus) -> str:
+        """Return why, with what another request asked for, and in whose name, in place of its id."""
+        asked = self._asked.get(status.parameters.get("by", "")) if status.code in BEATEN else None
+        return for_page(status) if asked is None else f"superseded by {asked.behaviour} of {asked.operator}"
 
     def _log(self, status: RequestStatus, operator: str, now_s: float) -> None:
-        because = f": {for_page(self._readable(status.reason))}" if status.reason else ""
+        because = f": {self._readable(status)}" if status.reason else ""
         if status.phase == "refused":
             text = f"{status.behaviour} refused{because}"
         elif status.refused_by:
@@ -114,7 +114,7 @@ class RequestBook:
             return  # the request itself was a line
         elif status.phase == "running":
             text = f"{status.behaviour} runs on {len(status.running)} of {len(status.robots)}"
-        elif because.startswith(f": {BEATEN}"):
+        elif status.code in BEATEN:
             text = f"{status.behaviour} {because.removeprefix(': ')}"
         else:
             text = f"{status.behaviour} {status.phase}{because}"
@@ -122,9 +122,12 @@ class RequestBook:
         self.journal.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
 
 
-def for_page(reason: str) -> str:
-    """Return a reason for people at a browser, who have the page's button and maybe no shell."""
-    return _CLEAR.sub("clear it with the button 'Clear the e-stop…'", reason)
+def for_page(status: RequestStatus) -> str:
+    """Return why, for people at a browser, who have the page's button and maybe no shell."""
+    text = ON_PAGE.get(status.code)
+    if text is None:
+        return status.reason
+    return f"{', '.join(status.refused_by)}: {text}" if status.refused_by else text
 
 
 def named(robots: Sequence[str]) -> str:

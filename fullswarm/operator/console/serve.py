@@ -15,8 +15,8 @@ import secrets
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,6 +57,7 @@ class Options:
     open_browser: bool = False
     insecure_network: bool = False
     as_json: bool = False
+    icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
 
 
 def serve(target: Target, options: Options, guest: Guest | None = None) -> int:
@@ -167,7 +168,7 @@ async def _serve(
     bus = ZenohBus(runtime.mailbox, hub=target.hub or DEFAULT_HUB)
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
-        identity = Identity(socket.gethostname(), process, __version__, options.read_only)
+        identity = Identity(socket.gethostname(), process, __version__, options.read_only, options.icons)
         gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
         names = Names(host, port, lower(options.allow_hosts))
 

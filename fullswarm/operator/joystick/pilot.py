@@ -220,7 +220,8 @@ class Pilot:
         problem = self._reins.take_up(self._chooser.now(), take=take)
         if problem:
             button = self._bindings.buttons.take
-            taken = f" ({button} with the dead-man takes over)" if button and " held by " in problem else ""
+            held = bool(self._reins.holders(self._chooser.now()))
+            taken = f" ({button} with the dead-man takes over)" if button and held else ""
             self._refuse(problem + taken)
 
     def _choose(self, pressed: frozenset[str]) -> None:

@@ -105,9 +105,12 @@ test("a behaviour and its filtered variant look the same, different laws do not"
   assert.equal(seen.size, 8);
 });
 
-test("the kind of a robot is told by its driver's address, else by its make", () => {
-  assert.equal(kindOf("iRobot", "create:///dev/ttyUSB0?model=create2").letter, "C");
-  assert.equal(kindOf("", "mavlink+udp://127.0.0.1:14550").shape, "square");
-  assert.equal(kindOf("", "can+odrive://vcan0").shape, "hexagon");
-  assert.equal(kindOf("Acme", "acme://x").letter, "A");
+test("the icon of a robot is that of its make's record, else a circle and its make's initial", () => {
+  const icons = { create: ["circle", "C"], "mavlink+udp": ["square", "M"], "can+odrive": ["hexagon", "B"], null: ["circle", ""] };
+  assert.deepEqual(kindOf("iRobot", "create:///dev/ttyUSB0?model=create2", icons), { shape: "circle", letter: "C" });
+  assert.equal(kindOf("", "mavlink+udp://127.0.0.1:14550", icons).shape, "square");
+  assert.equal(kindOf("", "can+odrive://vcan0", icons).shape, "hexagon");
+  assert.deepEqual(kindOf("Acme", "acme://x", icons), { shape: "circle", letter: "A" });
+  assert.equal(kindOf("Nobody", "null://r1", icons).letter, "N");
+  assert.equal(kindOf("", "").letter, "?");
 });

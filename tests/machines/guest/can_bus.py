@@ -9,7 +9,7 @@ from typing import Any
 
 from fullswarm import registry
 from fullswarm.drivers.base import Lifecycle, Twist
-from fullswarm.drivers.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import EmulatedBase
 from tests.machines.guest.waiting import Command, until
 
 BODY = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3"

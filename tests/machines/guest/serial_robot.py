@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from fullswarm import registry
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
-from fullswarm.drivers.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from tests.machines.guest.waiting import until
 
 NAMES, ROBOT_SIDE = Path("/dev/fullswarm"), Path("/dev/ttyGS0")

@@ -32,7 +32,7 @@ export class Commands extends Emitter {
     this.emit("asked", { behaviour, robots });
     const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, take });
     if (answer.request_id) this.#remember(answer.request_id, again);
-    if (!answer.ok) this.#refuse(behaviour, answer.reason ?? "no reason given", again, robots);
+    if (!answer.ok) this.#refuse(behaviour, answer, again, robots);
     return answer;
   }
 
@@ -98,22 +98,17 @@ export class Commands extends Emitter {
 
   #onStatus(status) {
     if (!status.mine || status.phase !== "refused") return;
-    this.#refuse(status.behaviour, status.reason, this.#mine.get(status.request_id), status.robots);
+    this.#refuse(status.behaviour, status, this.#mine.get(status.request_id), status.robots);
   }
 
   /** Tell why; if somebody else holds the robots, ask whether to take them over. */
-  #refuse(behaviour, reason, again, robots = []) {
-    this.emit("refused", { behaviour, reason: brief(reason), robots });
-    const held = / is held by (.+?)(?: \(|[:;,]|$)/.exec(reason);
-    if (!held || !again) return;
-    const robot = /(\S+) is held by/.exec(reason)?.[1] ?? "";
-    this.emit("question", { holders: new Map([[robot, held[1]]]), take: again });
+  #refuse(behaviour, { reason = "no reason given", code = "", about = {} }, again, robots = []) {
+    // The list of all parameters is left out: the form shows them.
+    const brief = code === "parameters" ? about.problems ?? reason : reason;
+    this.emit("refused", { behaviour, reason: brief, robots });
+    if (code !== "held" || !again) return;
+    this.emit("question", { holders: new Map(Object.entries(about)), take: again });
   }
-}
-
-/** Leave out the list of all parameters, which the form beside it shows. */
-export function brief(reason) {
-  return reason.replace(/ \(parameters of [^]*\)$/, "");
 }
 
 const round = (metres) => Math.round(metres * 1000) / 1000;

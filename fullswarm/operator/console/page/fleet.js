@@ -162,10 +162,9 @@ export class FleetTable {
 }
 
 /** Split the state of a robot in trouble: a word for the column, and below it why and what to do. */
-function stateWords({ state = "no health report", advice = "", fault = "" }, alert) {
-  if (!alert) return { head: state, rest: "" };
-  const [head, ...why] = state.split(": ");
-  const reason = why.join(": ") || (state.includes(fault) ? "" : fault);
+function stateWords({ state_word: head = "no health report", state_why: why = "", advice = "", fault = "" }, alert) {
+  if (!alert) return { head, rest: "" };
+  const reason = why || fault;
   const rest = [reason && `${reason[0].toUpperCase()}${reason.slice(1)}.`, advice].filter(Boolean).join(" ");
   return { head: `⚠ ${head}`, rest };
 }

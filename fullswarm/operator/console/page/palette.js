@@ -3,8 +3,6 @@
 const COLOURS = ["#56B4E9", "#E69F00", "#009E73", "#F0E442", "#CC79A7", "#D55E00", "#0072B2"];
 const FIRST = ["move_to_goal", "flocking", "formation", "rendezvous", "voronoi_coverage", "drive", "navigate"];
 const PATTERNS = ["plain", "stripes", "dots", "rings"];
-const SHAPES = { sim: "circle", create: "circle", mavlink: "square", can: "hexagon" };
-const LETTERS = { sim: "S", create: "C", mavlink: "M", can: "B" };
 
 export const IDLE = { colour: "#9AA3AD", pattern: "plain" };
 
@@ -35,30 +33,26 @@ export function lawOf(behaviour) {
   return behaviour.endsWith("_bc") ? behaviour.slice(0, -3) : behaviour;
 }
 
-/** Return the outline and the letter of a make, guessed from make and driver address. */
-export function kindOf(make = "", driver = "") {
-  const scheme = driver.split(/[:+]/)[0];
-  const known = scheme in SHAPES ? scheme : makeKey(make);
-  return { shape: SHAPES[known] ?? "circle", letter: LETTERS[known] ?? (make[0] ?? "?").toUpperCase() };
-}
-
-function makeKey(make) {
-  const lower = make.toLowerCase();
-  if (lower.includes("irobot") || lower.includes("create")) return "create";
-  if (lower.includes("pilot") || lower.includes("px4") || lower.includes("rover")) return "mavlink";
-  if (lower.includes("odrive") || lower.includes("can")) return "can";
-  return lower.includes("sim") ? "sim" : "";
+/**
+ * Return the outline and the letter of a robot: those of its make's record, or else a circle and its make's initial.
+ * @param {string} make
+ * @param {string} driver its URL
+ * @param {Record<string, [string, string]>} icons of the makes that the console knows, by the schemes of their URLs
+ */
+export function kindOf(make = "", driver = "", icons = {}) {
+  const [shape = "circle", letter = ""] = icons[driver.split(":")[0]] ?? [];
+  return { shape, letter: letter || (make[0] ?? "?").toUpperCase() };
 }
 
 export const MAP_COLOURS = {
   light: {
-    outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",
+    dark: false, outside: "#E4E8EC", floor: "#FAFBFC", grid: "#E2E6EA", wall: "#4A5560", box: "#8893A0", seen: "#A35400",
     ink: "#14202B", halo: "#FFFFFF", select: "#0B57D0", goal: "#0B57D0", filter: "#B3261E", cover: [0, 114, 178, 52],
     sensing: "rgba(11, 87, 208, 0.5)", lasso: "rgba(11, 87, 208, 0.14)", alarm: "#C5221F", edge: "#14202B",
     dim: "rgba(228, 232, 236, 0.62)",
   },
   dark: {
-    outside: "#0B1015", floor: "#161D24", grid: "#212A33", wall: "#9AA7B4", box: "#55616D", seen: "#FFB454",
+    dark: true, outside: "#0B1015", floor: "#161D24", grid: "#212A33", wall: "#9AA7B4", box: "#55616D", seen: "#FFB454",
     ink: "#EAF0F5", halo: "#0B1015", select: "#8AB4F8", goal: "#8AB4F8", filter: "#FF8A80", cover: [86, 180, 233, 56],
     sensing: "rgba(138, 180, 248, 0.5)", lasso: "rgba(138, 180, 248, 0.18)", alarm: "#FF5F52", edge: "#0B1015",
     dim: "rgba(11, 16, 21, 0.62)",

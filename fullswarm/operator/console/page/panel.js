@@ -38,6 +38,7 @@ export class Panel {
   }
 
   #refused = /** @type {string[]} */ ([]); // the robots that the words on a refusal concern
+  #partly = false; // the progress names robots that refused
   #hindered = /** @type {Set<string>} */ (new Set()); // what kept them from obeying since
   #fields = /** @type {Record<string, import("./field.js").Field>} */ ({});
   #shown = "";
@@ -132,13 +133,16 @@ export class Panel {
     if (phase === "running" || running.length) parts.push(`${running.length} of ${status.robots.length} run it`);
     if (missing.length) parts.push(`not present: ${missing.join(", ")}`);
     if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}${status.reason ? `: ${status.reason}` : ""}`);
-    if (behaviour !== "drive_bc") setText(byId("progress"), parts.join(" · "));
+    if (behaviour !== "drive_bc") {
+      setText(byId("progress"), parts.join(" · "));
+      this.#partly = refused_by.length > 0;
+    }
     if (refused_by.length) this.#remember(refused_by);
   }
 
   #refuse(reason, robots = []) {
     setText(this.refusal, reason ? `Refused. ${reason}` : "");
-    if (reason) setText(byId("progress"), "");
+    if (reason) this.#noProgress();
     this.#remember(reason ? robots : null);
   }
 
@@ -149,12 +153,17 @@ export class Panel {
 
   /** Words on a refusal go when something that kept the robots from obeying is gone; the log keeps them. */
   #stillHindered() {
-    if (!this.refusal.textContent && !byId("progress").textContent.includes("refused by")) return;
+    if (!this.refusal.textContent && !this.#partly) return;
     const now = this.store.hindrances(this.#refused);
     if ([...this.#hindered].every((each) => now.has(each))) this.#hindered = now;
     else {
       this.#refuse("");
-      setText(byId("progress"), "");
+      this.#noProgress();
     }
+  }
+
+  #noProgress() {
+    setText(byId("progress"), "");
+    this.#partly = false;
   }
 }

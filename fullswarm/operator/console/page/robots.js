@@ -30,7 +30,7 @@ export function placeRobots(store, view, at_s) {
 /** Draw all robots, the selected ones last and with their labels. */
 export function drawRobots(scene, placed, selection, hovered) {
   const crowded = placed.length > 60 && scene.view.scale < 30;
-  const mixed = new Set(placed.map(({ info }) => kindOf(info.make, info.driver).letter)).size > 1;
+  const mixed = new Set(placed.map(({ info }) => kindOf(info.make, info.driver, scene.store.icons).letter)).size > 1;
   drawSensing(scene, placed.filter((robot) => selection.has(robot.id)));
   for (const robot of placed) drawFilter(scene, robot, selection.has(robot.id) || robot.id === hovered);
   for (const robot of placed) drawRobot(scene, robot, selection.has(robot.id));
@@ -60,17 +60,17 @@ function drawRobot(scene, robot, selected) {
   const { context, sprites, store, colours, dpr } = scene;
   const { info, px, py, radius_px } = robot;
   const look = store.looks.of(info.behaviour);
-  const kind = kindOf(info.make, info.driver);
+  const kind = kindOf(info.make, info.driver, store.icons);
   const silent = Boolean(info.silent);
   const sprite = sprites.body({
     shape: kind.shape,
     radius: Math.round(radius_px * dpr),
     ...look,
-    edge: silent ? colours.ink : colours.edge === "#14202B" ? colours.edge : "#0B1015",
+    edge: silent ? colours.ink : colours.edge,
     hollow: silent,
   });
   if (selected) drawSelected(context, robot, colours);
-  if (!silent && colours.edge === "#0B1015") drawRim(context, robot, kind.shape, colours);
+  if (!silent && colours.dark) drawRim(context, robot, kind.shape, colours);
   const cos = Math.cos(robot.heading);
   const sin = Math.sin(robot.heading);
   context.setTransform(cos, -sin, sin, cos, px * dpr, py * dpr);
@@ -144,9 +144,9 @@ function drawMark(context, { px, py, radius_px }, sign, colours) {
 }
 
 function drawLabel(scene, robot, chosen, mixed) {
-  const { context, sprites, colours, dpr } = scene;
+  const { context, sprites, store, colours, dpr } = scene;
   const { info, px, py, radius_px } = robot;
-  const { letter } = kindOf(info.make, info.driver);
+  const { letter } = kindOf(info.make, info.driver, store.icons);
   const words = [mixed ? `${robot.id} ${letter}` : robot.id]; // shapes tell the makes apart, letters name them
   if (info.silent) words.push(`silent ${seconds(info.age_s)}`);
   else if (info.estop) words.push("E-STOP");

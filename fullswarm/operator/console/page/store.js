@@ -16,6 +16,7 @@ export class Store extends Emitter {
   constructor() {
     super();
     this.hello = /** @type {any} */ (null);
+    this.icons = /** @type {Record<string, [string, string]>} */ ({});
     this.arena = /** @type {[number, number, number, number] | null} */ (null);
     this.boxes = /** @type {number[][]} */ ([]);
     this.sensing_radius_m = /** @type {number | null} */ (null);
@@ -109,6 +110,7 @@ export class Store extends Emitter {
 
   #hello(message) {
     this.hello = message;
+    this.icons = message.icons ?? {};
     this.clock = new ServerClock();
     const history = message.history ?? {};
     this.charts = [...(history.charts ?? [])];

@@ -12,14 +12,14 @@ from collections.abc import Callable
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody, drive_wheels, wheels_rolled
-from fullswarm.drivers.can.odrive_emulator import ODriveEmulator
 from fullswarm.drivers.can.protocol import Frame, WheelCodec
-from fullswarm.drivers.can.pty import PtyWire
 from fullswarm.drivers.can.settings import OdriveOptions, Settings, VescOptions, parse
-from fullswarm.drivers.can.spin import STEP_S, Sender
-from fullswarm.drivers.can.vesc_emulator import VescEmulator
-from fullswarm.drivers.can.wire import BusWire, Wire
 from fullswarm.drivers.faults import LinkFaults
+from fullswarm.emulators.can.adapter import PtyWire
+from fullswarm.emulators.can.odrive import ODriveEmulator
+from fullswarm.emulators.can.spin import STEP_S, Sender
+from fullswarm.emulators.can.vesc import VescEmulator
+from fullswarm.emulators.can.wire import BusWire, Wire
 from fullswarm.errors import FullswarmError, LinkLost
 
 BATTERY_V = (21.0, 29.4)

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.rover.channel import Channel
-from fullswarm.drivers.mavlink.rover.chart import Chart
-from fullswarm.drivers.mavlink.rover.setpoints import Target
+from fullswarm.emulators.mavlink.rover.channel import Channel
+from fullswarm.emulators.mavlink.rover.chart import Chart
+from fullswarm.emulators.mavlink.rover.setpoints import Target
 
 RTL, CHANGE_SPEED, SET_HOME, REPOSITION, SET_REVERSE = 20, 178, 179, 192, 194
 CALIBRATE, GET_HOME, GET_INTERVAL, CAPABILITIES = 241, 410, 510, 520

@@ -14,11 +14,11 @@ from typing import Self
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody
-from fullswarm.drivers.create_oi.firmware import Firmware, Quirks
 from fullswarm.drivers.create_oi.protocol import CREATE2, PERIOD_S, Generation, Mode
-from fullswarm.drivers.create_oi.pty_port import PtyPort, Wire
-from fullswarm.drivers.create_oi.surroundings import MAX_LIGHT, MAX_WALL
 from fullswarm.drivers.faults import LinkFaults
+from fullswarm.emulators.create_oi.firmware import Firmware, Quirks
+from fullswarm.emulators.create_oi.pty_port import PtyPort, Wire
+from fullswarm.emulators.create_oi.surroundings import MAX_LIGHT, MAX_WALL
 
 __all__ = ["CreateEmulator", "FreeBody", "Quirks"]
 

@@ -21,9 +21,9 @@ from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, dialect
 from fullswarm.drivers.mavlink.maps import SphereMap
-from fullswarm.drivers.mavlink.px4_telemetry import INTERVALS_S, MAKERS
-from fullswarm.drivers.mavlink.rover.chart import ALTITUDE_M, Chart
-from fullswarm.drivers.mavlink.rover.noise import FilterNoise
+from fullswarm.emulators.mavlink.px4_telemetry import INTERVALS_S, MAKERS
+from fullswarm.emulators.mavlink.rover.chart import ALTITUDE_M, Chart
+from fullswarm.emulators.mavlink.rover.noise import FilterNoise
 from fullswarm.geometry import clamp, wrap
 
 STEP_S = 0.01

@@ -1,4 +1,4 @@
-"""ArduRover's insides for the emulator, split by topic; :mod:`fullswarm.drivers.mavlink.firmware` puts them together.
+"""ArduRover's insides for the emulator, split by topic; :mod:`fullswarm.emulators.mavlink.firmware` puts them together.
 
 ::
 
@@ -8,6 +8,7 @@
     commands.py    COMMAND_LONG and COMMAND_INT, and how each is answered
     pilot.py       sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE
     position.py    whether it knows where it is: GPS, or poses from outside
+    chart.py       where it stands on earth, and on the map that its autopilot began where it was switched on
     noise.py       how far its position filter is off: noise as recorded, drift without GPS
     parameters.py  names and values
     streams.py     which message is due when, and the rate cap
@@ -16,9 +17,4 @@
     ports.py       the ports' real ends: UDP, TCP, pseudo-terminal
 
 Messages of the dialect flow in, frames and the body's speed flow out. Only ports.py does I/O.
-
-Further files:
-
-``chart.py``  Where an emulated rover stands on earth, and on the map that its autopilot began where it was switched
-              on
 """

@@ -20,7 +20,7 @@ BACKLOG = 64 * LONGEST
 
 
 class PtyWire:
-    """A :class:`~fullswarm.drivers.can.wire.Wire` with a serial port at `path`, a symbolic link to the pty.
+    """A :class:`~fullswarm.emulators.can.wire.Wire` with a serial port at `path`, a symbolic link to the pty.
 
     Closing its master is unplugging: whoever has the port open gets an error; the link goes first, because the
     kernel gives the pty's number to whoever asks next. No slave is kept open here, so that the adapter notices when

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.rover.messages import ASKED_FOR, BY_DEFAULT, MAKERS, Subject
+from fullswarm.emulators.mavlink.rover.messages import ASKED_FOR, BY_DEFAULT, MAKERS, Subject
 
 DEFAULT_S = 1.0
 LONGEST_MS = 65_535

@@ -22,11 +22,11 @@ from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
-from fullswarm.drivers.mavlink.firmware import Firmware
-from fullswarm.drivers.mavlink.rover.chart import Chart
-from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
-from fullswarm.drivers.mavlink.rover.ports import Port, open_port, reopen
 from fullswarm.earth import SITL_ORIGIN_DEG
+from fullswarm.emulators.mavlink.firmware import Firmware
+from fullswarm.emulators.mavlink.rover.chart import Chart
+from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
+from fullswarm.emulators.mavlink.rover.ports import Port, open_port, reopen
 
 __all__ = ["Port", "RoverEmulator", "open_port"]
 

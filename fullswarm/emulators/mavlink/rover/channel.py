@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.rover.streams import Streams
+from fullswarm.emulators.mavlink.rover.streams import Streams
 
 TICKS_S = 100_000  # of a signature's timestamp: 10 µs
 SIGNED = 0x01

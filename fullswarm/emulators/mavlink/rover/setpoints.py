@@ -12,7 +12,7 @@ from typing import Any
 
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.rover.chart import Chart
+from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.geometry import clamp, wrap
 
 LOCAL_FRAMES = frozenset({1, 7, 8, 9})

@@ -15,11 +15,19 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from fullswarm.clock import Clock
+from fullswarm.drivers.make import Scope
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser
 from fullswarm.drivers.mavlink.link import Address, Transport, open_transport, parse_url
-from fullswarm.drivers.probe.found import Asked, Found
-from fullswarm.errors import DriverError, LinkLost, MissingExtra
+from fullswarm.drivers.probe.found import Asked, Found, unasked
+from fullswarm.drivers.probe.line import SerialPort
+from fullswarm.errors import ConfigError, DriverError, LinkLost, MissingExtra
+from fullswarm.reasons import Code
+
+LISTEN_S = 0.0  # asking listens
+DEFAULT_UDP = "127.0.0.1:14550"
+VENDORS = frozenset({0x1209, 0x26AC, 0x2DAE, 0x3162})
+"""USB vendors of flight controllers (pid.codes/ArduPilot, 3D Robotics, CubePilot, Holybro): no Create behind these."""
 
 HEARTBEAT_S = 1.5
 ANSWER_S, TRIES = 0.4, 3
@@ -66,6 +74,35 @@ def is_mavlink(heard: bytes) -> bool:
         return bool(StreamParser().feed(heard))
     except MissingExtra:
         return False
+
+
+def questions(scope: Scope, clock: Clock) -> list[tuple[str, Callable[[], Asked]]]:
+    """Return the UDP ports to listen on, by default that of most ground stations.
+
+    Raises
+    ------
+    ConfigError
+        A UDP port is not written as it must be.
+    """
+    addresses = [_address(each) for each in ([DEFAULT_UDP] if scope.everything else scope.udp)]
+    return [(f"udp {host}:{port}", partial(ask_udp, host, port, clock)) for host, port in addresses]
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"'{text}' is not a UDP port", where="--udp", hint="e.g. 14550, or 0.0.0.0:14550")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def knows(port: SerialPort, heard: bytes) -> bool:
+    """Tell whether a flight controller is on the port, by its USB vendor or by what it sends."""
+    return port.vendor in VENDORS or is_mavlink(heard)
+
+
+def ask_line(link: Link, port: SerialPort, baud: int, _heard: bytes, clock: Clock) -> tuple[Found, ...]:
+    """Return the vehicle on a claimed serial line at one rate."""
+    return ask(link, port.path, f"mavlink+serial://{port.path}?baud={baud}", clock)
 
 
 def ask(link: Link, port: str, url: str, clock: Clock, *, several: bool = False) -> tuple[Found, ...]:
@@ -167,7 +204,8 @@ class UdpLink:
             holder = udp_holder(port) if error.errno == errno.EADDRINUSE else ""
             what = f"the port is held by {holder}" if holder else f"cannot listen there: {error.strerror or error}"
             hint = "end that program; one port serves one driver" if holder else "choose another address or port"
-            raise DriverError(what, where=f"udp {host}:{port}", hint=hint) from error
+            code = Code.PORT_HELD if holder else Code.NONE
+            raise DriverError(what, where=f"udp {host}:{port}", hint=hint, code=code) from error
 
     def __enter__(self) -> UdpLink:
         return self
@@ -219,7 +257,7 @@ def ask_udp(host: str, port: int, clock: Clock) -> Asked:
         with UdpLink(host, port) as link:
             robots = ask(link, name, f"mavlink+udp://{host}:{port}", clock, several=True)
     except DriverError as error:
-        return Asked(name, problem=f"{error.what} ({error.hint})")
+        return unasked(name, error)
     return Asked(name, robots=robots, problem="" if robots else SILENCE)
 
 
@@ -231,7 +269,7 @@ def ask_url(url: str, clock: Clock) -> Asked:
     try:
         transport = open_transport(address, lambda _: True)
     except DriverError as error:
-        return Asked(str(address), problem=f"{error.what} ({error.hint})")
+        return unasked(str(address), error)
     try:
         robots = ask(_Connected(transport), str(address), _base_url(address), clock)
     except LinkLost as error:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.rover.chart import Chart
+from fullswarm.emulators.mavlink.rover.chart import Chart
 
 
 class Subject(Protocol):

@@ -1,6 +1,6 @@
 """An emulated base's end of the wire: a port that can be pulled and a link that can be bad.
 
-:class:`BusWire` joins a bus that python-can knows, :class:`~fullswarm.drivers.can.pty.PtyWire` is an adapter.
+:class:`BusWire` joins a bus that python-can knows, :class:`~fullswarm.emulators.can.adapter.PtyWire` is an adapter.
 """
 
 from __future__ import annotations

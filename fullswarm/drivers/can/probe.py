@@ -5,7 +5,9 @@ Nothing that is sent sets a motor: a remote request for the version (ODrive 0.6 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -15,7 +17,8 @@ from fullswarm.drivers.can.odrive_states import error_names, state_name
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import Settings, parse
-from fullswarm.drivers.probe.found import Asked, Found
+from fullswarm.drivers.make import Scope
+from fullswarm.drivers.probe.found import Asked, Found, unasked
 from fullswarm.errors import ConfigError, DriverError, did_you_mean
 
 LISTEN_S = 0.6  # ODrive: heartbeats at 10 Hz; VESC: status messages at 50 Hz, pongs at once
@@ -77,6 +80,20 @@ class _Bus:
                 return
 
 
+def questions(scope: Scope, clock: Clock) -> list[tuple[str, Callable[[], Asked]]]:
+    """Return the buses to ask, by default the interfaces of the kernel that are up.
+
+    Raises
+    ------
+    ConfigError
+        A bus is not written as it must be; see `channel_url`.
+    """
+    buses = interfaces_up() if scope.everything else scope.can
+    for each in buses:
+        channel_url(each)
+    return [(bus, partial(ask_channel, bus, clock)) for bus in buses]
+
+
 def interfaces_up() -> list[str]:
     """Return the CAN interfaces of the kernel that are up."""
     found = []
@@ -135,7 +152,7 @@ def _ask(settings: Settings, wanted: frozenset[int], clock: Clock) -> Asked:
     try:
         port = CanPort(settings)
     except DriverError as error:
-        return Asked(name, problem=f"{error.what} ({error.hint})")
+        return unasked(name, error)
     try:
         bus = _listen(port, clock)
     except DriverError as error:

@@ -7,9 +7,11 @@ sleep. Bytes are spelled with pauses: a Create 1 that listens at half the rate t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 from urllib.parse import quote
 
+from fullswarm.clock import Clock
 from fullswarm.drivers.create_oi.protocol import (
     CREATE1,
     CREATE2,
@@ -24,8 +26,11 @@ from fullswarm.drivers.create_oi.protocol import (
     query,
     simple,
 )
-from fullswarm.drivers.probe.found import Found
+from fullswarm.drivers.make import Scope
+from fullswarm.drivers.probe.found import Asked, Found
+from fullswarm.drivers.probe.line import SerialPort
 
+LISTEN_S = 0.2
 ANSWER_S = 0.15
 WAKE_S = 0.05
 MODE, CREATE1_GROUP, ALL_GROUP = 35, 6, 100
@@ -36,7 +41,7 @@ MOST_MV, LAST_CHARGING_STATE, LAST_SONG = 30_000, 6, 15
 
 
 class Port(Protocol):
-    """What is asked of a serial port; see :class:`.probe.Line`."""
+    """What is asked of a serial port; see :class:`fullswarm.drivers.probe.line.Line`."""
 
     def spell(self, data: bytes) -> None:
         """Write byte by byte with pauses between."""
@@ -45,6 +50,27 @@ class Port(Protocol):
     def gather(self, duration_s: float, size: int | None = None) -> bytes:
         """Return all that comes in `duration_s`, or until `size` bytes are there."""
         ...
+
+
+def questions(_scope: Scope, _clock: Clock) -> list[tuple[str, Callable[[], Asked]]]:
+    """Return nothing: it is on serial ports only, which are asked for all makes."""
+    return []
+
+
+def knows(_port: SerialPort, _heard: bytes) -> bool:
+    """Return False: a Create says nothing that could be told from noise before it is asked."""
+    return False
+
+
+def ask_url(url: str, _clock: Clock) -> Asked:
+    """Refuse a URL without a device; the others are asked as serial ports."""
+    return Asked(url, problem="this names no serial port")
+
+
+def ask_line(line: Port, port: SerialPort, baud: int, heard: bytes, _clock: Clock) -> tuple[Found, ...]:
+    """Return the robot on a claimed line at this rate."""
+    robot = ask(line, port.path, baud, heard)
+    return () if robot is None else (robot,)
 
 
 def ask(line: Port, path: str, baud: int, heard: bytes) -> Found | None:

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.rover import commands, parameters, setpoints
-from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
-from fullswarm.drivers.mavlink.rover.pilot import Sticks
-from fullswarm.drivers.mavlink.rover.position import Position
-from fullswarm.drivers.mavlink.rover.setpoints import Limits
+from fullswarm.emulators.mavlink.rover import commands, parameters, setpoints
+from fullswarm.emulators.mavlink.rover.channel import Channel, KeyRing
+from fullswarm.emulators.mavlink.rover.pilot import Sticks
+from fullswarm.emulators.mavlink.rover.position import Position
+from fullswarm.emulators.mavlink.rover.setpoints import Limits
 
 ORIGIN_MESSAGE = 49
 

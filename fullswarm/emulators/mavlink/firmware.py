@@ -20,16 +20,16 @@ from typing import Any
 from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.drivers.mavlink.rover import inbox, parameters, setpoints
-from fullswarm.drivers.mavlink.rover.channel import Channel, KeyRing
-from fullswarm.drivers.mavlink.rover.chart import Chart
-from fullswarm.drivers.mavlink.rover.dynamics import STAND, Motors
-from fullswarm.drivers.mavlink.rover.inbox import SetpointRecord
-from fullswarm.drivers.mavlink.rover.noise import FilterNoise
-from fullswarm.drivers.mavlink.rover.pilot import FULL_M_S, Sticks
-from fullswarm.drivers.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
-from fullswarm.drivers.mavlink.rover.setpoints import Limits, Target
-from fullswarm.drivers.mavlink.rover.streams import LOOP_HZ, Streams
+from fullswarm.emulators.mavlink.rover import inbox, parameters, setpoints
+from fullswarm.emulators.mavlink.rover.channel import Channel, KeyRing
+from fullswarm.emulators.mavlink.rover.chart import Chart
+from fullswarm.emulators.mavlink.rover.dynamics import STAND, Motors
+from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
+from fullswarm.emulators.mavlink.rover.noise import FilterNoise
+from fullswarm.emulators.mavlink.rover.pilot import FULL_M_S, Sticks
+from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
+from fullswarm.emulators.mavlink.rover.setpoints import Limits, Target
+from fullswarm.emulators.mavlink.rover.streams import LOOP_HZ, Streams
 
 LOOP_S = 1.0 / LOOP_HZ
 REAL_BOOT_S = 42.4

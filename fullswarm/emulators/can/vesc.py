@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fullswarm.drivers.can import vesc
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.drivers.can.spin import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
+from fullswarm.emulators.can.spin import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
 
 STATUS_S, SLOW_STATUS_S = 0.02, 0.2
 FULL_DUTY_ERPM = 50_000.0

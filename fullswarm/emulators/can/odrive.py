@@ -9,7 +9,7 @@ from fullswarm.drivers.can import odrive
 from fullswarm.drivers.can.odrive import Firmware
 from fullswarm.drivers.can.odrive_states import AxisState, error_bit
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.drivers.can.spin import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
+from fullswarm.emulators.can.spin import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
 
 HEARTBEAT_S = 0.1
 COUNTS_PER_TURN = 8192

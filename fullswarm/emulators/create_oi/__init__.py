@@ -1,0 +1,39 @@
+"""Emulated Creates and Roombas; here, what their record names.
+
+- ``emulator.py``: puts the firmware on a port and over a body; ``pty_port.py``: that port, a pseudo terminal
+- ``firmware.py``: the robot's end of the Open Interface, with ``counters.py`` (encoders, battery), ``panel.py``
+  (lamps, songs), ``surroundings.py`` (light, infrared and cliff sensors) and ``waits.py`` (Create 1)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+if TYPE_CHECKING:
+    from fullswarm.drivers.body import Body
+    from fullswarm.emulators.create_oi.emulator import CreateEmulator
+
+
+def start(url: str, body: Body) -> CreateEmulator:
+    """Switch on the robot that a driver's URL names."""
+    from fullswarm.drivers.create_oi.settings import parse_url
+    from fullswarm.emulators.create_oi.emulator import CreateEmulator
+    from fullswarm.emulators.ports import make_folder
+
+    settings = parse_url(url)
+    make_folder(settings.path)
+    return CreateEmulator(settings.generation, body, port=settings.path).start()
+
+
+def clients(url: str) -> dict[str, str]:
+    """Return how other clients open the robot at a driver's URL."""
+    parts = urlsplit(url)
+    if "model=create1" in parts.query:
+        return {"port": f"{parts.path} at 57600 baud"}
+    return {"pycreate2": f"Create2(port='{parts.path}', baud=115200)", "port": f"{parts.path} at 115200 baud"}
+
+
+def mode(emulator: Any) -> str:
+    """Return the Open Interface's mode."""
+    return str(emulator.mode.name)

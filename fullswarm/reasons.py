@@ -1,0 +1,168 @@
+"""Why robots stand and why requests are refused or superseded: a code for programs, a text for people.
+
+On the wire a code and its parameters stand beside the text. Programs decide by the code (advice, alarms, the question
+whether to take robots over, exit codes); the texts of :data:`TEXTS` may be reworded or translated without any effect.
+A reader that does not know a code shows the text.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+
+class Code(enum.StrEnum):
+    """What may keep a robot from motion or a request from being carried out."""
+
+    NONE = ""
+    GIVEN = "given"  # a text from outside this table: a driver's, a law's, a library's
+    SEVERAL = "several"  # robots refused for different reasons; parameters: robot → code
+
+    # why a robot stands
+    ESTOP = "estop"
+    DRIVER = "driver"
+    READING = "reading"
+    HAZARD = "hazard"  # hazards: names, separated by spaces
+    LAW = "law"  # law, error
+    HUB = "hub"
+    CORE = "core"
+    EXPIRED = "expired"
+    STALE = "stale"
+    BATTERY = "battery"
+    CLOCK = "clock"
+    POSE = "pose"
+    FENCE = "fence"
+    OVERLAP = "overlap"  # robot: the other one
+    FRAME = "frame"
+    FOREIGN_FRAME = "foreign_frame"  # host: whose positions count from elsewhere
+    UNSURE = "unsure"
+    STOPPED = "stopped"  # by
+    ESTOP_ENGAGED = "estop_engaged"  # by
+    ESTOP_RELEASED = "estop_released"  # by
+    DRIVER_FAILED = "driver_failed"  # fault
+    DRIVER_STOPPED = "driver_stopped"
+
+    # what a driver reports of its robot
+    CLIFF = "cliff"
+    WHEEL_DROP = "wheel_drop"
+    OVERCURRENT = "overcurrent"
+    CHARGER = "charger"
+    MOTORS_OFF = "motors_off"
+    POSITION = "position"  # its autopilot does not know where it is
+    PORT_HELD = "port_held"  # another process uses the port
+
+    # why a request was refused or ended
+    ESTOP_LATCHED = "estop_latched"
+    SPENT = "spent"  # why
+    HELD = "held"  # robot → operator
+    SUPERSEDED = "superseded"  # by: the id of the other request
+    CAME_FIRST = "came_first"  # by: the id of the newer request
+    OTHER_CORE = "other_core"
+    LAPSED = "lapsed"  # after_s
+    PARAMETERS = "parameters"  # problems; the hint after them lists all parameters
+
+
+TEXTS: dict[Code, str] = {
+    Code.NONE: "",
+    Code.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
+    Code.DRIVER: "the driver is not ready",
+    Code.READING: "the robot has told nothing new for too long",
+    Code.LAW: "law '{law}': {error}",
+    Code.HUB: "the hub is lost",
+    Code.CORE: "the core's heartbeat is silent",
+    Code.EXPIRED: "the operator's intent has run out",
+    Code.STALE: "no fresh command",
+    Code.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
+    Code.CLOCK: "this computer stood still; what it knows is too old",
+    Code.POSE: "the estimator has no pose",
+    Code.FENCE: "it would leave the arena",
+    Code.OVERLAP: "'{robot}' is reported in the same place, so one position is wrong: check where both robots are, "
+    "then drive them apart by hand or correct their poses (`pose` in the fleet file, pose fixes)",
+    Code.FRAME: "its position counts from where it was switched on, and other robots are present: write [world] "
+    "origin = [latitude, longitude] into the fleet file; until then it can be driven by hand only",
+    Code.FOREIGN_FRAME: "the position of '{host}' counts from where it was switched on: write [world] origin = "
+    "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
+    Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
+    "it drives on once that is back",
+    Code.STOPPED: "it was stopped by {by}",
+    Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
+    Code.ESTOP_RELEASED: "its e-stop was released by {by}",
+    Code.DRIVER_FAILED: "the driver failed: {fault}",
+    Code.DRIVER_STOPPED: "the robot has stopped by itself",
+    Code.ESTOP_LATCHED: "its e-stop is latched; clear it with `fullswarm estop --clear`",
+    Code.SPENT: "{why}; ask for it again",
+    Code.SUPERSEDED: "superseded by {by}",
+    Code.CAME_FIRST: "superseded by {by}, which came first",
+    Code.OTHER_CORE: "another core commands this robot",
+    Code.LAPSED: "the intent lapsed after {after_s} s",
+}
+"""The texts that this package words itself; all others come with their codes from where they are known."""
+
+DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED})
+"""A robot without a behaviour that stands for one of these does what somebody asked for: no cause for alarm."""
+
+NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """One reason. False when there is none.
+
+    Attributes
+    ----------
+    code : a :class:`Code`, or one that only a newer version knows
+    text : for people
+    parameters : what the text is about, by name
+    """
+
+    code: str = Code.NONE
+    text: str = ""
+    parameters: Mapping[str, str] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.code or self.text)
+
+    def __str__(self) -> str:
+        return self.text
+
+
+NONE = Reason()
+
+
+def reason(code: Code, **parameters: str) -> Reason:
+    """Return a reason with the text of the table.
+
+    Raises
+    ------
+    KeyError
+        The code has no text of its own, or a parameter of its text is missing.
+    """
+    return Reason(code, TEXTS[code].format_map(parameters), parameters)
+
+
+def given(text: str, code: str = "", parameters: Mapping[str, str] = NOTHING) -> Reason:
+    """Return a reason with a text from outside, e.g. a driver's; an empty text is none."""
+    return Reason(code or Code.GIVEN, text, parameters) if text else NONE
+
+
+def joined(found: Mapping[str, Reason]) -> Reason:
+    """Return the reason of several robots, by their names: each text once, and the code if it is the same for all."""
+    codes = {robot: why.code for robot, why in found.items()}
+    texts = dict.fromkeys(why.text for why in found.values())
+    text = "; ".join(f"{', '.join(robot for robot in found if found[robot].text == each)}: {each}" for each in texts)
+    if len(set(codes.values())) > 1:
+        return Reason(Code.SEVERAL, text, codes)
+    merged = {name: value for why in found.values() for name, value in why.parameters.items()}
+    return Reason(next(iter(codes.values()), ""), text, merged)
+
+
+def holds(code: str, parameters: Mapping[str, str], wanted: Code) -> bool:
+    """Tell whether a reason as it is on the wire is, or for some robot is, `wanted`."""
+    return code == wanted or (code == Code.SEVERAL and wanted in parameters.values())
+
+
+def spent(why: Reason) -> Reason:
+    """Return why a request that was ended for `why` may not start again."""
+    return reason(Code.SPENT, why=why.text)
