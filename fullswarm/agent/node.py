@@ -22,7 +22,7 @@ from fullswarm.agent.neighbours import Listening, Neighbours
 from fullswarm.agent.pose_conflicts import PoseConflicts
 from fullswarm.agent.reflexes import Reflexes, Thresholds
 from fullswarm.agent.reports import Reports
-from fullswarm.agent.robot_controller import RobotController
+from fullswarm.agent.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.standstill import Standstill
@@ -231,12 +231,19 @@ class AgentNode:
         groups = self.tasks.groups()
         self.wishes.gather(groups, now_s, reading)
         self.reflexes.watch_fence(self._state.pose, self._state.twist, self.controller.wished, self._accel)
+        tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
+        # Judged for the middle of the period in which what is commanded now will be in force.
+        read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
-            now_s, dt_s, self.tasks.active, self.tasks.survives_core, self.tasks.lapses_s,
-            self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look(),
-            # Judged for the middle of the period in which what is commanded now will be in force.
-            now_s + 0.5 * period_s - self._config.reading_timeout_s, reading.stamp_s, reading.hazards,
-            self.reflexes, self.pose_conflicts.overlap, self.pose_conflicts.frame_conflict,
+            now_s, dt_s,
+            Task(tasks.active, tasks.survives_core, tasks.lapses_s),
+            Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
+            Sensed(read_since_s, reading.stamp_s, reading.hazards),
+            Doubt(
+                battery_low=reflexes.flat, clock_jumped=reflexes.slept, pose_unknown=reflexes.no_pose,
+                pose_uncertain=reflexes.unsure, overlap=conflicts.overlap, frame_conflict=conflicts.frame_conflict,
+                floor=reflexes.floor, ceiling=reflexes.ceiling,
+            ),
         )  # fmt: skip
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._drivers.ready[0]:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import enum
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.reflexes import Reflexes
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
@@ -105,6 +105,80 @@ def explain_hazards(hazards: int, fault: str) -> tuple[Reason, str]:
     return Reason(Code.HAZARD, " and ".join(words), {"hazards": names}), " and ".join(dict.fromkeys(remedies))
 
 
+class Task(NamedTuple):
+    """What the robots were asked for; (n,) each.
+
+    `active`: a behaviour is on; `survives_core`: it goes on without core and hub; `expires_at_s`: it ends then, finite
+    for a person at the stick only.
+    """
+
+    active: Flags
+    survives_core: Flags
+    expires_at_s: Array
+
+
+class Link(NamedTuple):
+    """Whether those are there that the agent depends on; `driver_ready` is (n,)."""
+
+    core_alive: bool
+    hub_alive: bool
+    driver_ready: Flags
+
+
+class Sensed(NamedTuple):
+    """The newest reading: when, (n,), and :class:`~fullswarm.drivers.base.Hazard` bits, (n,).
+
+    Readings with a stamp before `read_since_s` are too old to move on.
+    """
+
+    read_since_s: float
+    stamp_s: Array
+    hazards: NDArray[np.uint8]
+
+
+class Doubt(NamedTuple):
+    """What makes motion unsafe by what this computer knows: see ``Reflexes`` and ``PoseConflicts``; (n,) each.
+
+    `floor` and `ceiling` in m/s: between them the edge of the arena lets a speed be.
+    """
+
+    battery_low: Flags
+    clock_jumped: bool
+    pose_unknown: Flags
+    pose_uncertain: Flags
+    overlap: Flags
+    frame_conflict: bool
+    floor: Array
+    ceiling: Array
+
+
+class Desired(NamedTuple):
+    """The twists that laws and operators ask for, (n, 2), until when they count, (n,), and whose law failed, (n,)."""
+
+    twist: Array
+    valid_until_s: Array
+    law_failed: Flags
+
+
+class Bounds(NamedTuple):
+    """What the wheels may do, (n,) each: m/s, rad/s, whether backwards, m/s², rad/s²."""
+
+    speed: Array
+    turn: Array
+    reverse: Flags
+    accel: Array
+    turn_accel: Array
+
+
+class Decision(NamedTuple):
+    """What :func:`decide` keeps and fills: (n,) each but `twist`, (n, 2). `estop` is read only."""
+
+    estop: Flags
+    reason: NDArray[np.int64]
+    drive_on: Flags
+    twist: Array
+
+
 class RobotController:
     """Decides, tick by tick, what the drivers are told.
 
@@ -124,8 +198,8 @@ class RobotController:
         self.speed_limit = np.array([min(each.speed_m_s, speed_limit_m_s or math.inf) for each in limits])
         self.turn_limit = np.array([min(each.turn_rad_s, turn_limit_rad_s or math.inf) for each in limits])
         self.reverse = np.array([each.can_reverse for each in limits])
-        self._accel = np.array([each.accel_m_s2 for each in limits])
-        self._turn_accel = np.array([each.turn_accel_rad_s2 for each in limits])
+        accel = np.array([each.accel_m_s2 for each in limits])
+        turn_accel = np.array([each.turn_accel_rad_s2 for each in limits])
         self.estop = np.zeros(count, bool)
         self.law_failed = np.zeros(count, bool)
         self.reason = np.full(count, int(StopReason.IDLE), np.int64)
@@ -133,7 +207,9 @@ class RobotController:
         self.valid_until_s = np.full(count, -math.inf)
         self.changed = False
         self.drive_on = np.zeros(count, bool)
-        self._twist = np.zeros((count, 2))
+        self._desired = Desired(self.wished, self.valid_until_s, self.law_failed)
+        self._bounds = Bounds(self.speed_limit, self.turn_limit, self.reverse, accel, turn_accel)
+        self._decision = Decision(self.estop, self.reason, self.drive_on, np.zeros((count, 2)))
 
     def submit(self, row: int, linear_m_s: float, angular_rad_s: float, valid_until_s: float) -> None:
         """Wish a twist for robot `row`, valid until then; a non-finite one is refused with ``ValueError``."""
@@ -147,76 +223,48 @@ class RobotController:
         self.wished[row] = 0.0
         self.valid_until_s[row] = -math.inf
 
-    def step(
-        self,
-        now_s: float,
-        dt_s: float,
-        active: Flags,
-        survives_core: Flags,
-        lapses_s: Array,
-        core_alive: bool,
-        hub_alive: bool,
-        driver_ready: Flags,
-        read_since_s: float,
-        stamp_s: Array,
-        hazards: NDArray[np.uint8],
-        reflexes: Reflexes,
-        overlap: Flags,
-        frame_conflict: bool,
-    ) -> Array:
-        """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING.
-
-        `overlap` (n,) and `frame_conflict` are those of :class:`~fullswarm.agent.pose_conflicts.PoseConflicts`.
-        Readings with a stamp before `read_since_s` are too old to move on.
-        """
-        self.changed = decide.run(
-            now_s, dt_s, active, survives_core, lapses_s, core_alive, hub_alive, driver_ready, read_since_s, stamp_s,
-            hazards, reflexes.flat, reflexes.slept, reflexes.no_pose, reflexes.unsure, overlap, frame_conflict,
-            reflexes.floor, reflexes.ceiling, self.estop, self.law_failed, self.wished, self.valid_until_s,
-            self.speed_limit, self.turn_limit, self.reverse, self._accel, self._turn_accel, self.reason, self.drive_on,
-            self._twist,
-        )  # fmt: skip
-        return self._twist
+    def step(self, now_s: float, dt_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt) -> Array:
+        """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING."""
+        self.changed = decide.run(now_s, dt_s, task, link, sensed, doubt, self._desired, self._bounds, self._decision)
+        return self._decision.twist
 
 
 @kernel
 def why_not(
-    now_s: float, survives_core: bool, lapses_s: float, core_alive: bool, hub_alive: bool, driver_ready: bool,
-    fresh: bool, hazard: int, active: bool, estop: bool, law_failed: bool, wish: float, valid_until_s: float,
-    flat: bool, slept: bool, no_pose: bool, unsure: bool, overlap: bool, frame_conflict: bool,
-) -> int:  # fmt: skip
-    """Return why one robot may not move, a number of :class:`StopReason`; 0: it may."""
+    i: int, now_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, estop: bool
+) -> int:
+    """Return why robot `i` may not move, a number of :class:`StopReason`; 0: it may."""
     why = MOVING
     if estop:
         why = ESTOP
-    elif not driver_ready:
+    elif not link.driver_ready[i]:
         why = DRIVER
-    elif not fresh:
+    elif not sensed.stamp_s[i] >= sensed.read_since_s:
         why = READING
-    elif hazard & STOPPING_HAZARDS:
+    elif int(sensed.hazards[i]) & STOPPING_HAZARDS:
         why = HAZARD
-    elif not active:
+    elif not task.active[i]:
         why = IDLE
-    elif law_failed:
+    elif desired.law_failed[i]:
         why = LAW
-    elif not hub_alive and not survives_core:
+    elif not link.hub_alive and not task.survives_core[i]:
         why = HUB
-    elif not core_alive and not survives_core:
+    elif not link.core_alive and not task.survives_core[i]:
         why = CORE
-    elif now_s >= lapses_s:
+    elif now_s >= task.expires_at_s[i]:
         why = EXPIRED
-    elif now_s >= valid_until_s or not math.isfinite(wish):
+    elif now_s >= desired.valid_until_s[i] or not math.isfinite(desired.twist[i, 0] + desired.twist[i, 1]):
         why = STALE
-    elif slept:
+    elif doubt.clock_jumped:
         why = CLOCK
-    elif not math.isfinite(lapses_s):
+    elif not math.isfinite(task.expires_at_s[i]):
         # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
         why = (
-            BATTERY if flat
-            else POSE if no_pose
-            else FRAME if frame_conflict
-            else OVERLAP if overlap
-            else UNSURE if unsure
+            BATTERY if doubt.battery_low[i]
+            else POSE if doubt.pose_unknown[i]
+            else FRAME if doubt.frame_conflict
+            else OVERLAP if doubt.overlap[i]
+            else UNSURE if doubt.pose_uncertain[i]
             else MOVING
         )  # fmt: skip
     return why
@@ -224,46 +272,39 @@ def why_not(
 
 @kernel
 def decide(
-    now_s: float, dt_s: float, active: Flags, survives_core: Flags, lapses_s: Array, core_alive: bool,
-    hub_alive: bool, driver_ready: Flags, read_since_s: float, stamp_s: Array, hazards: NDArray[np.uint8],
-    flat: Flags, slept: bool, no_pose: Flags, unsure: Flags, overlap: Flags, frame_conflict: bool, floor: Array,
-    ceiling: Array, estop: Flags, law_failed: Flags, wished: Array, valid_until_s: Array, speed_limit: Array,
-    turn_limit: Array, reverse: Flags, accel: Array, turn_accel: Array, reason: NDArray[np.int64], drive_on: Flags,
-    twist: Array,
+    now_s: float, dt_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, bounds: Bounds,
+    decision: Decision,
 ) -> bool:  # fmt: skip
-    """Fill `reason` (n,; see :class:`StopReason`), `drive_on` (n,) and `twist` (n, 2); tell if a reason changed."""
+    """Fill `decision`; tell if a reason (see :class:`StopReason`) changed."""
+    reason, twist, wished = decision.reason, decision.twist, desired.twist
     changed = False
-    for i in range(active.shape[0]):
-        hazard = int(hazards[i])
-        why = why_not(
-            now_s, survives_core[i], lapses_s[i], core_alive, hub_alive, driver_ready[i],
-            stamp_s[i] >= read_since_s, hazard, active[i], estop[i], law_failed[i], wished[i, 0] + wished[i, 1],
-            valid_until_s[i], flat[i], slept, no_pose[i], unsure[i], overlap[i], frame_conflict,
-        )  # fmt: skip
-        low = -speed_limit[i] if reverse[i] else 0.0
-        high = 0.0 if hazard & BUMP else speed_limit[i]
+    for i in range(reason.shape[0]):
+        estop = decision.estop[i]
+        why = why_not(i, now_s, task, link, sensed, doubt, desired, estop)
+        low = -bounds.speed[i] if bounds.reverse[i] else 0.0
+        high = 0.0 if int(sensed.hazards[i]) & BUMP else bounds.speed[i]
         if why == MOVING:
-            speed, low, high = clamp(wished[i, 0], low, high), max(low, floor[i]), min(high, ceiling[i])
+            speed, low, high = clamp(wished[i, 0], low, high), max(low, doubt.floor[i]), min(high, doubt.ceiling[i])
             held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
             if held and math.fabs(wished[i, 1]) < STILL:
                 why = FENCE
         changed = changed or reason[i] != why
         reason[i] = why
-        drive_on[i] = active[i] and not estop[i]
+        decision.drive_on[i] = task.active[i] and not estop
         if why != MOVING:
             # Zero at once, not a ramp: the wheels' own limits brake, and silence must end in zero within the bound.
             twist[i, 0] = 0.0
             twist[i, 1] = 0.0
             continue
         speed = clamp(wished[i, 0], low, high)
-        turn = clamp(wished[i, 1], -turn_limit[i], turn_limit[i])
-        step = accel[i] * dt_s
+        turn = clamp(wished[i, 1], -bounds.turn[i], bounds.turn[i])
+        step = bounds.accel[i] * dt_s
         # Braking is never held back: the filter's promise rests on it, and the wheels limit it anyway.
         if speed * twist[i, 0] < 0.0:
             speed = clamp(speed, -step, step)
         elif math.fabs(speed) > math.fabs(twist[i, 0]):
             speed = clamp(speed, twist[i, 0] - step, twist[i, 0] + step)
-        turn_step = turn_accel[i] * dt_s
+        turn_step = bounds.turn_accel[i] * dt_s
         twist[i, 0] = speed
         twist[i, 1] = clamp(turn, twist[i, 1] - turn_step, twist[i, 1] + turn_step)
     return changed
