@@ -26,12 +26,11 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.experiment.results import TrialResult
 from fullswarm.evaluate.fleet_interrupts import Interrupts
 from fullswarm.evaluate.fleet_setup import choose, fit, instructions, off, starts_of
-from fullswarm.evaluate.live_run import Asked, TrialStopped, asked_of, drive, terms
-from fullswarm.evaluate.live_swarm import LiveSwarm, TrialHeld
-from fullswarm.evaluate.trial import TrialFailed, in_safe_set
+from fullswarm.evaluate.live_swarm import LiveSwarm
+from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
+from fullswarm.evaluate.trial import Measurement, TrialRequest, drive, request_of, terms
 from fullswarm.evaluate.trial_folder import Keeper, perform
-from fullswarm.evaluate.trial_watch import Measurement
-from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness
+from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness, in_safe_set
 from fullswarm.keys import Keys
 from fullswarm.launch.typed import Typed
 from fullswarm.messages import PoseFix
@@ -175,21 +174,21 @@ class FleetRunner:
             with ends_all():
                 swarm.start()
             config = swarm.config
-            asked = asked_of(trial, scenario, goals, config, (limit_s, limit_reason), _safe(config))
+            request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), _safe(config))
             heard = HeardWitness(swarm.bus, config)
             try:
                 swarm.until(lambda: not np.isnan(heard.pose).any(), HEARD_S)
                 self._check_places(config, heard)
                 with ends_all():
                     self._confirm(swarm, limit_s)
-                return self._drive(swarm, asked, self._witness(swarm, asked, heard, simulated))
+                return self._drive(swarm, request, self._witness(swarm, request, heard, simulated))
             finally:
                 heard.close()
 
-    def _drive(self, swarm: LiveSwarm, asked: Asked, witness: Witness) -> Measurement:
+    def _drive(self, swarm: LiveSwarm, request: TrialRequest, witness: Witness) -> Measurement:
         with Interrupts(swarm) as interrupts:
             try:
-                return drive(swarm, asked, witness, interrupts.stopped)
+                return drive(swarm, request, witness, interrupts.stopped)
             except TrialStopped as error:
                 raise KeyboardInterrupt from error
             except TrialHeld as error:
@@ -197,12 +196,12 @@ class FleetRunner:
                     raise KeyboardInterrupt from error
                 raise
 
-    def _witness(self, swarm: LiveSwarm, asked: Asked, heard: HeardWitness, simulated: bool) -> Witness:
+    def _witness(self, swarm: LiveSwarm, request: TrialRequest, heard: HeardWitness, simulated: bool) -> Witness:
         if swarm.world is None or not simulated:
             return heard
         emulated = any(each.emulate for each in swarm.config.robot)
         cell_m = swarm.config.performance.coverage_cell_m
-        return WorldWitness(swarm.world.world, asked.goals, asked.scenario.goal.radius_m, cell_m, emulated)
+        return WorldWitness(swarm.world.world, request.goals, request.scenario.goal.radius_m, cell_m, emulated)
 
     def _check_places(self, config: SwarmConfig, heard: HeardWitness) -> None:
         wrong = off(config.robots, heard.pose, starts_of(config))

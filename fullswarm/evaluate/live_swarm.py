@@ -1,10 +1,10 @@
-"""A swarm of real processes that one trial uses: started, waited for, watched for deaths, ended whatever happens."""
+"""A swarm of real processes as a trial uses it: started, waited for, watched for deaths, ended whatever happens."""
 
 from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 
 from fullswarm.bus.base import OPERATOR, WORLD
@@ -13,16 +13,18 @@ from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.live_summaries import LiveSummaries
-from fullswarm.evaluate.trial import TrialFailed
+from fullswarm.evaluate.summaries import Summaries
+from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, TrialFailed, TrialHeld
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_network
 from fullswarm.launch.nodes import process_id
 from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
+from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, RobotRow
-from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.reasons import Code
+from fullswarm.runtime import Mailbox, Runtime, Timer
 
 START_S = 60.0
 """A dozen interpreters start at once on a machine that may have other work."""
@@ -31,15 +33,22 @@ FRESH_S = 1.0
 STEADY_S = 0.3
 UP = ("READY", "ACTIVE")
 TAIL_LINES = 3
-
-
-class TrialHeld(TrialFailed):
-    """A robot is held by an e-stop: nothing may go on by itself."""
+CONFIRM_S = 5.0
+"""How long the swarm may take until every robot runs what it was asked for."""
+STAND_S = 3.0
+"""How long robots may roll on after a stop."""
+ALONE_S = 1.0
+"""How long a robot whose agent is dead may take until its own watchdog has stopped it."""
+SUMMARY_S = 4.0
+"""How long to wait for summaries of what was measured after the stop: sent each other second at least."""
+MEASURED_S = 0.6
+"""After so long whatever robots measured at the end has been sent: they do it twice a second."""
 
 
 class LiveSwarm:
     """Hub, core, centralised behaviours and one agent per robot as processes; a context manager.
 
+    Implements :class:`~fullswarm.evaluate.swarm.Swarm`, with simulated, emulated and real robots.
     The simulated world, if there is one, lives in this process: here its bodies can be watched. It is the very node
     of ``fullswarm sim``, and robots reach it through the same ports.
 
@@ -70,8 +79,11 @@ class LiveSwarm:
             clock=clock_id(),
         )
         self.view = FleetView(self.bus, self.keys, self.runtime, config.robots)
-        self.summaries = LiveSummaries(self.bus, self.keys)
+        self.summaries = Summaries(self.bus, self.keys)
         self.world: WorldNode | None = None
+        self._statuses: list[RequestStatus] = []
+        self._began_s = self._ended_s = 0.0
+        self._looking: Timer | None = None
         self._insecure_network = insecure_network
         self.kept = False
         """Whether the folder of the logs stays when this ends: it does after an error."""
@@ -143,6 +155,104 @@ class LiveSwarm:
                 hint="the logs there say why",
             )  # fmt: skip
 
+    # ------------------------------------------------------------------------------------------ a trial
+    @property
+    def passed_s(self) -> float:
+        """Time since the request, to the millisecond."""
+        return round(self.runtime.now_s() - self._began_s, 3)
+
+    @property
+    def seen_s(self) -> float:
+        """The same: bodies move by this clock."""
+        return self.passed_s
+
+    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+        """Request a behaviour of all robots."""
+        self.summaries.begin()
+        self._statuses, self._began_s = [], self.runtime.now_s()
+        self.operator.request(behaviour, (), parameters, self._statuses.append)
+
+    def watch(self, look: Callable[[], None]) -> None:
+        """Call `look` after each step of the world, so that none is missed on a busy machine; without one, by time."""
+        if self.world is None:
+            self._looking = self.runtime.every(SAMPLE_S, look)
+        else:
+            self.world.world.watchers.append(look)
+
+    def advance(self, stopped: Callable[[], bool]) -> bool:
+        """Serve for `LOOK_S`, or until `stopped`.
+
+        Raises
+        ------
+        TrialFailed
+            The request was refused, a robot does not run it, is in FAULT or silent, its law failed, or a process ended.
+        TrialHeld
+            A robot is held by an e-stop.
+        """
+        if self.until(stopped, LOOK_S):
+            return True
+        self._check()
+        return False
+
+    def end_reason(self) -> str:
+        """Return the first termination condition that was met since the request."""
+        return self.summaries.reason
+
+    def stop(self) -> None:
+        """Command all robots to stop, and wait until they report that they stand, for `STAND_S` at most."""
+        burst, began_s = self.operator.stop(), self.runtime.now_s()
+        self._ended_s = began_s
+
+        def at_standstill() -> bool:
+            dead = self.dead()  # whose last word may be that it moves
+            if dead and self.runtime.now_s() - began_s < ALONE_S:
+                return False
+            rows = [row for row in self.view.snapshot().robots if row.robot not in dead]
+            return burst.done and not any(row.health and row.health.moving for row in rows)
+
+        self.serve(at_standstill, STAND_S)  # also for those whose neighbour's process has died
+        if self._looking is not None:
+            self._looking.cancel()
+
+    def report(self) -> Report:
+        """Return what was measured, when summaries of what was measured until the stop have come."""
+        self.until(lambda: self.summaries.later_than(self._ended_s + MEASURED_S), SUMMARY_S)
+        onboard = self.summaries.onboard()
+        draws, aside_s = (onboard.get(f"deadlocks.{name}", 0.0) for name in ("draws", "aside_s"))
+        return Report(
+            onboard=onboard,
+            per_robot=self.summaries.per_robot(),
+            coverage=self.summaries.coverage(),
+            deadlocks=int(draws),
+            deadlock_s=round(aside_s, 3),
+        )
+
+    def _check(self) -> None:
+        """Raise unless all robots do what was requested, or still have time to begin."""
+        for row in self.view.snapshot().robots:
+            health = row.health
+            if health is not None and health.estop:
+                raise TrialHeld(f"an e-stop holds the robot: {health.stop_reason}", where=row.robot)
+            if health is not None and health.lifecycle == "FAULT":
+                raise TrialFailed(f"it is in FAULT: {health.fault or 'without a reason'}", where=row.robot)
+            if health is not None and health.stop_code == Code.LAW:
+                raise TrialFailed(health.stop_reason, where=row.robot)
+            if row.silent:
+                raise TrialFailed(f"it has been silent for {row.age_s:.1f} s", where=row.robot)
+        newest = self._statuses[-1] if self._statuses else None
+        if newest is not None and newest.phase in ("refused", "superseded", "ended"):
+            raise TrialFailed(f"the request was {newest.phase}: {newest.reason}".rstrip(": "))
+        if newest is not None and newest.refused_by:
+            raise TrialFailed(f"refused by {', '.join(newest.refused_by)}: {newest.reason}".rstrip(": "))
+        if self.passed_s < CONFIRM_S:
+            return
+        if newest is None:
+            raise TrialFailed(f"the core did not answer within {CONFIRM_S:.0f} s")
+        absent = sorted(set(self.config.robots) - set(newest.running))
+        if absent:
+            raise TrialFailed(f"{', '.join(absent)} did not run the behaviour within {CONFIRM_S:.0f} s")
+
+    # ------------------------------------------------------------------------------------------ its processes
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Serve until the condition holds; False: it did not in time.
 

@@ -7,11 +7,9 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.live_run import asked_of, drive, terms
 from fullswarm.evaluate.live_swarm import LiveSwarm
-from fullswarm.evaluate.trial import configure, in_safe_set
-from fullswarm.evaluate.trial_watch import Measurement
-from fullswarm.evaluate.witness import WorldWitness
+from fullswarm.evaluate.trial import Measurement, configure, drive, request_of, terms
+from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.launch.ports import on_free_ports
 
 EMULATED_MARGIN_M = 0.08
@@ -43,9 +41,9 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
         swarm.start()
         world = swarm.bodies
         safe = in_safe_set(world, config.agent.safety_margin_m)
-        asked = asked_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
+        request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
         cell_m = config.performance.coverage_cell_m
-        return drive(swarm, asked, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
+        return drive(swarm, request, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
 
 
 def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmConfig:

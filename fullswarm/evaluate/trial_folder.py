@@ -31,9 +31,8 @@ from fullswarm.evaluate.experiment.record import (
 )
 from fullswarm.evaluate.experiment.results import TrialResult
 from fullswarm.evaluate.provenance import provenance
-from fullswarm.evaluate.trial import Measure, attempt, measure
+from fullswarm.evaluate.trial import Measure, Measurement, attempt, measure
 from fullswarm.evaluate.trial_file import launch_text
-from fullswarm.evaluate.trial_watch import Measurement
 
 FAILED, OLD = "failed", ".old"
 OLD_S = 86400.0

@@ -1,26 +1,33 @@
-"""What watches the bodies of a live trial: their world where it is simulated, else what the robots say of themselves.
+"""Watches the bodies of a trial: through their world where it is simulated, else by what the robots report.
 
-A world knows where bodies are and which of them touch. Robots know it as well as they can: poses from their estimator,
-contacts from their bumpers; what they touched is then told by how near another robot was.
+A world knows where bodies are and which of them touch, whatever noise or network the robots suffer from. Robots know
+it as well as they can: poses from their estimator, contacts from their bumpers; what they touched is then told by how
+near another robot was.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array, Limits
 from fullswarm.drivers.sim.world import World
-from fullswarm.evaluate.experiment.record import Contacts
-from fullswarm.evaluate.trial import Referee
+from fullswarm.evaluate.approach import Approaches
+from fullswarm.evaluate.experiment.record import GRAIN_M, Contacts
+from fullswarm.evaluate.summaries import finite
+from fullswarm.evaluate.swarm import Numbers
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
+from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
 
+TOLERANCE = 1e-9
 ENDLESS = Limits(speed_m_s=np.inf, turn_rad_s=np.inf, accel_m_s2=np.inf, turn_accel_rad_s2=np.inf)
 NEAR_M = 0.1
 """A robot whose bumper is pressed has met another one when the gap between their estimated poses is below this."""
@@ -28,8 +35,96 @@ USUAL_RADIUS_M = 0.17
 """Of a robot that has not told its radius yet."""
 
 
+class Referee:
+    """Counts contacts and commands above the limits, after each step of the world, and keeps what proves the count.
+
+    Parameters
+    ----------
+    world : its bodies are watched
+    limits : what the robots' drivers say that they can do
+
+    Attributes
+    ----------
+    pairs : which pairs of robots have touched, as (row, higher row)
+    touched : (n,) which robots have touched anything
+    """
+
+    def __init__(self, world: World, limits: Limits) -> None:
+        count = len(world.ids)
+        self._world = world
+        self._most = np.array([limits.speed_m_s, limits.turn_rad_s]) * (1.0 + TOLERANCE)
+        self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
+        self.pairs: set[tuple[int, int]] = set()
+        self.touched = np.zeros(count, np.bool_)
+        self._counts = np.zeros((2, count), np.int64)
+        self._steps = 0
+        self._approaches = Approaches(world.pose, np.full(count, world.config.radius_m))
+        self._xy = [world.pose[:, :2].copy()]
+        self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
+        self.above_limits = 0
+
+    def look(self) -> None:
+        """Take in the last step."""
+        world, counts, found = self._world, self._counts, self._world.referee
+        self._steps += 1
+        self._xy.append(world.pose[:, :2].copy())
+        self._approaches.look(self._steps * world.dt_s, world.pose, found.near, found.near_gap_m)
+        counts[:] = 0
+        if len(found.pairs):
+            for first, second in found.pairs.tolist():
+                if second >= 0:
+                    counts[0, first] += 1
+                    counts[0, second] += 1
+                    self.pairs.add((min(first, second), max(first, second)))
+                else:
+                    counts[1, first] += 1
+            rows = np.flatnonzero(found.contacts)
+            self.touched[rows] = True
+            self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
+        self.robots.update(world.time_s, counts[0])
+        self.obstacles.update(world.time_s, counts[1])
+        if (np.abs(world.target) > self._most).any():
+            self.above_limits += int((np.abs(world.target) > self._most).any(axis=1).sum())
+
+    @property
+    def closest_m(self) -> float:
+        """The least gap between two robots so far; inf: there is one, or no step yet."""
+        return float(self._approaches.least_m.min(initial=np.inf))
+
+    def evidence(self) -> Contacts:
+        """Return what is needed to count the contacts again."""
+        world, found = self._world, self._world.referee
+        bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
+        xy = _grains(np.array(self._xy)) if bends else np.zeros((0, len(world.ids), 2), np.int32)
+        steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))
+        ways = _grains(np.array([way for *_, way in bends]).reshape(-1, len(found.part_s), 2))
+        starts = xy[steps - 1, rows].reshape(-1, 1, 2)
+        return Contacts(
+            ids=world.ids,
+            radius_m=np.full(len(world.ids), world.config.radius_m),
+            obstacles=np.array(world.obstacles),
+            touch_m=found.touch_m,
+            step_s=world.dt_s,
+            closest_m=self._approaches.least_m.astype(np.float32),
+            closest_s=np.round(self._approaches.at_s, 6),
+            part_s=found.part_s,
+            xy=np.diff(xy, axis=0, prepend=np.int32(0)),
+            bend_step=steps,
+            bend_robot=rows,
+            bend=np.diff(ways, axis=1, prepend=starts),
+        )
+
+
+def _grains(at_m: Array) -> NDArray[np.int32]:
+    return np.round(at_m / GRAIN_M).astype(np.int32)
+
+
 class Witness(Protocol):
     """Sees n bodies."""
+
+    def begin(self) -> None:
+        """Count from now on."""
+        ...
 
     def look(self) -> None:
         """Take in what has happened since the last look."""
@@ -73,14 +168,17 @@ class Witness(Protocol):
         """How many commands were beyond the actuators' limits."""
         ...
 
-    @property
-    def truth(self) -> Truth | None:
-        """What the bodies did; None: the robots' own data is all there is."""
+    def values(self) -> Numbers:
+        """Return the true numbers of the swarm; none where the robots' own data is all there is."""
+        ...
+
+    def per_robot(self) -> Mapping[str, Numbers]:
+        """Return the same by robot."""
         ...
 
 
 class WorldWitness:
-    """Sees the bodies of a simulated world after each of its steps, from the first look on.
+    """Sees the bodies of a simulated world; to be called after each of its steps.
 
     Parameters
     ----------
@@ -90,29 +188,26 @@ class WorldWitness:
     """
 
     def __init__(self, world: World, goals: Array, goal_radius_m: float, cell_m: float, emulated: bool = False) -> None:
-        self._world = world
-        self._began_s: float | None = None
+        self._world, self._steps = world, 0
         self._limits = ENDLESS if emulated else world.description.limits
-        self._referee = Referee(world, self._limits)
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
         Truth(*about).look(0.0, world.pose, world.twist, world.dt_s, world.contacts)
         Referee(world, self._limits).look()
         self.truth: Truth = Truth(*about)
+        self._referee = Referee(world, self._limits)
+
+    def begin(self) -> None:
+        """Watch from where the bodies are now."""
+        self._referee = Referee(self._world, self._limits)
 
     def look(self) -> None:
-        """Begin, unless that is done: the world calls by itself, so that no step is missed on a busy machine."""
-        if self._began_s is None:
-            self._began_s = self._world.time_s
-            self._referee = Referee(self._world, self._limits)
-            self._world.watchers.append(self._take_in)
-
-    def _take_in(self) -> None:
         """Take in one step of the world."""
         world = self._world
+        self._steps += 1
         self._referee.look()
-        self.truth.look(world.time_s - (self._began_s or 0.0), world.pose, world.twist, world.dt_s, world.contacts)
+        self.truth.look(self._steps * world.dt_s, world.pose, world.twist, world.dt_s, world.contacts)
         self._touched |= world.contacts > 0
 
     def touched(self) -> NDArray[np.bool_]:
@@ -154,6 +249,14 @@ class WorldWitness:
         """Set-points beyond the limits of simulated robots; 0 for emulated ones."""
         return self._referee.above_limits
 
+    def values(self) -> dict[str, float]:
+        """Return the true numbers; the smallest gap is the referee's, which looks into each step."""
+        return finite({**self.truth.values(), "separation.min_m": self._referee.closest_m})
+
+    def per_robot(self) -> dict[str, dict[str, float]]:
+        """Return the same by robot."""
+        return self.truth.per_robot()
+
 
 class HeardWitness:
     """Believes what robots say: their states and health reports, from the moment it is made."""
@@ -171,6 +274,11 @@ class HeardWitness:
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
             bus.subscribe(keys.health(), HealthReport, self._on_health),
         ]
+
+    def begin(self) -> None:
+        """Forget the contacts from before."""
+        self._events[:] = 0
+        self._touched[:] = False
 
     def look(self) -> None:
         """Nothing to do: messages come by themselves."""
@@ -214,10 +322,13 @@ class HeardWitness:
         """The commands of a robot are not visible outside it."""
         return 0
 
-    @property
-    def truth(self) -> None:
-        """Robots can be wrong about themselves."""
-        return None
+    def values(self) -> dict[str, float]:
+        """Return nothing: robots can be wrong about themselves."""
+        return {}
+
+    def per_robot(self) -> dict[str, dict[str, float]]:
+        """Return nothing, for the same reason."""
+        return {}
 
     def close(self) -> None:
         """Hear no more."""
@@ -249,3 +360,20 @@ class HeardWitness:
         apart_m = np.hypot(*(self._pose[:, :2] - self._pose[row, :2]).T) - self._radius_m - self._radius_m[row]
         apart_m[row] = np.inf
         return bool((apart_m < NEAR_M).any())  # a pose that is not known is not near
+
+
+def in_safe_set(world: World, margin_m: float) -> bool:
+    """Tell whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
+    position, radius_m = world.pose[:, :2], world.config.radius_m
+    apart = position[:, None] - position[None, :]
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    if distance.min(initial=np.inf) < 2.0 * radius_m + margin_m:
+        return False
+    clearance_m = radius_m + margin_m
+    x_min, y_min, x_max, y_max = world.config.bounds_m
+    inside: NDArray[np.bool_] = (position >= (x_min + clearance_m, y_min + clearance_m)) & (
+        position <= (x_max - clearance_m, y_max - clearance_m)
+    )
+    gaps = (box_gap.run(x, y, world.obstacles, row)[0] for x, y in position for row in range(len(world.obstacles)))
+    return bool(inside.all()) and all(gap >= clearance_m for gap in gaps)

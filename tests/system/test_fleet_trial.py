@@ -25,7 +25,7 @@ from fullswarm.evaluate.experiment import Trial, TrialResult, scenario_of
 from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, Provenance, Record, trial_id
 from fullswarm.evaluate.fleet_setup import fit, starts_of
 from fullswarm.evaluate.fleet_trial import FleetRunner, run_fleet
-from fullswarm.evaluate.trial import TrialFailed
+from fullswarm.evaluate.swarm import TrialFailed
 from fullswarm.keys import Keys
 from fullswarm.launch.latching import STATE, latch_folder
 from fullswarm.launch.ports import on_free_ports

@@ -15,11 +15,10 @@ import pytest
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import scenario_of
-from fullswarm.evaluate.live_run import Asked, drive
-from fullswarm.evaluate.live_swarm import LiveSwarm, TrialHeld
+from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.evaluate.live_trial import measure_live, with_make
-from fullswarm.evaluate.trial import TrialFailed, configure, parameters
-from fullswarm.evaluate.trial_watch import Measurement
+from fullswarm.evaluate.swarm import TrialFailed, TrialHeld
+from fullswarm.evaluate.trial import Measurement, TrialRequest, configure, drive, parameters
 from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.ports import on_free_ports
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
@@ -113,9 +112,9 @@ class Trouble:
             assert self.swarm.world is not None
             self._at_s = self.swarm.runtime.now_s() + 1.0
             witness = WorldWitness(self.swarm.world.world, goals, 0.1, 0.1)
-            asked = Asked(one.cell.behaviour, parameters(one, scenario, goals), scenario, goals, 12.0, True)
+            request = TrialRequest(one.cell.behaviour, parameters(one, scenario, goals), scenario, goals, 12.0, True)
             try:
-                drive(self.swarm, asked, witness, self._look)
+                drive(self.swarm, request, witness, self._look)
             finally:
                 self.standing = bool((abs(self.swarm.world.world.twist) < 1e-6).all())
 

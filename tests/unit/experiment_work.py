@@ -14,7 +14,7 @@ import numpy as np
 
 from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult
 from fullswarm.evaluate.experiment.record import Trajectory
-from fullswarm.evaluate.trial_watch import Measurement
+from fullswarm.evaluate.trial import Measurement
 from fullswarm.perf.coverage import GridFrame
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
 from fullswarm.evaluate.fleet_setup import NEAR_M, NEAR_RAD, choose, drawing, fit, instructions, names, off, starts_of
-from fullswarm.evaluate.live_run import terms
 from fullswarm.evaluate.scenarios import parse_scenario
+from fullswarm.evaluate.trial import terms
 
 ROOM = """
 name = "room"

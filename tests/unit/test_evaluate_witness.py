@@ -83,6 +83,16 @@ def test_a_contact_beside_another_robot_is_one_with_it_else_with_an_obstacle(rob
     assert obstacle_events.tolist() == [0, 1, 1]
 
 
+def test_contacts_before_the_request_do_not_count(robots: Robots) -> None:
+    robots.report("a", 0)
+    robots.report("a", 2)
+    robots.witness.begin()
+    assert not robots.witness.touched().any()
+    robots.report("a", 3)
+    assert robots.witness.events[1].tolist() == [1, 0, 0]
+    assert robots.witness.robots_touched == 1
+
+
 def test_touched_is_asked_once(robots: Robots) -> None:
     robots.report("a", 0, contacts=1)
     robots.report("b", 0)
@@ -91,24 +101,24 @@ def test_touched_is_asked_once(robots: Robots) -> None:
     assert robots.witness.touched().tolist() == [False, False, False]
 
 
-def test_a_world_is_seen_from_the_first_look_on_however_many_steps_pass_between_two() -> None:
+def test_a_world_is_seen_from_the_beginning_on_and_no_step_is_missed() -> None:
     config = WorldConfig(engine="kinematic", bounds_m=(0.0, 0.0, 4.0, 4.0), speed_limit_m_s=0.5)
     world = World(config, ["a", "b"], [(0.5, 1.0, 0.0), (0.5, 2.0, 0.0)])
     try:
         world.set_twists(np.array([[0.5, 0.0], [0.0, 0.0]]))
         world.step()
         witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1)
-        witness.look()
+        witness.begin()
+        world.watchers.append(witness.look)
         began_m = world.pose[0, 0]
         for count in (1, 3, 0, 6):
             for _ in range(count):
                 world.set_twists(np.array([[0.5, 0.0], [0.0, 0.0]]))
                 world.step()
-            witness.look()
         assert witness.truth.distance_m[1] == 0.0
         way_m = world.pose[0, 0] - began_m
         assert way_m > 0.05
-        # The first look has nothing to compare with: from the second on all is counted.
+        # The first step has nothing to compare with: from the second on all is counted.
         assert way_m - 0.5 * world.dt_s <= witness.truth.distance_m[0] <= way_m
         assert not witness.touched().any()
         assert witness.above_limits == 0
@@ -121,12 +131,12 @@ def test_a_graze_between_two_looks_is_counted() -> None:
     world = World(config, ["a", "b", "c"], [(1.0, 1.0, 0.0), (5.0, 1.33, math.pi), (8.0, 3.0, 0.0)])
     try:
         witness = WorldWitness(world, np.full((3, 2), 2.0), 0.5, 0.1)
-        witness.look()
+        witness.begin()
+        world.watchers.append(witness.look)
         for _ in range(80):
             world.set_twists(np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
             world.step()
         assert world.contacts.tolist() == [0, 0, 0]
-        witness.look()
         assert [each.tolist() for each in witness.events] == [[1, 1, 0], [0, 0, 0]]
         assert (witness.pairs_touched, witness.robots_touched) == (1, 2)
         assert witness.touched().tolist() == [True, True, False]
@@ -143,7 +153,7 @@ def test_contacts_and_commands_above_the_limits_of_a_world(emulated: bool) -> No
     world = World(config, ["a", "b"], [(0.5, 1.0, 0.0), (0.9, 1.0, 0.0)])
     try:
         witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1, emulated)
-        witness.look()
+        witness.begin()
         for _ in range(30):
             world.set_twists(np.array([[0.6, 0.0], [0.0, 0.0]]))
             world.step()

@@ -17,8 +17,10 @@ from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult, load_expe
 from fullswarm.evaluate.experiment.pool import Pool
 from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS
 from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.lockstep_swarm import widened
 from fullswarm.evaluate.results.folder import read_records
-from fullswarm.evaluate.trial import Referee, in_safe_set, run_trial, widened
+from fullswarm.evaluate.trial import run_trial
+from fullswarm.evaluate.witness import Referee, in_safe_set
 from tests.unit.experiment_work import answer, misbehave
 
 FILTERS = ("engine=kinematic", "limits=paper", "robots=8", "scenario=empty_dense", "move_to_goal_bc")

@@ -11,10 +11,9 @@ from rich.table import Table
 from fullswarm import output
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment.record import TRIALS, Provenance, Record, trial_id
-from fullswarm.evaluate.trial import Measure, measure
+from fullswarm.evaluate.trial import Measure, Measurement, measure
 from fullswarm.evaluate.trial_file import load_trial
 from fullswarm.evaluate.trial_folder import perform, read_record, record_of, write_trial
-from fullswarm.evaluate.trial_watch import Measurement
 
 
 def run(file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure) -> int:

@@ -1,40 +1,59 @@
-"""What a swarm of real processes says of itself: the newest summary of each metric, and the coverage grids."""
+"""Collects what a swarm reports of itself: the newest summary of each metric, and the coverage grids."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
+
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
-from fullswarm.evaluate.trial_watch import ROBOT_QUANTITY, finite
+from fullswarm.evaluate.swarm import Coverage, Numbers
 from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement, Summary
 from fullswarm.perf.coverage import GridFrame, unpack_bits
+from fullswarm.perf.metrics import METRICS
+
+ROBOT_QUANTITY = {
+    "work": "distance_m",
+    "collisions": "events",
+    "coverage": "area_m2",
+    **{name: metric.per_robot for name, metric in METRICS.items() if metric.per_robot},
+}
+"""What a summary's numbers per robot are, by its metric."""
 
 
-class LiveSummaries:
-    """Hears summaries and the robots' own coverage grids."""
+class Summaries:
+    """Subscribes to summaries and to the robots' own coverage grids.
 
-    def __init__(self, bus: Bus, keys: Keys) -> None:
+    Parameters
+    ----------
+    on_finished : called when the first termination condition is met
+
+    Attributes
+    ----------
+    reason : the first condition that was met since `begin`; empty: none
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, on_finished: Callable[[], None] | None = None) -> None:
+        self.reason = ""
+        self._on_finished = on_finished
         self._newest: dict[str, Summary] = {}
         self._grids: dict[str, CoverageMeasurement] = {}
+        self._before: frozenset[str] = frozenset()
         self._subscriptions = [
             bus.subscribe(keys.summary(), Summary, self._on_summary),
             bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._on_grid),
         ]
 
+    def begin(self) -> None:
+        """Ignore the conditions that are met already."""
+        self._before, self.reason = frozenset(metric for metric, each in self._newest.items() if each.finished), ""
+
     def close(self) -> None:
-        """Hear no more."""
+        """Subscribe to nothing more."""
         for subscription in self._subscriptions:
             subscription.close()
-
-    def finished(self) -> frozenset[str]:
-        """Return the metrics whose summarizer has met a termination condition."""
-        return frozenset(metric for metric, each in self._newest.items() if each.finished)
-
-    def reason(self, metric: str) -> str:
-        """Return which condition it was."""
-        return self._newest[metric].reason
 
     def later_than(self, time_s: float) -> bool:
         """Tell whether all that can still change is of a later time, by this machine's clock."""
@@ -58,7 +77,7 @@ class LiveSummaries:
             if each.per_robot
         }
 
-    def coverage(self) -> tuple[GridFrame, NDArray[np.uint8]] | None:
+    def coverage(self) -> Coverage | None:
         """Return the grid that the robots have covered together; None when none has reported."""
         if not self._grids:
             return None
@@ -71,6 +90,21 @@ class LiveSummaries:
 
     def _on_summary(self, summary: Summary) -> None:
         self._newest[summary.metric] = summary
+        if summary.finished and not self.reason and summary.metric not in self._before:
+            self.reason = summary.reason
+            if self._on_finished is not None:
+                self._on_finished()
 
     def _on_grid(self, grid: CoverageMeasurement) -> None:
         self._grids[grid.host] = grid
+
+
+def finite(values: Numbers) -> dict[str, float]:
+    """Return the values without those that JSON cannot hold."""
+    return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def joined(onboard: Mapping[str, Numbers], truth: Mapping[str, Numbers]) -> dict[str, dict[str, float]]:
+    """Return both tables in one, by ``onboard <name>`` and ``truth <name>``."""
+    tables = (("onboard", onboard), ("truth", truth))
+    return {f"{who} {name}": finite(values) for who, table in tables for name, values in table.items()}

@@ -1,0 +1,128 @@
+"""A swarm in lockstep as a trial uses it: one process, a simulated clock, the same result each time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+
+from fullswarm.bus.base import OPERATOR
+from fullswarm.config import SwarmConfig
+from fullswarm.drivers.base import Limits
+from fullswarm.evaluate.summaries import Summaries
+from fullswarm.evaluate.swarm import LOOK_S, Report, TrialFailed
+from fullswarm.launch.lockstep import Lockstep
+from fullswarm.messages import RequestStatus, Value
+from fullswarm.operator.client import Operator
+
+READY_S = 0.49
+"""From the start until the request: between two ticks, after all have heard of each other, before the first measurement
+that the agents publish. So what is measured begins with the request."""
+ROOM = 10.0
+"""The bodies obey so many times their limits: a command above them would be driven, and is counted."""
+
+
+class LockstepSwarm:
+    """Implements :class:`~fullswarm.evaluate.swarm.Swarm` with :class:`~fullswarm.launch.lockstep.Lockstep`."""
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self._lockstep = lockstep = Lockstep(config)
+        self.config, self.world, self._runtime = lockstep.config, lockstep.world, lockstep.runtime
+        for row in range(len(self.world.ids)):
+            self.world.set_limits(row, widened(self.world.description.limits))
+        self._look: Callable[[], None] | None = None
+        self._steps = 0
+        # From the start, so that it comes after each of the world's steps; a later timer might come before them.
+        self._runtime.every(self.world.dt_s, self._on_step)
+        numbers = itertools.count()
+        bus = lockstep.bus_of(OPERATOR)
+        self._operator = Operator(
+            bus, lockstep.keys, self._runtime, "experiment", new_id=lambda: f"t{next(numbers)}"
+        )  # fmt: skip
+        self._summaries = Summaries(lockstep.bus, lockstep.keys, self._runtime.pause)
+        self._statuses: list[RequestStatus] = []
+        self._began_s = self._deadlock_s = 0.0
+
+    @property
+    def passed_s(self) -> float:
+        """Simulated time since the request; what a sum of ticks adds is no time."""
+        return round(self._runtime.now_s() - self._began_s, 6)
+
+    @property
+    def seen_s(self) -> float:
+        """Time of the world's steps since the request."""
+        return self._steps * self.world.dt_s
+
+    def settle(self) -> None:
+        """Let the nodes hear of each other."""
+        self._runtime.run(READY_S)
+
+    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+        """Request a behaviour of all robots."""
+        self._began_s = self._runtime.now_s()
+        self._operator.request(behaviour, (), parameters, self._statuses.append)
+
+    def watch(self, look: Callable[[], None]) -> None:
+        """Call `look` after each step of the world."""
+        self._look = look
+
+    def advance(self, stopped: Callable[[], bool]) -> bool:
+        """Let `LOOK_S` pass, less when a termination condition is met."""
+        self._runtime.run(LOOK_S)
+        now_s = self._runtime.now_s()
+        self._deadlock_s += LOOK_S * sum(
+            int((agent.deadlocks.until_s > now_s).sum()) for agent in self._lockstep.agents
+        )  # fmt: skip
+        return stopped()
+
+    def end_reason(self) -> str:
+        """Return the first termination condition that was met."""
+        return self._summaries.reason
+
+    def stop(self) -> None:
+        """Nothing to wait for: no robot moves while no simulated time passes."""
+
+    def report(self) -> Report:
+        """Return what the swarm measured; `TrialFailed` unless the request ran on every robot to the end."""
+        self._check()
+        self._lockstep.report()
+        return Report(
+            onboard=self._summaries.onboard(),
+            per_robot=self._summaries.per_robot(),
+            coverage=self._summaries.coverage(),
+            deadlocks=sum(int(agent.deadlocks.draws.sum()) for agent in self._lockstep.agents),
+            deadlock_s=round(self._deadlock_s, 3),
+        )
+
+    def close(self) -> None:
+        """End the operator, all nodes and the world."""
+        self._summaries.close()
+        self._operator.close()
+        self._lockstep.close()
+
+    def _on_step(self) -> None:
+        if self._look is not None:
+            self._steps += 1
+            self._look()
+
+    def _check(self) -> None:
+        newest = self._statuses[-1] if self._statuses else None
+        if newest is None or newest.phase in ("refused", "superseded"):
+            raise TrialFailed(f"the core refused: {newest.reason}" if newest else "the core did not answer")
+        agents = self._lockstep.agents
+        errors = {why.text for agent in agents for why in agent.wishes.law_error if why}
+        if errors:
+            raise TrialFailed("; ".join(sorted(errors)))
+        ran = sum(task is not None for agent in agents for task in agent.tasks.of)
+        if ran < len(self.world.ids):
+            raise TrialFailed(f"{ran} of {len(self.world.ids)} robots ran the behaviour to the end")
+
+
+def widened(limits: Limits) -> Limits:
+    """Return limits that a body obeys beyond those that its driver tells."""
+    return Limits(
+        speed_m_s=ROOM * limits.speed_m_s,
+        turn_rad_s=ROOM * limits.turn_rad_s,
+        accel_m_s2=limits.accel_m_s2,
+        turn_accel_rad_s2=limits.turn_accel_rad_s2,
+        can_reverse=limits.can_reverse,
+    )
