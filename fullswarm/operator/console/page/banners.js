@@ -4,6 +4,8 @@ import { byId, setText } from "./dom.js";
 import { short } from "./fleet.js";
 import { LINK_ADVICE, judgeLink } from "./linkstate.js";
 
+/** @import { Question } from "./commands.js" */
+
 const CHECK_MS = 100;
 const LOST_MS = 12000;
 const TOLD_MS = 6000;
@@ -37,7 +39,10 @@ export class Banners {
   #lostTimer = 0;
   #toldTimer = 0;
 
-  /** Say something over the map for a few seconds. */
+  /**
+   * Say something over the map for a few seconds.
+   * @param {string} words
+   */
   tell(words) {
     setText(byId("hint"), words);
     byId("hint").hidden = false;
@@ -62,6 +67,10 @@ export class Banners {
     this.map.touch();
   }
 
+  /**
+   * @param {string[]} robots
+   * @param {string} by
+   */
   #lost(robots, by) {
     setText(byId("lost-words"), `${short(robots)} taken over by ${by}. You no longer drive ${robots.length === 1 ? "it" : "them"}.`);
     byId("lost").hidden = false;
@@ -69,6 +78,7 @@ export class Banners {
     this.#lostTimer = setTimeout(() => (byId("lost").hidden = true), LOST_MS);
   }
 
+  /** @param {Question} question */
   #ask({ holders, take }) {
     const robots = [...holders.keys()];
     const names = [...new Set(holders.values())].join(", ");

@@ -3,6 +3,10 @@
 import uPlot from "./uplot.js";
 import { byId, setText } from "./dom.js";
 
+/** @typedef {{title: string, unit: string, column: number, colour: string[], show: (value: number) => string,
+ *   scale: number}} Chart */
+
+/** @type {Chart[]} */
 const CHARTS = [
   { title: "Work", unit: "m", column: 1, colour: ["#0072B2", "#56B4E9"], show: (v) => `${v.toFixed(1)} m`, scale: 1 },
   { title: "Coverage", unit: "%", column: 2, colour: ["#00704F", "#2BC493"], show: (v) => `${v.toFixed(1)} %`, scale: 100 },
@@ -19,7 +23,7 @@ export class Charts {
   constructor(store, theme) {
     this.store = store;
     this.theme = theme;
-    this.plots = [];
+    this.plots = /** @type {{chart: Chart, holder: HTMLElement, plot: uPlot}[]} */ ([]);
     this.#box = byId("charts");
     store.on("charts", () => this.#later());
     theme.on("change", () => this.#build());
@@ -42,7 +46,7 @@ export class Charts {
     for (const { plot } of this.plots) plot.destroy();
     const which = this.theme.dark ? 1 : 0;
     this.plots = CHARTS.map((chart, k) => {
-      const holder = this.#box.querySelectorAll(".chart-plot")[k];
+      const holder = /** @type {HTMLElement} */ (this.#box.querySelectorAll(".chart-plot")[k]);
       return { chart, holder, plot: new uPlot(options(chart, holder, which), [[], []], holder) };
     });
     this.#draw();
@@ -60,7 +64,10 @@ export class Charts {
     const last_s = rows.at(-1)?.[0] ?? 0;
     const times = rows.map((row) => row[0] - last_s);
     for (const [k, { chart, plot }] of this.plots.entries()) {
-      const values = rows.map((row) => (row[chart.column] === null ? null : row[chart.column] * chart.scale));
+      const values = rows.map((row) => {
+        const value = row[chart.column];
+        return value === null ? null : value * chart.scale;
+      });
       plot.setData([times, values]);
       const newest = values.at(-1);
       const words = typeof newest === "number" ? chart.show(newest) : "no data yet";
@@ -69,6 +76,12 @@ export class Charts {
   }
 }
 
+/**
+ * @param {Chart} chart
+ * @param {HTMLElement} holder
+ * @param {number} which
+ * @returns {uPlot.Options}
+ */
 function options({ unit, colour }, holder, which) {
   const ink = which ? "#C3CED8" : "#3C4854";
   const axis = {
@@ -87,6 +100,7 @@ function options({ unit, colour }, holder, which) {
   };
 }
 
+/** @param {number} time_s */
 function ago(time_s) {
   if (time_s === 0) return "now";
   return time_s % 60 === 0 ? `${time_s / 60} min` : `${Math.round(time_s)} s`;

@@ -3,9 +3,20 @@
 import { Emitter } from "./emitter.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
+/** @import { Answer } from "./link.js" */
+/** @import { Point, RequestStatus } from "./types.d.ts" */
+
 /**
- * Emits "refused" {behaviour, reason, robots} (robots: those it concerns, none: all or none of them), "asked" {behaviour, robots}, "question" {holders, take} and "unsent" {what,
- * lost, reason}: a stop that the console has not confirmed, and why (see Answer).
+ * @typedef {{behaviour: string, reason?: string, robots?: string[]}} Refused
+ * @typedef {{holders: Map<string, string>, take: () => void}} Question
+ * @typedef {{what: string, lost?: Answer["lost"], reason?: string}} Unsent
+ */
+
+/**
+ * Emits "refused" (robots: those it concerns, none: all or none of them), "asked", "question", and "unsent": a stop that
+ * the console has not confirmed, and why (see Answer).
+ * @extends {Emitter<{refused: Refused, asked: {behaviour: string, robots: string[]}, question: Question,
+ *   unsent: Unsent}>}
  */
 export class Commands extends Emitter {
   /**
@@ -17,13 +28,19 @@ export class Commands extends Emitter {
     this.link = link;
     this.store = store;
     this.goalBehaviour = "move_to_goal_bc";
-    this.#mine = new Map();
     store.on("request", (status) => this.#onStatus(status));
   }
 
-  #mine; // request id → how to ask again
+  #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to ask again
 
-  /** Ask for a behaviour; no robots: the whole swarm. */
+  /**
+   * Ask for a behaviour; no robots: the whole swarm.
+   * @param {string} behaviour
+   * @param {string[]} robots
+   * @param {Record<string, unknown>} [parameters]
+   * @param {boolean} [take]
+   * @returns {Promise<Answer | void>}
+   */
   async request(behaviour, robots, parameters = {}, take = false) {
     const addressed = robots.length ? robots : this.store.ids();
     const holders = this.store.heldByOthers(addressed);
@@ -36,9 +53,13 @@ export class Commands extends Emitter {
     return answer;
   }
 
-  /** Send robots to a point; several get room around it. */
+  /**
+   * Send robots to a point; several get room around it.
+   * @param {string[]} robots
+   * @param {Point} point
+   */
   goal(robots, point) {
-    const parameters = { goal: point.map(round) };
+    const parameters = /** @type {Record<string, unknown>} */ ({ goal: point.map(round) });
     const record = this.store.behaviours[this.goalBehaviour];
     if (robots.length > 1 && record?.parameters?.arrive_radius_m) {
       const widest = Math.max(...robots.map((id) => this.store.radius(id)));
@@ -47,16 +68,29 @@ export class Commands extends Emitter {
     return this.request(this.goalBehaviour, robots, parameters);
   }
 
-  /** Send each robot to the place that suits it; refused here if the places are too close. */
+  /**
+   * Send each robot to the place that suits it; refused here if the places are too close.
+   * @param {string[]} robots
+   * @param {Point[]} places
+   */
   formation(robots, places) {
     const least = 2 * Math.max(...robots.map((id) => this.store.radius(id)));
     if (closestPair(places) < least) {
       const reason = `places ${closestPair(places).toFixed(2)} m apart are too close: drag further out`;
       return this.emit("refused", { behaviour: "formation_bc", reason });
     }
-    const from = robots.map((id) => this.store.tracks.get(id)?.states.at(-1)?.slice(1, 3) ?? [0, 0]);
+    const from = robots.map((id) => this.#place(id));
     const targets = assign(from, places).map((place) => place.map(round));
     return this.request("formation_bc", robots, { targets });
+  }
+
+  /**
+   * @param {string} id
+   * @returns {Point} where a robot was last
+   */
+  #place(id) {
+    const state = this.store.tracks.get(id)?.states.at(-1);
+    return state ? [state[1], state[2]] : [0, 0];
   }
 
   /** Stop all robots at once. */
@@ -64,25 +98,37 @@ export class Commands extends Emitter {
     this.#urgent({ t: "stop", robots: [] });
   }
 
-  /** Engage the latched e-stop for all robots at once. */
+  /**
+   * Engage the latched e-stop for all robots at once.
+   * @param {string} reason
+   */
   estop(reason) {
     this.#urgent({ t: "estop", robots: [], reason });
   }
 
-  /** Clear the e-stop: only behind a deliberate act. */
+  /**
+   * Clear the e-stop: only behind a deliberate act.
+   * @param {string[]} [robots]
+   */
   async clear(robots = []) {
     const answer = await this.link.ask({ t: "clear", robots });
     if (!answer.ok) this.emit("refused", { behaviour: "clear the e-stop", reason: answer.reason });
     return answer;
   }
 
-  /** Take or give back robots. */
+  /**
+   * Take or give back robots.
+   * @param {string[]} robots
+   * @param {boolean} hold
+   * @param {boolean} [take]
+   */
   async lease(robots, hold, take = false) {
     const answer = await this.link.ask({ t: "lease", robots, hold, take });
     if (!answer.ok) this.emit("refused", { behaviour: "lease", reason: answer.reason });
     return answer;
   }
 
+  /** @param {{t: string, robots: string[], reason?: string}} message */
   async #urgent(message) {
     const { ok, lost, reason } = await this.link.ask(message);
     if (ok) return;
@@ -91,17 +137,29 @@ export class Commands extends Emitter {
     if (!lost) this.emit("refused", { behaviour: message.t === "stop" ? "stop" : "e-stop", reason });
   }
 
+  /**
+   * @param {string} id
+   * @param {() => void} again
+   */
   #remember(id, again) {
     this.#mine.set(id, again);
-    if (this.#mine.size > 50) this.#mine.delete(this.#mine.keys().next().value);
+    const [oldest] = this.#mine.keys();
+    if (this.#mine.size > 50) this.#mine.delete(oldest);
   }
 
+  /** @param {RequestStatus} status */
   #onStatus(status) {
     if (!status.mine || status.phase !== "refused") return;
     this.#refuse(status.behaviour, status, this.#mine.get(status.request_id), status.robots);
   }
 
-  /** Tell why; if somebody else holds the robots, ask whether to take them over. */
+  /**
+   * Tell why; if somebody else holds the robots, ask whether to take them over.
+   * @param {string} behaviour
+   * @param {{reason?: string, code?: string, about?: Record<string, string>}} given
+   * @param {(() => void) | undefined} again
+   * @param {string[]} [robots]
+   */
   #refuse(behaviour, { reason = "no reason given", code = "", about = {} }, again, robots = []) {
     // The list of all parameters is left out: the form shows them.
     const brief = code === "parameters" ? about.problems ?? reason : reason;
@@ -111,4 +169,4 @@ export class Commands extends Emitter {
   }
 }
 
-const round = (metres) => Math.round(metres * 1000) / 1000;
+const round = (/** @type {number} */ metres) => Math.round(metres * 1000) / 1000;

@@ -1,6 +1,9 @@
 /** Small helpers for making and changing elements; text only ever goes in as text. */
 
-/** Return the element with an id; its absence is a mistake of the page. */
+/**
+ * Return the element with an id; its absence is a mistake of the page.
+ * @param {string} id
+ */
 export function byId(id) {
   const found = document.getElementById(id);
   if (!found) throw new Error(`the page has no element #${id}`);
@@ -9,35 +12,60 @@ export function byId(id) {
 
 /**
  * Make an element. `options`: text, class, testid, on (event → handler); everything else is an attribute.
- * @param {string} tag
- * @param {Record<string, any>} options
+ * @template {keyof HTMLElementTagNameMap} T
+ * @param {T} tag
+ * @param {{text?: string, testid?: string, on?: Record<string, (event: Event) => void>, [attribute: string]: unknown}} options
  * @param {(Node | string)[]} children
  */
-export function make(tag, options = {}, ...children) {
+export function make(tag, { text, testid, on = {}, ...attributes } = {}, ...children) {
   const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(options)) {
+  if (text !== undefined) element.textContent = text;
+  if (testid !== undefined) element.dataset.testid = testid;
+  for (const [event, handler] of Object.entries(on)) element.addEventListener(event, handler);
+  for (const [name, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
-    if (name === "text") element.textContent = value;
-    else if (name === "on") for (const [event, handler] of Object.entries(value)) element.addEventListener(event, handler);
-    else if (name === "testid") element.dataset.testid = value;
-    else element.setAttribute(name, value === true ? "" : value);
+    element.setAttribute(name, value === true ? "" : String(value));
   }
   element.append(...children);
   return element;
 }
 
-/** Set a text only if it changed: the browser does no work for what stays. */
+/**
+ * Return what draws on a canvas.
+ * @param {HTMLCanvasElement} canvas
+ * @param {CanvasRenderingContext2DSettings} [settings]
+ */
+export function context2d(canvas, settings) {
+  const context = canvas.getContext("2d", settings);
+  if (!context) throw new Error("this browser has no 2D canvas");
+  return context;
+}
+
+/**
+ * Set a text only if it changed: the browser does no work for what stays.
+ * @param {Element} element
+ * @param {string} text
+ */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Set or remove an attribute only if it changed. */
+/**
+ * Set or remove an attribute only if it changed.
+ * @param {Element} element
+ * @param {string} name
+ * @param {unknown} value
+ */
 export function setFlag(element, name, value) {
   const text = String(value);
   if (element.getAttribute(name) !== text) element.setAttribute(name, text);
 }
 
-/** Whether keys typed now belong to a text field. `letters`: also a number, which may be 1e-3. */
+/**
+ * Whether keys typed now belong to a text field. `letters`: also a number, which may be 1e-3.
+ * @param {EventTarget | null} element
+ * @param {boolean} [letters]
+ */
 export function typing(element, letters = false) {
   if (!(element instanceof HTMLElement)) return false;
   if (element.isContentEditable || element instanceof HTMLTextAreaElement) return true;
@@ -46,12 +74,18 @@ export function typing(element, letters = false) {
   return letters && element.type === "number";
 }
 
-/** Whether a control uses letters or arrows itself: a choice, a slider. */
+/**
+ * Whether a control uses letters or arrows itself: a choice, a slider.
+ * @param {EventTarget | null} element
+ */
 export function steered(element) {
   return element instanceof HTMLSelectElement || (element instanceof HTMLInputElement && element.type === "range");
 }
 
-/** Write "1 robot", "3 robots". */
+/**
+ * Write "1 robot", "3 robots".
+ * @param {number} count
+ */
 export function robots(count) {
   return count === 1 ? "1 robot" : `${count} robots`;
 }

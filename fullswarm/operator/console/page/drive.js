@@ -5,12 +5,17 @@ import { short } from "./fleet.js";
 import { pressed, readArrows, readPad } from "./padlogic.js";
 import { UNHEARD } from "./selection.js";
 
+/** @import { Answer } from "./link.js" */
+
 const RATE_MS = 50;
 const LEAST_MS = 34; // between frames, on average: the console shuts out who sends 60 a second for long
 const POLL_MS = 20;
 const BEHAVIOUR = "drive_bc";
 
-/** The stream of frames. Emits "change" with what it does in words. */
+/**
+ * The stream of frames. Emits "change" with what it does in words.
+ * @extends {Emitter<{change: string}>}
+ */
 export class Driver extends Emitter {
   /**
    * @param {{link: import("./link.js").Link, store: import("./store.js").Store,
@@ -64,7 +69,10 @@ export class Driver extends Emitter {
     return true;
   }
 
-  /** Set the sticks, -1 to 1; zero is told at once, any other move as soon as the last frame is old enough. */
+  /**
+   * Set the sticks, -1 to 1; zero is told at once, any other move as soon as the last frame is old enough.
+   * @param {{linear: number, angular: number}} given
+   */
   set({ linear, angular }) {
     if (!this.held) return;
     this.#sticks = { linear, angular };
@@ -79,6 +87,7 @@ export class Driver extends Emitter {
     this.#end("not driving");
   }
 
+  /** @param {string} words */
   #end(words) {
     const was = this.held;
     clearTimeout(this.#timer);
@@ -99,23 +108,31 @@ export class Driver extends Emitter {
     this.#sendIn(RATE_MS);
   }
 
+  /** @param {number} wait_ms */
   #sendIn(wait_ms) {
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#send(), wait_ms);
   }
 
-  /** Who is refused does not drive, whatever the thumb does: it must be pressed anew. */
+  /**
+   * Who is refused does not drive, whatever the thumb does: it must be pressed anew.
+   * @param {Answer} answer
+   */
   #heard({ ok, lost, reason }) {
     if (ok || lost || !this.held) return;
     this.#end(`not driving: ${reason}`);
     this.#refused(reason);
   }
 
-  /** Say it where there is room for a long reason, too. */
+  /**
+   * Say it where there is room for a long reason, too.
+   * @param {string | undefined} reason
+   */
   #refused(reason) {
     this.commands.emit("refused", { behaviour: BEHAVIOUR, reason });
   }
 
+  /** @param {string} words */
   #say(words) {
     this.words = words;
     this.emit("change", words);
@@ -126,6 +143,7 @@ export class Driver extends Emitter {
 /**
  * The browser's gamepad: the first one, as long as it is there. The dead-man must go down anew after everything that
  * ended the driving, also when another pad takes its place. The e-stop counts on every pad, for whoever grabs one.
+ * @extends {Emitter<{change: string}>}
  */
 export class Pad extends Emitter {
   /**
@@ -149,6 +167,7 @@ export class Pad extends Emitter {
   #drives = false;
   #estops = /** @type {Map<number, boolean>} */ (new Map()); // by pad: is its button down?
 
+  /** @param {GamepadEvent} event */
   #plugged({ gamepad }) {
     this.#estops.delete(gamepad.index);
     if (gamepad.index === this.#index) this.#take(null); // another one in its place
@@ -156,6 +175,7 @@ export class Pad extends Emitter {
     this.#poll();
   }
 
+  /** @param {GamepadEvent} event */
   #unplugged({ gamepad }) {
     if (gamepad.index === this.#index) this.#take(null);
     this.#poll();
@@ -163,20 +183,26 @@ export class Pad extends Emitter {
 
   #pads() {
     try {
-      return [...navigator.getGamepads()].filter((pad) => pad && pad.connected !== false && pad.buttons.length > 5);
+      return [...navigator.getGamepads()].filter((pad) => !!pad).filter((pad) => pad.connected !== false && pad.buttons.length > 5);
     } catch {
       return []; // the browser forbids it here
     }
   }
 
-  /** Is the e-stop of one of them pressed? What is held already when a pad is first seen does not count. */
+  /**
+   * Is the e-stop of one of them pressed? What is held already when a pad is first seen does not count.
+   * @param {Gamepad[]} pads
+   */
   #pressesEstop(pads) {
     const before = this.#estops;
     this.#estops = new Map(pads.map((pad) => [pad.index, readPad(pad).estop]));
     return pads.some(({ index }) => this.#estops.get(index) && before.get(index) === false);
   }
 
-  /** Go over to another pad, or to none: what is held down on it does not count. */
+  /**
+   * Go over to another pad, or to none: what is held down on it does not count.
+   * @param {Gamepad | null} pad
+   */
   #take(pad) {
     if (this.#drives) this.#release();
     this.#before = null;
@@ -211,6 +237,7 @@ export class Pad extends Emitter {
     this.#timer = 0;
   }
 
+  /** @param {string[]} names */
   #step(names) {
     for (const name of names) {
       if (name === "left" || name === "right") this.selection.stepRobot(name === "right" ? 1 : -1);
@@ -226,10 +253,13 @@ export class ArrowDrive {
     this.driver = driver;
   }
 
-  #keys = new Set();
+  #keys = /** @type {Set<string>} */ (new Set());
   #drives = false;
 
-  /** A key went down; true if it was meant for driving. */
+  /**
+   * A key went down; true if it was meant for driving.
+   * @param {KeyboardEvent} event
+   */
   down(event) {
     if (!event.shiftKey || !event.key.startsWith("Arrow")) return false;
     this.#keys.add(event.key);
@@ -239,6 +269,7 @@ export class ArrowDrive {
     return true;
   }
 
+  /** @param {KeyboardEvent} event */
   up(event) {
     this.#keys.delete(event.key);
     if (!this.#drives) return;

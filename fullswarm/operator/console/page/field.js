@@ -3,19 +3,23 @@
 import { make } from "./dom.js";
 import { entryText, fromSlider, number, parseEntry, rangeText, toSlider } from "./forms.js";
 
+/** @import { Bounds } from "./forms.js" */
+/** @import { Parameter, Point } from "./types.d.ts" */
+
 let counted = 0;
 
 /**
  * A field: its element, what is entered in it, and where its error stands.
  * @typedef {{element: HTMLElement, entry: () => string | boolean, say: (reason: string) => void,
  *   focus: () => void}} Field
+ * @typedef {(onPoint: (point: Point) => boolean, points: Point[]) => void} Pick starts picking on the map
  */
 
 /**
  * Make the field of a parameter.
  * @param {string} name
- * @param {import("./forms.js").Parameter} parameter
- * @param {(onPoint: (point: [number, number]) => boolean, points: number[][]) => void} pick starts picking on the map
+ * @param {Parameter} parameter
+ * @param {Pick} pick
  * @returns {Field}
  */
 export function makeField(name, parameter, pick) {
@@ -38,11 +42,18 @@ export function makeField(name, parameter, pick) {
   };
 }
 
+/** @param {Parameter} parameter */
 function docText(parameter) {
   const range = ["number", "integer"].includes(parameter.type) ? rangeText(parameter) : "";
   return [parameter.doc, range].filter(Boolean).join(" · ");
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ * @param {Parameter} parameter
+ * @param {Pick} pick
+ */
 function makeControl(id, name, parameter, pick) {
   if (parameter.type === "flag") return makeFlag(id, name, parameter);
   if (parameter.choices?.length) return makeChoice(id, name, parameter);
@@ -52,32 +63,53 @@ function makeControl(id, name, parameter, pick) {
   return { element: input, input, entry: () => input.value };
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ * @param {Parameter} parameter
+ */
 function makeFlag(id, name, parameter) {
   const input = make("input", { id, name, type: "checkbox" });
   input.checked = parameter.default === true;
   return { element: make("span", { class: "flag" }, input), input, entry: () => input.checked };
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ * @param {Parameter} parameter
+ */
 function makeChoice(id, name, parameter) {
   const none = parameter.default === undefined || parameter.default === null ? [make("option", { value: "", text: "not set" })] : [];
-  const options = parameter.choices.map((word) => make("option", { value: word, text: word }));
+  const options = (parameter.choices ?? []).map((word) => make("option", { value: word, text: word }));
   const input = make("select", { id, name }, ...none, ...options);
   input.value = entryText(parameter.default);
   return { element: input, input, entry: () => input.value };
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ * @param {Parameter} parameter
+ */
 function makeNumber(id, name, parameter) {
   const input = make("input", {
     id, name, type: "number", step: parameter.type === "integer" ? 1 : "any", value: entryText(parameter.default),
     inputmode: "decimal", autocomplete: "off",
   });
   const unit = make("span", { class: "unit", text: parameter.unit ?? "" });
-  const bounded = typeof parameter.min === "number" && typeof parameter.max === "number";
-  const slider = bounded ? makeSlider(name, parameter, input) : "";
+  const { min, max } = parameter;
+  const bounded = typeof min === "number" && typeof max === "number";
+  const slider = bounded ? makeSlider(name, { ...parameter, min, max }, input) : "";
   const entry = () => (input.validity.badInput ? "not a number" : input.value);
   return { element: make("div", { class: "number" }, slider, input, unit), input, entry };
 }
 
+/**
+ * @param {string} name
+ * @param {Parameter & Bounds} parameter
+ * @param {HTMLInputElement} input
+ */
 function makeSlider(name, parameter, input) {
   const slider = make("input", { type: "range", min: 0, max: 1000, "aria-label": `${name}, slider` });
   const follow = () => {
@@ -95,6 +127,12 @@ function makeSlider(name, parameter, input) {
   return slider;
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ * @param {Parameter} parameter
+ * @param {Pick} pick
+ */
 function makePoints(id, name, parameter, pick) {
   const many = parameter.type === "points";
   const placeholder = many ? "x, y; x, y; …" : "x, y";
@@ -102,9 +140,9 @@ function makePoints(id, name, parameter, pick) {
   const button = make("button", { type: "button", class: "small", text: "Pick on the map", "aria-label": `Pick on the map: ${name}` });
   button.addEventListener("click", () => {
     const parsed = parseEntry(input.value, parameter);
-    const points = many && parsed.ok && Array.isArray(parsed.value) ? [...parsed.value] : [];
+    const points = /** @type {Point[]} */ (many && parsed.ok && Array.isArray(parsed.value) ? [...parsed.value] : []);
     pick((point) => {
-      const rounded = point.map((metres) => Math.round(metres * 100) / 100);
+      const rounded = /** @type {Point} */ (point.map((metres) => Math.round(metres * 100) / 100));
       points.push(rounded);
       input.value = entryText(many ? points : rounded);
       return many;

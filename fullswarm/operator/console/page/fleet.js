@@ -5,11 +5,19 @@ import { OLD_S, seconds } from "./linkstate.js";
 import { IDLE } from "./palette.js";
 import { byNumber } from "./store.js";
 
+/** @import { Robot } from "./types.d.ts" */
+
 const CALM_PX = 60;
 const AGEING_MS = 500;
 const LINE_PX = 19;
 const LETTERS_PER_LINE = 46;
 const MOST_LINES = 3;
+
+/**
+ * @typedef {{element: HTMLElement, check: HTMLInputElement, lines: number, id: HTMLElement, state: HTMLElement,
+ *   behaviour: HTMLElement, swatch: HTMLElement, battery: HTMLElement, age: HTMLElement, driver: HTMLElement,
+ *   version: HTMLElement, advice: HTMLElement, lease: HTMLElement}} Row
+ */
 
 export class FleetTable {
   /**
@@ -22,14 +30,14 @@ export class FleetTable {
     this.selection = selection;
     this.commands = commands;
     this.body = byId("fleet-rows");
-    for (const topic of ["fleet", "robots", "leases"]) store.on(topic, () => this.#show());
+    for (const topic of /** @type {const} */ (["fleet", "robots", "leases"])) store.on(topic, () => this.#show());
     selection.on("change", () => this.#select());
     byId("release-all").addEventListener("click", () => this.#release());
     setInterval(() => this.#ageing(), AGEING_MS);
     this.#show();
   }
 
-  #rows = new Map();
+  #rows = /** @type {Map<string, Row>} */ (new Map());
 
   #show() {
     const ids = this.store.ids().sort((a, b) => this.#rank(a) - this.#rank(b) || byNumber(a, b));
@@ -53,18 +61,23 @@ export class FleetTable {
     this.#select();
   }
 
-  /** The order for readers and the Tab key follows the eye's, unless the focus is in the table. */
+  /**
+   * The order for readers and the Tab key follows the eye's, unless the focus is in the table.
+   * @param {string[]} ids
+   */
   #reorder(ids) {
     if (this.body.contains(document.activeElement)) return;
-    const inPlace = ids.every((id, k) => this.body.children[k] === this.#rows.get(id).element);
-    if (!inPlace) this.body.append(...ids.map((id) => this.#rows.get(id).element));
+    const elements = ids.map((id) => this.#row(id).element);
+    if (!elements.every((element, k) => this.body.children[k] === element)) this.body.append(...elements);
   }
 
+  /** @param {string} id */
   #rank(id) {
     const info = this.store.info(id);
     return info.attention || info.silent ? 0 : 1;
   }
 
+  /** @param {string[]} ids */
   #summary(ids) {
     const worried = ids.filter((id) => this.#rank(id) === 0).length;
     const missing = this.store.missing.length ? ` · never heard: ${this.store.missing.join(", ")}` : "";
@@ -72,7 +85,7 @@ export class FleetTable {
     byId("fleet-empty").hidden = ids.length > 0;
     const mine = [...this.store.leases.values()].filter((lease) => lease.mine).map((lease) => lease.robot);
     setText(byId("lease-summary"), mine.length ? `You hold ${short(mine)}` : "You hold no robot");
-    byId("release-all").disabled = mine.length === 0;
+    /** @type {HTMLButtonElement} */ (byId("release-all")).disabled = mine.length === 0;
   }
 
   #release() {
@@ -80,12 +93,13 @@ export class FleetTable {
     this.commands.lease(mine, false);
   }
 
+  /** @param {string} id */
   #row(id) {
     const known = this.#rows.get(id);
     if (known) return known;
     const check = make("input", { type: "checkbox", "aria-label": `Select ${id}`, on: { change: () => this.selection.toggle(id) } });
-    const cell = (name, ...children) => make("div", { role: "cell", class: name }, ...children);
-    const part = (name) => make("span", { class: name });
+    const cell = (/** @type {string} */ name, /** @type {HTMLElement[]} */ ...children) => make("div", { role: "cell", class: name }, ...children);
+    const part = (/** @type {string} */ name) => make("span", { class: name });
     const parts = {
       id: make("strong", { text: id }), state: part("row-state"), behaviour: part("row-behaviour"), swatch: part("swatch"),
       battery: part("row-battery"), age: part("row-age"), driver: part("row-driver"), version: part("row-version"),
@@ -108,12 +122,21 @@ export class FleetTable {
     return row;
   }
 
+  /**
+   * @param {MouseEvent} event
+   * @param {string} id
+   * @param {HTMLInputElement} check
+   */
   #clicked(event, id, check) {
     if (event.target === check) return;
     if (event.shiftKey || event.ctrlKey || event.metaKey) this.selection.toggle(id);
     else this.selection.set([id]);
   }
 
+  /**
+   * @param {Row} row
+   * @param {string} id
+   */
   #fill(row, id) {
     const info = this.store.info(id);
     const alert = Boolean(info.attention || info.silent);
@@ -139,12 +162,20 @@ export class FleetTable {
     for (const [id, row] of this.#rows) this.#age(row, this.store.info(id));
   }
 
+  /**
+   * @param {Row} row
+   * @param {Partial<Robot>} robot
+   */
   #age(row, { age_s }) {
     const since_s = performance.now() / 1000 - (this.link.fleet_s ?? 0);
     const known = typeof age_s === "number" && this.link.fleet_s !== null;
     setText(row.age, known ? seconds(age_s + (since_s > OLD_S ? since_s : 0)) : "–");
   }
 
+  /**
+   * @param {Row} row
+   * @param {string} id
+   */
   #lease(row, id) {
     const lease = this.store.leases.get(id);
     setText(row.lease, lease ? (lease.mine ? "you" : lease.operator) : "free");
@@ -161,7 +192,11 @@ export class FleetTable {
   }
 }
 
-/** Split the state of a robot in trouble: a word for the column, and below it why and what to do. */
+/**
+ * Split the state of a robot in trouble: a word for the column, and below it why and what to do.
+ * @param {Partial<Robot>} robot
+ * @param {boolean} alert
+ */
 function stateWords({ state_word: head = "no health report", state_why: why = "", advice = "", fault = "" }, alert) {
   if (!alert) return { head, rest: "" };
   const reason = why || fault;
@@ -169,11 +204,16 @@ function stateWords({ state_word: head = "no health report", state_why: why = ""
   return { head: `⚠ ${head}`, rest };
 }
 
+/** @param {Partial<Robot>} robot */
 function driverText({ driver = "", make: maker = "" }) {
   return /^[a-z]+/.exec(driver)?.[0] ?? maker;
 }
 
-/** Name a few, count the rest. */
+/**
+ * Name a few, count the rest.
+ * @param {Iterable<string>} ids
+ * @param {number} [most]
+ */
 export function short(ids, most = 6) {
   const sorted = [...ids].sort(byNumber);
   if (sorted.length <= most) return sorted.join(", ");

@@ -1,24 +1,37 @@
 /**
  * Parameters of behaviours: text to value with a reason where it does not fit, sliders, order of the list. Pure.
- * @typedef {{type: string, unit?: string, doc?: string, default?: unknown, min?: number|null, max?: number|null,
- *   choices?: string[], required?: boolean}} Parameter
  * @typedef {{ok: true, value: unknown} | {ok: false, reason: string}} Parsed `value` undefined: left to its default
+ * @typedef {{min: number, max: number}} Bounds
  */
+
+/** @import { Behaviour, Parameter } from "./types.d.ts" */
 
 const WIDE_RANGE = 50; // above this ratio a slider goes by powers
 
-const fail = (reason) => ({ ok: /** @type {const} */ (false), reason });
+const fail = (/** @type {string} */ reason) => ({ ok: /** @type {const} */ (false), reason });
+
+/**
+ * @template T
+ * @param {T} value
+ */
 const good = (value) => ({ ok: /** @type {const} */ (true), value });
 
-/** Write a number without the noise of binary fractions. */
+/**
+ * Write a number without the noise of binary fractions.
+ * @param {unknown} value
+ * @param {number} [digits]
+ */
 export function number(value, digits = 4) {
   return String(Number(Number(value).toPrecision(digits)));
 }
 
-/** Tell the range of a parameter in words: "0.05 to 5 1/s". */
+/**
+ * Tell the range of a parameter in words: "0.05 to 5 1/s".
+ * @param {Parameter} parameter
+ */
 export function rangeText(parameter) {
   const { min, max, unit } = parameter;
-  const known = (bound) => bound !== null && bound !== undefined;
+  const known = (/** @type {unknown} */ bound) => bound !== null && bound !== undefined;
   const of = unit ? ` ${unit}` : "";
   if (known(min) && known(max)) return `${number(min)} to ${number(max)}${of}`;
   if (known(min)) return `at least ${number(min)}${of}`;
@@ -26,6 +39,10 @@ export function rangeText(parameter) {
   return unit ?? "";
 }
 
+/**
+ * @param {string} text
+ * @param {Parameter} parameter
+ */
 function parseNumber(text, parameter) {
   const value = Number(text.replace(",", "."));
   if (!Number.isFinite(value)) return fail(`"${text}" is not a number`);
@@ -37,6 +54,7 @@ function parseNumber(text, parameter) {
   return good(value);
 }
 
+/** @param {string} text */
 function parsePoint(text) {
   const parts = text.replace(/[[\]()]/g, " ").trim().split(/[\s,]+/);
   const point = parts.map(Number);
@@ -46,6 +64,7 @@ function parsePoint(text) {
   return good(point);
 }
 
+/** @param {string} text */
 function parsePoints(text) {
   const points = [];
   for (const part of text.split(";").filter((each) => each.trim() !== "")) {
@@ -82,8 +101,8 @@ export function parseEntry(entry, parameter) {
  * @returns {{values: Record<string, unknown>, errors: Record<string, string>}}
  */
 export function parseForm(entries, parameters) {
-  const values = {};
-  const errors = {};
+  const values = /** @type {Record<string, unknown>} */ ({});
+  const errors = /** @type {Record<string, string>} */ ({});
   for (const [name, parameter] of Object.entries(parameters)) {
     const parsed = parseEntry(entries[name] ?? "", parameter);
     if (!parsed.ok) errors[name] = parsed.reason;
@@ -92,7 +111,11 @@ export function parseForm(entries, parameters) {
   return { values, errors };
 }
 
-/** Write a value as it stands in a field. */
+/**
+ * Write a value as it stands in a field.
+ * @param {unknown} value
+ * @returns {string}
+ */
 export function entryText(value) {
   if (value === null || value === undefined) return "";
   if (!Array.isArray(value)) return typeof value === "number" ? number(value, 6) : String(value);
@@ -100,15 +123,23 @@ export function entryText(value) {
   return value.map((each) => number(each, 6)).join(", ");
 }
 
-const byPowers = ({ min, max }) => min > 0 && max / min > WIDE_RANGE;
+const byPowers = (/** @type {Bounds} */ { min, max }) => min > 0 && max / min > WIDE_RANGE;
 
-/** Return where in 0..1000 the slider of a parameter stands for a value. */
+/**
+ * Return where in 0..1000 the slider of a parameter stands for a value.
+ * @param {number} value
+ * @param {Bounds} bounds
+ */
 export function toSlider(value, { min, max }) {
   const share = byPowers({ min, max }) ? Math.log(value / min) / Math.log(max / min) : (value - min) / (max - min);
   return Math.round(Math.min(1, Math.max(0, share)) * 1000);
 }
 
-/** Return the value for a slider's place in 0..1000. */
+/**
+ * Return the value for a slider's place in 0..1000.
+ * @param {number} place
+ * @param {Bounds & {type: string}} bounds
+ */
 export function fromSlider(place, { min, max, type }) {
   const share = place / 1000;
   const value = byPowers({ min, max }) ? min * (max / min) ** share : min + (max - min) * share;
@@ -118,21 +149,25 @@ export function fromSlider(place, { min, max, type }) {
 
 const ORDER = ["filtered", "plain", "stick"];
 
-/** Tell the group of a behaviour in the list: behind the filter first, what lapses without a stick last. */
+/**
+ * Tell the group of a behaviour in the list: behind the filter first, what lapses without a stick last.
+ * @param {Behaviour} record
+ * @returns {"filtered" | "plain" | "stick"}
+ */
 export function behaviourGroup(record) {
-  if (record.expires_s > 0) return "stick";
+  if ((record.expires_s ?? 0) > 0) return "stick";
   return record.filtered ? "filtered" : "plain";
 }
 
 /**
  * Return [name, record] of the behaviours that fit a search, in the order of the list.
- * @param {Record<string, any>} behaviours
+ * @param {Record<string, Behaviour>} behaviours
  * @param {string} search
  */
 export function listed(behaviours, search = "") {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
-  const fits = ([name, record]) => words.every((word) => `${name} ${record.summary}`.toLowerCase().includes(word));
-  const rank = ([, record]) => ORDER.indexOf(behaviourGroup(record));
+  const fits = (/** @type {[string, Behaviour]} */ [name, record]) => words.every((word) => `${name} ${record.summary}`.toLowerCase().includes(word));
+  const rank = (/** @type {[string, Behaviour]} */ [, record]) => ORDER.indexOf(behaviourGroup(record));
   return Object.entries(behaviours)
     .filter(fits)
     .sort((a, b) => rank(a) - rank(b) || a[0].localeCompare(b[0]));

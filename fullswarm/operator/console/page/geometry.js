@@ -1,7 +1,8 @@
 /**
  * Plane geometry of the map: what a lasso holds, places of a formation, who goes where. Metres; no page needed.
- * @typedef {[number, number]} Point
  */
+
+/** @import { Point } from "./types.d.ts" */
 
 /**
  * Tell whether a point lies within a polygon (even-odd rule).
@@ -37,7 +38,7 @@ export function lassoed(robots, lasso) {
  * @returns {R | null}
  */
 export function robotAt(robots, [x, y], slack_m) {
-  let best = null;
+  let best = /** @type {R | null} */ (null);
   let bestGap = slack_m;
   for (const robot of robots) {
     const gap = Math.hypot(robot.x - x, robot.y - y) - robot.radius;
@@ -46,7 +47,13 @@ export function robotAt(robots, [x, y], slack_m) {
   return best;
 }
 
-/** Return `count` places on a ring through `edge`. */
+/**
+ * Return `count` places on a ring through `edge`.
+ * @param {Point} centre
+ * @param {Point} edge
+ * @param {number} count
+ * @returns {Point[]}
+ */
 function ring(centre, edge, count) {
   const radius = Math.hypot(edge[0] - centre[0], edge[1] - centre[1]);
   const start = Math.atan2(edge[1] - centre[1], edge[0] - centre[0]);
@@ -56,7 +63,13 @@ function ring(centre, edge, count) {
   });
 }
 
-/** Return `count` places on a line through `centre`, one end at `edge`. */
+/**
+ * Return `count` places on a line through `centre`, one end at `edge`.
+ * @param {Point} centre
+ * @param {Point} edge
+ * @param {number} count
+ * @returns {Point[]}
+ */
 function line(centre, edge, count) {
   return Array.from({ length: count }, (_, k) => {
     const share = count === 1 ? 0 : 1 - (2 * k) / (count - 1);
@@ -64,7 +77,13 @@ function line(centre, edge, count) {
   });
 }
 
-/** Return `count` places of a square grid around `centre`, turned towards `edge`, which is near one corner. */
+/**
+ * Return `count` places of a square grid around `centre`, turned towards `edge`, which is near one corner.
+ * @param {Point} centre
+ * @param {Point} edge
+ * @param {number} count
+ * @returns {Point[]}
+ */
 function grid(centre, edge, count) {
   const columns = Math.ceil(Math.sqrt(count));
   const rows = Math.ceil(count / columns);
@@ -117,7 +136,7 @@ export function closestPair(points) {
  */
 export function assign(from, targets) {
   const n = from.length;
-  const cost = (i, j) => (from[i][0] - targets[j][0]) ** 2 + (from[i][1] - targets[j][1]) ** 2;
+  const cost = (/** @type {number} */ i, /** @type {number} */ j) => (from[i][0] - targets[j][0]) ** 2 + (from[i][1] - targets[j][1]) ** 2;
   const u = new Float64Array(n + 1);
   const v = new Float64Array(n + 1);
   const owner = new Int32Array(n + 1).fill(-1); // of each column; column n is the one that is looking
@@ -149,7 +168,7 @@ export function assign(from, targets) {
       column = way[column];
     }
   }
-  const given = new Array(n);
+  const given = /** @type {Point[]} */ (new Array(n));
   for (let j = 0; j < n; j += 1) given[owner[j]] = targets[j];
   return given;
 }
@@ -175,7 +194,12 @@ export function bounds(points) {
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
-/** Turn from angle `a` towards `b` by a share of the shorter way; radians. */
+/**
+ * Turn from angle `a` towards `b` by a share of the shorter way; radians.
+ * @param {number} a
+ * @param {number} b
+ * @param {number} share
+ */
 export function mixAngle(a, b, share) {
   const turn = Math.atan2(Math.sin(b - a), Math.cos(b - a));
   return a + turn * share;

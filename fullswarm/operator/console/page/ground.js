@@ -1,17 +1,22 @@
 /** The layers under the robots that change seldom: floor, grid, boxes, coverage, what was seen, trails. */
 
+import { context2d } from "./dom.js";
 import { scaleBar } from "./viewport.js";
+
+/** @import { Colours } from "./palette.js" */
+/** @import { Box, Coverage } from "./types.d.ts" */
+/** @import { Viewport } from "./viewport.js" */
 
 const TRAIL_BANDS = 4;
 const TRAIL_S = 60;
 
 /**
  * @typedef {{context: CanvasRenderingContext2D, view: import("./viewport.js").Viewport, dpr: number,
- *   colours: any, store: import("./store.js").Store}} Scene
+ *   colours: Colours, store: import("./store.js").Store, sprites: import("./sprites.js").Sprites}} Scene
  */
 
 /** Draw floor, grid, boxes and seen obstacles; this picture is kept until the view or the world changes. */
-export function drawFloor(/** @type {Scene} */ scene, options) {
+export function drawFloor(/** @type {Scene} */ scene, /** @type {{coverage: boolean}} */ options) {
   const { context, view, dpr, colours, store } = scene;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = colours.outside;
@@ -31,12 +36,23 @@ export function drawFloor(/** @type {Scene} */ scene, options) {
   drawScale(scene);
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Viewport} view
+ * @param {number} dpr
+ */
 function inMetres(context, view, dpr) {
   const s = view.scale * dpr;
   const [x, y] = view.toScreen(0, 0);
   context.setTransform(s, 0, 0, -s, x * dpr, y * dpr);
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Viewport} view
+ * @param {Box} box
+ * @param {Colours} colours
+ */
 function drawGrid(context, view, [x0, y0, x1, y1], colours) {
   const step = [1, 2, 5, 10, 20, 50, 100].find((metres) => metres * view.scale >= 24) ?? 100;
   context.strokeStyle = colours.grid;
@@ -53,6 +69,7 @@ function drawGrid(context, view, [x0, y0, x1, y1], colours) {
   context.stroke();
 }
 
+/** @param {Scene} scene */
 function drawBoxes({ context, view, colours, store }) {
   context.fillStyle = colours.box;
   context.strokeStyle = colours.wall;
@@ -76,7 +93,11 @@ function drawBoxes({ context, view, colours, store }) {
   context.setLineDash([]);
 }
 
-/** The walls of the arena are seen as obstacles too; the arena's own edge shows them. */
+/**
+ * The walls of the arena are seen as obstacles too; the arena's own edge shows them.
+ * @param {number[]} given
+ * @param {Box | null} arena
+ */
 function reachesInto([cx, cy, hx, hy, yaw, radius], arena) {
   if (!arena) return true;
   const c = Math.abs(Math.cos(yaw)), s = Math.abs(Math.sin(yaw));
@@ -86,6 +107,13 @@ function reachesInto([cx, cy, hx, hy, yaw, radius], arena) {
   return cx + wide > left + EDGE_M && cx - wide < right - EDGE_M && cy + high > low + EDGE_M && cy - high < top - EDGE_M;
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} x
+ * @param {number} y
+ * @param {number} angle
+ * @param {() => void} draw
+ */
 function turned(context, x, y, angle, draw) {
   context.save();
   context.translate(x, y);
@@ -94,11 +122,16 @@ function turned(context, x, y, angle, draw) {
   context.restore();
 }
 
-let pictured = { message: null, colour: "", canvas: /** @type {HTMLCanvasElement | null} */ (null) };
+let pictured = /** @type {{message: Coverage, colour: string, canvas: HTMLCanvasElement} | null} */ (null);
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Coverage} coverage
+ * @param {Colours} colours
+ */
 function drawCoverage(context, coverage, colours) {
   const colour = String(colours.cover);
-  if (pictured.message !== coverage || pictured.colour !== colour) {
+  if (pictured?.message !== coverage || pictured.colour !== colour) {
     pictured = { message: coverage, colour, canvas: coveragePicture(coverage, colours.cover) };
   }
   const [x, y] = coverage.origin;
@@ -107,12 +140,16 @@ function drawCoverage(context, coverage, colours) {
   context.imageSmoothingEnabled = true;
 }
 
-/** Unpack numpy's packbits, one pixel per cell; row 0 lies at the origin, and y points up in the drawing. */
+/**
+ * Unpack numpy's packbits, one pixel per cell; row 0 lies at the origin, and y points up in the drawing.
+ * @param {Coverage} coverage
+ * @param {number[]} given
+ */
 function coveragePicture({ rows, columns, bits }, [red, green, blue, alpha]) {
   const bytes = Uint8Array.from(atob(bits), (letter) => letter.charCodeAt(0));
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [columns, rows];
-  const context = canvas.getContext("2d");
+  const context = context2d(canvas);
   const image = context.createImageData(columns, rows);
   for (let k = 0; k < rows * columns; k += 1) {
     if (bytes[k >> 3] & (128 >> (k & 7))) image.data.set([red, green, blue, alpha], 4 * k);
@@ -121,6 +158,7 @@ function coveragePicture({ rows, columns, bits }, [red, green, blue, alpha]) {
   return canvas;
 }
 
+/** @param {Scene} scene */
 function drawScale({ context, view, dpr, colours }) {
   const metres = scaleBar(view.scale);
   const length = metres * view.scale;
@@ -154,6 +192,11 @@ export function drawTrails(/** @type {Scene} */ { context, view, dpr, colours, s
   context.globalAlpha = 1;
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[][]} trail
+ * @param {number} now_s
+ */
 function drawTrail(context, trail, now_s) {
   let from = 0;
   for (let band = 0; band < TRAIL_BANDS; band += 1) {

@@ -11,7 +11,7 @@ export class GroupBar {
   constructor(store, selection) {
     this.store = store;
     this.selection = selection;
-    for (const topic of ["world", "robots"]) store.on(topic, () => this.#groups());
+    for (const topic of /** @type {const} */ (["world", "robots"])) store.on(topic, () => this.#groups());
     selection.on("change", () => this.#show());
     store.on("robots", () => this.#show());
     byId("select-none").addEventListener("click", () => selection.clear());
@@ -39,7 +39,7 @@ export class GroupBar {
     const ids = this.selection.list();
     setText(byId("selection"), `${ids.length} selected`);
     setText(byId("selection-names"), ids.length ? short(ids, 8) : this.#nobody());
-    byId("select-none").disabled = ids.length === 0 && !this.selection.unheard;
+    /** @type {HTMLButtonElement} */ (byId("select-none")).disabled = ids.length === 0 && !this.selection.unheard;
   }
 
   #nobody() {

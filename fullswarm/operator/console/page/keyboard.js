@@ -3,7 +3,7 @@
 import { byId, steered, typing } from "./dom.js";
 
 const PAN_PX = 60;
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const ARROWS = /** @type {Record<string, [number, number]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
 
 export class Keyboard {
   /**
@@ -13,11 +13,17 @@ export class Keyboard {
    *   actions: plain key → what it does
    */
   constructor({ map, tools, selection, stops, arrows, actions }) {
-    Object.assign(this, { map, tools, selection, stops, arrows, actions });
+    this.map = map;
+    this.tools = tools;
+    this.selection = selection;
+    this.stops = stops;
+    this.arrows = arrows;
+    this.actions = actions;
     addEventListener("keydown", (event) => this.#down(event), { capture: true });
     addEventListener("keyup", (event) => this.#up(event), { capture: true });
   }
 
+  /** @param {KeyboardEvent} event */
   #down(event) {
     if (this.#alarm(event)) return;
     if (event.ctrlKey || event.metaKey) return void this.#control(event);
@@ -31,7 +37,10 @@ export class Keyboard {
     if (!event.repeat) act();
   }
 
-  /** Space and E. A number has no spaces, so Space stops there, too. */
+  /**
+   * Space and E. A number has no spaces, so Space stops there, too.
+   * @param {KeyboardEvent} event
+   */
   #alarm(event) {
     const space = event.code === "Space" && !typing(event.target);
     const e = event.key.toLowerCase() === "e" && !typing(event.target, true);
@@ -45,6 +54,7 @@ export class Keyboard {
     return true;
   }
 
+  /** @param {KeyboardEvent} event */
   #up(event) {
     this.arrows.up(event);
     if (event.code !== "Space" || typing(event.target)) return;
@@ -52,13 +62,17 @@ export class Keyboard {
     event.stopPropagation();
   }
 
+  /** @param {KeyboardEvent} event */
   #control(event) {
     if (event.key.toLowerCase() !== "a" || typing(event.target, true)) return;
     event.preventDefault();
     this.selection.all();
   }
 
-  /** Space belongs to the stop, so Enter ticks boxes. */
+  /**
+   * Space belongs to the stop, so Enter ticks boxes.
+   * @param {KeyboardEvent} event
+   */
   #enter(event) {
     const { target } = event;
     if (target === this.map.live) return this.tools.enter();
@@ -67,7 +81,10 @@ export class Keyboard {
     return target.click();
   }
 
-  /** On the map: move the crosshair of a tool, else the map itself. */
+  /**
+   * On the map: move the crosshair of a tool, else the map itself.
+   * @param {KeyboardEvent} event
+   */
   #arrow(event) {
     if (event.target !== this.map.live) return;
     event.preventDefault();
@@ -82,10 +99,10 @@ export class Keyboard {
 /** Make the tabs of narrow screens; on wide ones everything is seen at once. */
 export function tabs() {
   const buttons = /** @type {HTMLElement[]} */ ([...byId("tabs").querySelectorAll("button")]);
-  const show = (name) => {
+  const show = (/** @type {string} */ name) => {
     document.body.dataset.tab = name;
     for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.tab === name));
   };
-  for (const button of buttons) button.addEventListener("click", () => show(button.dataset.tab));
+  for (const button of buttons) button.addEventListener("click", () => show(button.dataset.tab ?? ""));
   show("fleet");
 }

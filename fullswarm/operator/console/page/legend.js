@@ -1,8 +1,10 @@
 /** What the colours and patterns on the map mean now. */
 
-import { byId, make } from "./dom.js";
+import { byId, context2d, make } from "./dom.js";
 import { IDLE, lawOf } from "./palette.js";
 import { fillPattern, outline } from "./sprites.js";
+
+/** @import { Look } from "./palette.js" */
 
 const SIZE = 18;
 
@@ -16,7 +18,7 @@ export class Legend {
   #shown = "";
 
   #show() {
-    const laws = new Map();
+    const laws = /** @type {Map<string, number>} */ (new Map());
     for (const { behaviour } of this.store.fleet.values()) {
       const law = behaviour ? lawOf(behaviour) : "";
       laws.set(law, (laws.get(law) ?? 0) + 1);
@@ -31,9 +33,10 @@ export class Legend {
   }
 }
 
+/** @param {Look} look */
 function swatch({ colour, pattern }) {
   const canvas = make("canvas", { width: 2 * SIZE, height: 2 * SIZE, class: "legend-swatch", "aria-hidden": "true" });
-  const context = canvas.getContext("2d");
+  const context = context2d(canvas);
   context.translate(SIZE, SIZE);
   outline(context, "circle", SIZE - 3);
   context.fillStyle = colour;

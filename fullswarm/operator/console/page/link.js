@@ -2,19 +2,26 @@
 
 import { Emitter } from "./emitter.js";
 
+/** @import { AnswerFrame, Message } from "./types.d.ts" */
+
 const BACKOFF_S = [0.25, 0.5, 1, 2];
 const ANSWER_S = 4;
 const STALLED_S = 3;
 const URGENT_S = 10;
-const REFUSED = {
+const REFUSED = /** @type {Record<number, string>} */ ({
   4401: "not let in: wrong or missing token",
   4429: "not let in: too many pages or messages",
-};
+});
+
+/**
+ * @typedef {{ok: boolean, reason?: string, request_id?: string, code?: string, about?: Record<string, string>,
+ *   lost?: "unsent" | "broken" | "mute"}} Answer
+ *   lost: the console has not said this, but the link: it was not sent, the link broke, no answer came
+ */
 
 /**
  * Emits "message" (each message), "open", "closed".
- * @typedef {{ok: boolean, reason?: string, request_id?: string, lost?: "unsent" | "broken" | "mute"}} Answer
- *   lost: the console has not said this, but the link: it was not sent, the link broke, no answer came
+ * @extends {Emitter<{message: Message, open: undefined, closed: undefined}>}
  */
 export class Link extends Emitter {
   /** @param {{token: string, session: string, name?: string}} identity */
@@ -32,12 +39,13 @@ export class Link extends Emitter {
   #socket = /** @type {WebSocket | null} */ (null);
   #tries = 0;
   #ref = 0;
-  #waiting = new Map();
+  #waiting = /** @type {Map<number | null, {resolve: (answer: Answer) => unknown, timer: number}>} */ (new Map());
   #urgent = /** @type {{message: object, until_s: number}[]} */ ([]);
 
   /**
    * Send a command and wait for its answer. Never throws: no link and no answer are answers too.
    * @returns {Promise<Answer>}
+   * @param {object} message
    */
   ask(message) {
     const ref = this.post(message);
@@ -49,15 +57,22 @@ export class Link extends Emitter {
     });
   }
 
-  /** Send a command now, or as soon as the link is back: for stops. True: it went out at once. */
+  /**
+   * Send a command now, or as soon as the link is back: for stops. True: it went out at once.
+   * @param {object} message
+   */
   urge(message) {
     if (this.post(message) !== null) return true;
     this.#urgent.push({ message, until_s: performance.now() / 1000 + URGENT_S });
     return false;
   }
 
-  /** Send and wait for nothing; null if there is no link. `heard` is called with the answer when it comes. */
-  post(message, heard = undefined) {
+  /**
+   * Send and wait for nothing; null if there is no link. `heard` is called with the answer when it comes.
+   * @param {object} message
+   * @param {(answer: Answer) => unknown} [heard]
+   */
+  post(message, heard) {
     if (!this.open || this.#socket?.readyState !== WebSocket.OPEN) return null;
     this.#ref += 1;
     if (heard) this.#waiting.set(this.#ref, { resolve: heard, timer: 0 });
@@ -74,6 +89,7 @@ export class Link extends Emitter {
     socket.onclose = (event) => this.#closed(socket, event.code);
   }
 
+  /** @param {Message | AnswerFrame} message */
   #receive(message) {
     const now_s = performance.now() / 1000;
     this.heard_s = now_s;
@@ -92,6 +108,10 @@ export class Link extends Emitter {
     this.emit("open");
   }
 
+  /**
+   * @param {WebSocket | null} socket
+   * @param {number} code
+   */
   #closed(socket, code) {
     if (socket !== this.#socket) return; // given up before
     this.open = false;
@@ -112,6 +132,10 @@ export class Link extends Emitter {
     socket?.close();
   }
 
+  /**
+   * @param {number | null} ref
+   * @param {Answer} answer
+   */
   #settle(ref, answer) {
     const waiting = this.#waiting.get(ref);
     if (!waiting) return;

@@ -25,7 +25,10 @@ export function judgeLink({ open, now_s, heard_s, fleet_s, hub, core_age_s, refu
   return { level: "live", text: "live" };
 }
 
-/** Write an age: tenths while they matter. */
+/**
+ * Write an age: tenths while they matter.
+ * @param {number} age_s
+ */
 export function seconds(age_s) {
   if (age_s < 10) return `${Math.max(0, age_s).toFixed(1)} s`;
   return age_s < 120 ? `${Math.round(age_s)} s` : `${Math.round(age_s / 60)} min`;

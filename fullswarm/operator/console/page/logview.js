@@ -2,7 +2,9 @@
 
 import { byId, make } from "./dom.js";
 
-const SIGNS = { request: "▸", refused: "✕", stop: "■", estop: "◆", lease: "●", link: "○", fault: "⚠" };
+/** @import { Entry } from "./types.d.ts" */
+
+const SIGNS = /** @type {Record<string, string>} */ ({ request: "▸", refused: "✕", stop: "■", estop: "◆", lease: "●", link: "○", fault: "⚠" });
 
 export class LogView {
   /** @param {import("./store.js").Store} store */
@@ -17,6 +19,7 @@ export class LogView {
     this.#all();
   }
 
+  /** @param {Entry} entry */
   #fits(entry) {
     const words = this.search.value.toLowerCase();
     const kind = this.kind.value;
@@ -34,6 +37,7 @@ export class LogView {
     this.list.scrollTop = this.list.scrollHeight;
   }
 
+  /** @param {Entry} entry */
   #add(entry) {
     if (!this.#fits(entry)) return;
     const { list } = this;
@@ -45,6 +49,7 @@ export class LogView {
   }
 }
 
+/** @param {Entry} entry */
 function item(entry) {
   return make(
     "li", { class: `entry entry-${entry.kind}`, title: entry.request_id ?? "" },

@@ -116,7 +116,7 @@ window.fullswarm = Object.freeze({
       operator: store.hello?.operator ?? null, driving: driver.held, trails: trailLengths(), charts: store.charts.length,
     };
   },
-  toScreen: (x_m, y_m) => map.toPage(x_m, y_m),
+  toScreen: (/** @type {number} */ x_m, /** @type {number} */ y_m) => map.toPage(x_m, y_m),
   stats: map.stats,
 });
 

@@ -1,5 +1,6 @@
 /** The map: two canvases, one for what changes seldom and one for what moves, and the loop that draws them. */
 
+import { context2d } from "./dom.js";
 import { bounds } from "./geometry.js";
 import { drawFloor, drawTrails } from "./ground.js";
 import { MAP_COLOURS } from "./palette.js";
@@ -8,6 +9,8 @@ import { Sprites } from "./sprites.js";
 import { Stats } from "./stats.js";
 import { drawTool } from "./tooldraw.js";
 import { Viewport } from "./viewport.js";
+
+/** @import { Scene } from "./ground.js" */
 
 const TRAILS_EVERY_MS = 250;
 const TRAILS_SHARE = 15; // with many robots drawn seldomer: at most a fifteenth of the time goes into trails
@@ -30,9 +33,9 @@ export class SwarmMap {
     this.hovered = /** @type {string | null} */ (null);
     this.old = false; // data is old: veiled
     this.placed = /** @type {import("./robots.js").Placed[]} */ ([]);
-    this.#ground = ground.getContext("2d", { alpha: false });
-    this.#live = live.getContext("2d");
-    this.#floor = document.createElement("canvas").getContext("2d", { alpha: false });
+    this.#ground = context2d(ground, { alpha: false });
+    this.#live = context2d(live);
+    this.#floor = context2d(document.createElement("canvas"), { alpha: false });
     this.#listen();
     new ResizeObserver(() => this.#resize()).observe(live);
     requestAnimationFrame((now_ms) => this.#frame(now_ms));
@@ -50,7 +53,10 @@ export class SwarmMap {
   #trails_ms = 0;
   #lively_ms = 0;
 
-  /** Draw again soon; with `all`, the floor too. */
+  /**
+   * Draw again soon; with `all`, the floor too.
+   * @param {boolean} [all]
+   */
   touch(all = false) {
     this.#lively_ms = performance.now() + LIVELY_MS;
     if (all) this.#floorStale = true;
@@ -64,7 +70,12 @@ export class SwarmMap {
     this.touch(true);
   }
 
-  /** Where a point of the world lies on the page, CSS pixels. @returns {[number, number]} */
+  /**
+   * Where a point of the world lies on the page, CSS pixels.
+   * @param {number} x_m
+   * @param {number} y_m
+   * @returns {[number, number]}
+   */
   toPage(x_m, y_m) {
     const corner = this.live.getBoundingClientRect();
     const [x, y] = this.view.toScreen(x_m, y_m);
@@ -73,8 +84,8 @@ export class SwarmMap {
 
   #listen() {
     const { store } = this;
-    for (const topic of ["coverage", "obstacles"]) store.on(topic, () => this.touch(true));
-    for (const topic of ["states", "fleet", "filter", "goals", "robots"]) store.on(topic, () => this.touch());
+    for (const topic of /** @type {const} */ (["coverage", "obstacles"])) store.on(topic, () => this.touch(true));
+    for (const topic of /** @type {const} */ (["states", "fleet", "filter", "goals", "robots"])) store.on(topic, () => this.touch());
     this.selection.on("change", () => this.touch());
     this.theme.on("change", () => this.#restyle());
     store.on("world", () => {
@@ -107,6 +118,7 @@ export class SwarmMap {
     this.#restyle();
   }
 
+  /** @param {number} now_ms */
   #frame(now_ms) {
     this.theme.look();
     const began_ms = performance.now();
@@ -116,6 +128,7 @@ export class SwarmMap {
     requestAnimationFrame((next_ms) => this.#frame(next_ms));
   }
 
+  /** @param {number} now_ms */
   #draw(now_ms) {
     const scene = {
       view: this.view, store: this.store, dpr: this.#dpr, sprites: this.#sprites,
@@ -131,6 +144,7 @@ export class SwarmMap {
     this.#drawLive({ ...scene, context: this.#live });
   }
 
+  /** @param {Omit<Scene, "context">} scene */
   #drawGround(scene) {
     const now_ms = performance.now();
     this.#ground.setTransform(1, 0, 0, 1, 0, 0);
@@ -141,6 +155,7 @@ export class SwarmMap {
     this.#groundStale = false;
   }
 
+  /** @param {Scene} scene */
   #drawLive(scene) {
     const { context, colours } = scene;
     context.setTransform(this.#dpr, 0, 0, this.#dpr, 0, 0);

@@ -19,9 +19,9 @@ export function deadZone(value, zone = DEAD_ZONE) {
  * @param {{axes: readonly number[], buttons: readonly {pressed: boolean, value: number}[]}} pad
  */
 export function readPad(pad) {
-  const down = (index) => Boolean(pad.buttons[index]?.pressed);
+  const down = (/** @type {number} */ index) => Boolean(pad.buttons[index]?.pressed);
   const share = down(BUTTON.turbo) ? 1 : SLOW_SHARE;
-  const stick = (index) => -share * deadZone(pad.axes[index] ?? 0) || 0; // || 0: no minus zero
+  const stick = (/** @type {number} */ index) => -share * deadZone(pad.axes[index] ?? 0) || 0; // || 0: no minus zero
   return {
     deadman: down(BUTTON.deadman),
     turbo: down(BUTTON.turbo),
@@ -32,7 +32,11 @@ export function readPad(pad) {
   };
 }
 
-/** Return the names of the d-pad's buttons that went down between two readings. */
+/**
+ * Return the names of the d-pad's buttons that went down between two readings.
+ * @param {Record<string, boolean> | undefined} before
+ * @param {Record<string, boolean>} now
+ */
 export function pressed(before, now) {
   return Object.keys(now).filter((name) => now[name] && !before?.[name]);
 }
@@ -42,7 +46,7 @@ export function pressed(before, now) {
  * @param {Set<string>} keys
  */
 export function readArrows(keys) {
-  const axis = (plus, minus) => (Number(keys.has(plus)) - Number(keys.has(minus))) * SLOW_SHARE;
+  const axis = (/** @type {string} */ plus, /** @type {string} */ minus) => (Number(keys.has(plus)) - Number(keys.has(minus))) * SLOW_SHARE;
   return { linear: axis("ArrowUp", "ArrowDown"), angular: axis("ArrowLeft", "ArrowRight") };
 }
 

@@ -7,6 +7,7 @@ const PATTERNS = ["plain", "stripes", "dots", "rings"];
 export const IDLE = { colour: "#9AA3AD", pattern: "plain" };
 
 /** @typedef {{colour: string, pattern: string}} Look */
+/** @typedef {(typeof MAP_COLOURS)["light"]} Colours */
 
 /**
  * Give each law its colour and pattern: those seen most each a colour of their own, then by the order of the names,
@@ -21,14 +22,20 @@ export class Looks {
     );
   }
 
-  /** @returns {Look} of a behaviour; grey for a robot without one */
+  /**
+   * @param {string | undefined} behaviour
+   * @returns {Look} of a behaviour; grey for a robot without one
+   */
   of(behaviour) {
     if (!behaviour || behaviour === "stop") return IDLE;
     return this.looks.get(lawOf(behaviour)) ?? IDLE;
   }
 }
 
-/** Return the name that a behaviour and its filtered variant share. */
+/**
+ * Return the name that a behaviour and its filtered variant share.
+ * @param {string} behaviour
+ */
 export function lawOf(behaviour) {
   return behaviour.endsWith("_bc") ? behaviour.slice(0, -3) : behaviour;
 }

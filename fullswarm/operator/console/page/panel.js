@@ -5,6 +5,8 @@ import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
 import { UNHEARD } from "./selection.js";
 
+/** @import { Behaviour, RequestStatus } from "./types.d.ts" */
+
 const GROUPS = {
   filtered: "Behind the safety filter",
   plain: "Without the safety filter",
@@ -34,7 +36,7 @@ export class Panel {
     commands.on("refused", ({ behaviour, reason, robots }) => this.#refuse(`${behaviour}: ${reason}`, robots));
     commands.on("asked", () => this.#refuse(""));
     store.on("request", (status) => status.mine && this.#progress(status));
-    for (const topic of ["fleet", "leases"]) store.on(topic, () => this.#stillHindered());
+    for (const topic of /** @type {const} */ (["fleet", "leases"])) store.on(topic, () => this.#stillHindered());
   }
 
   #refused = /** @type {string[]} */ ([]); // the robots that the words on a refusal concern
@@ -70,6 +72,10 @@ export class Panel {
     return "No behaviours yet: the core has not told them. Is it running?";
   }
 
+  /**
+   * @param {string} name
+   * @param {Behaviour} record
+   */
   #item(name, record) {
     const button = make("button", {
       type: "button", class: "behaviour", testid: `behaviour-${name}`, "aria-pressed": String(name === this.chosen),
@@ -80,13 +86,14 @@ export class Panel {
     return button;
   }
 
+  /** @param {string | null} name */
   #choose(name) {
     this.chosen = name;
     const form = byId("behaviour-form");
     form.hidden = name === null;
     byId("behaviour-choice").hidden = name !== null;
     byId("form-back").hidden = name === null;
-    for (const button of document.querySelectorAll(".behaviour")) {
+    for (const button of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".behaviour"))) {
       button.setAttribute("aria-pressed", String(button.dataset.testid === `behaviour-${name}`));
     }
     this.#refuse("");
@@ -96,6 +103,7 @@ export class Panel {
     setText(byId("form-summary"), record.summary ?? "");
     setText(byId("form-filter"), record.filtered ? "behind the safety filter" : "without the safety filter");
     byId("form-filter").dataset.filtered = String(Boolean(record.filtered));
+    /** @type {import("./field.js").Pick} */
     const pick = (onPoint, points) => this.tools.pick(points, onPoint);
     const parameters = Object.entries(record.parameters ?? {});
     this.#fields = Object.fromEntries(parameters.map(([each, parameter]) => [each, makeField(each, parameter, pick)]));
@@ -112,10 +120,13 @@ export class Panel {
     return setText(this.start, count ? `Start for ${robots(count)}` : `Start for the whole swarm (${all})`);
   }
 
+  /** @param {SubmitEvent} event */
   #submit(event) {
     event.preventDefault();
     if (this.selection.unheard) return this.#refuse(`not sent: ${UNHEARD}`);
-    const { parameters = {} } = this.store.behaviours[this.chosen];
+    const { chosen } = this;
+    if (chosen === null) return undefined;
+    const { parameters = {} } = this.store.behaviours[chosen];
     const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
     const { values, errors } = parseForm(entries, parameters);
     for (const [name, field] of Object.entries(this.#fields)) field.say(errors[name] ?? "");
@@ -124,9 +135,10 @@ export class Panel {
       this.#refuse(`not sent: ${wrong.map((name) => `${name} ${errors[name]}`).join("; ")}`);
       return this.#fields[wrong[0]].focus();
     }
-    return this.commands.request(this.chosen, this.selection.list(), values);
+    return this.commands.request(chosen, this.selection.list(), values);
   }
 
+  /** @param {RequestStatus} status */
   #progress(status) {
     const { behaviour, phase, running = [], missing = [], refused_by = [] } = status;
     const parts = [`${behaviour}: ${phase}`];
@@ -140,12 +152,17 @@ export class Panel {
     if (refused_by.length) this.#remember(refused_by);
   }
 
+  /**
+   * @param {string} reason
+   * @param {string[]} [robots]
+   */
   #refuse(reason, robots = []) {
     setText(this.refusal, reason ? `Refused. ${reason}` : "");
     if (reason) this.#noProgress();
     this.#remember(reason ? robots : null);
   }
 
+  /** @param {string[] | null} robots */
   #remember(robots) {
     this.#refused = robots ?? [];
     this.#hindered = robots ? this.store.hindrances(robots) : new Set();

@@ -2,6 +2,8 @@
 
 import { robotAt } from "./geometry.js";
 
+/** @import { Placed } from "./robots.js" */
+
 const DRAG_PX = 5;
 const REACH_PX = 12;
 const DOUBLE_MS = 350;
@@ -32,19 +34,23 @@ export class Pointer {
   #start = { x: 0, y: 0 };
   #lastClick = { x: 0, y: 0, ms: 0 };
 
+  /** @param {MouseEvent} event */
   #place(event) {
     const corner = this.map.live.getBoundingClientRect();
     return { x: event.clientX - corner.left, y: event.clientY - corner.top };
   }
 
+  /** @param {Place} place */
   #world({ x, y }) {
     return this.map.view.toWorld(x, y);
   }
 
+  /** @param {Place} place */
   #robot(place) {
     return robotAt(this.map.placed, this.#world(place), REACH_PX / this.map.view.scale);
   }
 
+  /** @param {PointerEvent} event */
   #down(event) {
     const place = this.#place(event);
     this.#held.set(event.pointerId, place);
@@ -62,6 +68,7 @@ export class Pointer {
     event.preventDefault();
   }
 
+  /** @param {PointerEvent} event */
   #move(event) {
     const before = this.#held.get(event.pointerId);
     const place = this.#place(event);
@@ -74,6 +81,7 @@ export class Pointer {
     return this.map.touch();
   }
 
+  /** @param {Place} place */
   #maybeDrag(place) {
     if (Math.hypot(place.x - this.#start.x, place.y - this.#start.y) < DRAG_PX) return;
     if (this.tools.mode === "goal" || this.tools.mode === "pick") return; // a click that trembles
@@ -82,22 +90,31 @@ export class Pointer {
     this.tools.dragTo(this.#world(place));
   }
 
+  /**
+   * @param {Place} before
+   * @param {Place} place
+   */
   #pan(before, place) {
     this.map.view.pan(place.x - before.x, place.y - before.y);
     this.map.touch(true);
   }
 
+  /**
+   * @param {number} id
+   * @param {Place} place
+   */
   #pinch(id, place) {
     const other = [...this.#held].find(([each]) => each !== id)?.[1];
     const before = this.#held.get(id);
     if (!other || !before) return;
-    const wide = (a, b) => Math.max(1, Math.hypot(a.x - b.x, a.y - b.y));
+    const wide = (/** @type {Place} */ a, /** @type {Place} */ b) => Math.max(1, Math.hypot(a.x - b.x, a.y - b.y));
     const middle = { x: (place.x + other.x) / 2, y: (place.y + other.y) / 2 };
     this.map.view.pan((place.x - before.x) / 2, (place.y - before.y) / 2);
     this.map.view.zoomAt(wide(place, other) / wide(before, other), middle.x, middle.y);
     this.map.touch(true);
   }
 
+  /** @param {PointerEvent} event */
   #up(event) {
     const place = this.#place(event);
     this.#held.delete(event.pointerId);
@@ -108,6 +125,10 @@ export class Pointer {
     this.map.touch();
   }
 
+  /**
+   * @param {Place} place
+   * @param {PointerEvent} event
+   */
   #click(place, event) {
     const robot = this.#robot(place);
     const { x, y, ms } = this.#lastClick;
@@ -118,12 +139,14 @@ export class Pointer {
     else this.tools.click(this.#world(place), robot, event.shiftKey || event.ctrlKey || event.metaKey);
   }
 
+  /** @param {PointerEvent} event */
   #cancel(event) {
     this.#held.delete(event.pointerId);
     this.#doing = "none";
     this.tools.dragCancel();
   }
 
+  /** @param {Place | null} place */
   #hover(place) {
     const robot = place ? this.#robot(place) : null;
     if (this.map.hovered === (robot?.id ?? null)) return;
@@ -132,6 +155,7 @@ export class Pointer {
     this.map.touch();
   }
 
+  /** @param {WheelEvent} event */
   #wheel(event) {
     event.preventDefault();
     const { x, y } = this.#place(event);
@@ -141,6 +165,7 @@ export class Pointer {
   }
 }
 
+/** @param {Placed} placed */
 function hoverText({ id, info }) {
   const parts = [id, info.state, info.behaviour, info.filter_note, info.advice];
   return parts.filter(Boolean).join("\n");

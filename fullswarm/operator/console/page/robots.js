@@ -4,16 +4,30 @@ import { kindOf } from "./palette.js";
 import { outline } from "./sprites.js";
 import { seconds } from "./linkstate.js";
 
+/** @import { Scene } from "./ground.js" */
+/** @import { Colours } from "./palette.js" */
+/** @import { Selection } from "./selection.js" */
+/** @import { Store } from "./store.js" */
+/** @import { Point, Robot } from "./types.d.ts" */
+/** @import { Viewport } from "./viewport.js" */
+
 const LEAST_RADIUS_PX = 7;
 const MOST_DASHED = 12;
 const ARROW_PX_PER_M_S = 90;
 
 /**
  * @typedef {{id: string, x: number, y: number, px: number, py: number, heading: number, radius: number,
- *   radius_px: number, info: any}} Placed  a robot where it is drawn now
+ *   radius_px: number, info: Partial<Robot>}} Placed  a robot where it is drawn now
+ * @typedef {{x: number, y: number, place: boolean, radius_m: number | null}} Flag  CSS pixels; place: of a formation
  */
 
-/** Place every robot for this frame. @returns {Placed[]} */
+/**
+ * Place every robot for this frame.
+ * @param {Store} store
+ * @param {Viewport} view
+ * @param {number} at_s
+ * @returns {Placed[]}
+ */
 export function placeRobots(store, view, at_s) {
   const placed = [];
   for (const [id, track] of store.tracks) {
@@ -27,7 +41,13 @@ export function placeRobots(store, view, at_s) {
   return placed;
 }
 
-/** Draw all robots, the selected ones last and with their labels. */
+/**
+ * Draw all robots, the selected ones last and with their labels.
+ * @param {Scene} scene
+ * @param {Placed[]} placed
+ * @param {Selection} selection
+ * @param {string | null} hovered
+ */
 export function drawRobots(scene, placed, selection, hovered) {
   const crowded = placed.length > 60 && scene.view.scale < 30;
   const mixed = new Set(placed.map(({ info }) => kindOf(info.make, info.driver, scene.store.icons).letter)).size > 1;
@@ -40,7 +60,11 @@ export function drawRobots(scene, placed, selection, hovered) {
   }
 }
 
-/** One path for all; dashes of many circles would cost more than everything else. */
+/**
+ * One path for all; dashes of many circles would cost more than everything else.
+ * @param {Scene} scene
+ * @param {Placed[]} robots
+ */
 function drawSensing({ context, view, store, colours }, robots) {
   if (!store.sensing_radius_m || robots.length === 0) return;
   const radius_px = store.sensing_radius_m * view.scale;
@@ -56,6 +80,11 @@ function drawSensing({ context, view, store, colours }, robots) {
   context.setLineDash([]);
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Placed} robot
+ * @param {boolean} selected
+ */
 function drawRobot(scene, robot, selected) {
   const { context, sprites, store, colours, dpr } = scene;
   const { info, px, py, radius_px } = robot;
@@ -81,7 +110,13 @@ function drawRobot(scene, robot, selected) {
   else if (info.attention) drawMark(context, robot, "!", colours);
 }
 
-/** A light rim, so that a robot stands out from a dark floor. */
+/**
+ * A light rim, so that a robot stands out from a dark floor.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Placed} placed
+ * @param {string} shape
+ * @param {Colours} colours
+ */
 function drawRim(context, { px, py, radius_px, heading }, shape, colours) {
   context.save();
   context.translate(px, py);
@@ -93,6 +128,11 @@ function drawRim(context, { px, py, radius_px, heading }, shape, colours) {
   context.restore();
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Placed} placed
+ * @param {Colours} colours
+ */
 function drawSelected(context, { px, py, radius_px }, colours) {
   context.strokeStyle = colours.select;
   context.lineWidth = 3;
@@ -101,7 +141,12 @@ function drawSelected(context, { px, py, radius_px }, colours) {
   context.stroke();
 }
 
-/** A stop sign around the robot: eight corners and a bar, plain in any colour. */
+/**
+ * A stop sign around the robot: eight corners and a bar, plain in any colour.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Placed} placed
+ * @param {Colours} colours
+ */
 function drawEstop(context, { px, py, radius_px }, colours) {
   const radius = radius_px + 5;
   context.beginPath();
@@ -119,7 +164,13 @@ function drawEstop(context, { px, py, radius_px }, colours) {
   context.fillRect(px - radius * 0.55, py - radius * 0.16, radius * 1.1, radius * 0.32);
 }
 
-/** A triangle with "!" or a disc with "?" at the robot's upper left. */
+/**
+ * A triangle with "!" or a disc with "?" at the robot's upper left.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Placed} placed
+ * @param {string} sign
+ * @param {Colours} colours
+ */
 function drawMark(context, { px, py, radius_px }, sign, colours) {
   const [x, y] = [px - radius_px - 3, py - radius_px - 4];
   context.beginPath();
@@ -143,12 +194,18 @@ function drawMark(context, { px, py, radius_px }, sign, colours) {
   context.textAlign = "left";
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Placed} robot
+ * @param {boolean} chosen
+ * @param {boolean} mixed
+ */
 function drawLabel(scene, robot, chosen, mixed) {
   const { context, sprites, store, colours, dpr } = scene;
   const { info, px, py, radius_px } = robot;
   const { letter } = kindOf(info.make, info.driver, store.icons);
   const words = [mixed ? `${robot.id} ${letter}` : robot.id]; // shapes tell the makes apart, letters name them
-  if (info.silent) words.push(`silent ${seconds(info.age_s)}`);
+  if (info.silent) words.push(`silent ${seconds(info.age_s ?? 0)}`);
   else if (info.estop) words.push("E-STOP");
   const sprite = sprites.text(words.join(" · "), {
     size: Math.round((chosen ? 15 : 13) * dpr),
@@ -160,7 +217,12 @@ function drawLabel(scene, robot, chosen, mixed) {
   context.drawImage(sprite, x, y, sprite.width / dpr, sprite.height / dpr);
 }
 
-/** The filter's change of the velocity as an arrow; its reason in words for whom it concerns. */
+/**
+ * The filter's change of the velocity as an arrow; its reason in words for whom it concerns.
+ * @param {Scene} scene
+ * @param {Placed} robot
+ * @param {boolean} withReason
+ */
 function drawFilter(scene, robot, withReason) {
   const change = scene.store.filter.get(robot.id);
   if (!change) return;
@@ -176,9 +238,16 @@ function drawFilter(scene, robot, withReason) {
   context.drawImage(sprite, robot.px + robot.radius_px + 4, robot.py + 4, sprite.width / dpr, sprite.height / dpr);
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Point} point
+ * @param {Point} point
+ * @param {number} length
+ * @param {Colours} colours
+ */
 function drawArrow(context, [x, y], [ux, uy], length, colours) {
   const [tx, ty] = [x + ux * length, y + uy * length];
-  for (const [colour, width] of [[colours.halo, 6], [colours.filter, 3]]) {
+  for (const [colour, width] of /** @type {[string, number][]} */ ([[colours.halo, 6], [colours.filter, 3]])) {
     context.strokeStyle = colour;
     context.lineWidth = width;
     context.beginPath();
@@ -191,16 +260,20 @@ function drawArrow(context, [x, y], [ux, uy], length, colours) {
   }
 }
 
-/** Flags of requests and places of formations, each with a line to its robot. */
+/**
+ * Flags of requests and places of formations, each with a line to its robot.
+ * @param {Scene} scene
+ * @param {Placed[]} placed
+ */
 export function drawGoals(scene, placed) {
   const { context, view, colours, store } = scene;
-  const flags = new Map();
+  const flags = /** @type {Map<string, Flag>} */ (new Map());
   context.lineWidth = 1.5;
   context.strokeStyle = colours.goal;
   for (const robot of placed) {
     const goal = store.goals.get(robot.id);
     const point = goal?.target ?? goal?.goal;
-    if (!point) continue;
+    if (!goal || !point) continue;
     const [x, y] = view.toScreen(point[0], point[1]);
     context.globalAlpha = 0.55;
     context.setLineDash([2, 5]);
@@ -215,6 +288,12 @@ export function drawGoals(scene, placed) {
   for (const flag of flags.values()) drawFlag(context, flag, view, colours);
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Flag} flag
+ * @param {Viewport} view
+ * @param {Colours} colours
+ */
 function drawFlag(context, { x, y, place, radius_m }, view, colours) {
   context.strokeStyle = colours.goal;
   context.fillStyle = colours.goal;

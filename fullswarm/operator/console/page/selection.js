@@ -9,7 +9,10 @@ const KEPT_AS = "selection";
 /** Why an order is not sent to a selection of which nobody is there: no names would mean the whole swarm. */
 export const UNHEARD = "none of them has been heard";
 
-/** Emits "change". Kept over a reload of the tab. */
+/**
+ * Emits "change". Kept over a reload of the tab.
+ * @extends {Emitter<{change: undefined}>}
+ */
 export class Selection extends Emitter {
   /** @param {import("./store.js").Store} store */
   constructor(store) {
@@ -30,22 +33,29 @@ export class Selection extends Emitter {
     return meant && this.list().length === 0;
   }
 
+  /** @param {string} id */
   has(id) {
     return this.ids.has(id);
   }
 
-  /** Select exactly these. */
-  set(ids, group = undefined) {
+  /**
+   * Select exactly these.
+   * @param {Iterable<string>} ids
+   * @param {string} [group]
+   */
+  set(ids, group) {
     this.ids = new Set(ids);
     this.group = group;
     sessionStorage.setItem(KEPT_AS, JSON.stringify([...this.ids]));
     this.emit("change");
   }
 
+  /** @param {Iterable<string>} ids */
   add(ids) {
     this.set([...this.ids, ...ids]);
   }
 
+  /** @param {string} id */
   toggle(id) {
     const ids = new Set(this.ids);
     if (!ids.delete(id)) ids.add(id);
@@ -60,7 +70,10 @@ export class Selection extends Emitter {
     this.set(this.store.ids(), "all");
   }
 
-  /** Go to the next or previous single robot. */
+  /**
+   * Go to the next or previous single robot.
+   * @param {1 | -1} step
+   */
   stepRobot(step) {
     const ids = this.store.ids();
     const current = this.list();
@@ -68,7 +81,10 @@ export class Selection extends Emitter {
     if (next !== undefined) this.set([next]);
   }
 
-  /** Go to the next or previous group. */
+  /**
+   * Go to the next or previous group.
+   * @param {1 | -1} step
+   */
   stepGroup(step) {
     const groups = this.groups();
     const name = neighbour([...groups.keys()], this.group, step);
@@ -80,7 +96,7 @@ export class Selection extends Emitter {
     const ids = this.store.ids();
     const groups = new Map([["all", ids]]);
     for (const [name, robots] of Object.entries(this.store.groups)) groups.set(name, [...robots].sort(byNumber));
-    const makes = new Map();
+    const makes = /** @type {Map<string, string[]>} */ (new Map());
     for (const id of ids) {
       const make = this.store.info(id).make;
       if (make) makes.set(make, [...(makes.get(make) ?? []), id]);

@@ -1,11 +1,13 @@
 /** Robots and words as small pictures, drawn once and then copied: a hundred robots cost a hundred copies a frame. */
 
+import { context2d } from "./dom.js";
+
 const KEPT = 600;
 
 /** @typedef {{shape: string, radius: number, colour: string, pattern: string, edge: string, hollow: boolean}} Body */
 
 export class Sprites {
-  #kept = new Map();
+  #kept = /** @type {Map<string, HTMLCanvasElement>} */ (new Map());
 
   /** Forget everything, after the theme or the screen's resolution has changed. */
   clear() {
@@ -18,11 +20,19 @@ export class Sprites {
     return this.#keep(key, () => drawBody(body));
   }
 
-  /** Return the picture of a word with a halo; `size` in device pixels. */
+  /**
+   * Return the picture of a word with a halo; `size` in device pixels.
+   * @param {string} words
+   * @param {{size: number, ink: string, halo: string, bold?: boolean}} given
+   */
   text(words, { size, ink, halo, bold = false }) {
     return this.#keep(`${words}|${size}|${ink}|${halo}|${bold}`, () => drawText(words, size, ink, halo, bold));
   }
 
+  /**
+   * @param {string} key
+   * @param {() => HTMLCanvasElement} draw
+   */
   #keep(key, draw) {
     let sprite = this.#kept.get(key);
     if (!sprite) {
@@ -33,6 +43,10 @@ export class Sprites {
   }
 }
 
+/**
+ * @param {number} width
+ * @param {number} height
+ */
 function blank(width, height) {
   const canvas = document.createElement("canvas");
   canvas.width = Math.max(1, Math.ceil(width));
@@ -40,7 +54,12 @@ function blank(width, height) {
   return canvas;
 }
 
-/** Add a robot's outline to the path: circle, square or hexagon, the same area of influence for all. */
+/**
+ * Add a robot's outline to the path: circle, square or hexagon, the same area of influence for all.
+ * @param {CanvasRenderingContext2D} context
+ * @param {string} shape
+ * @param {number} radius
+ */
 export function outline(context, shape, radius) {
   context.beginPath();
   if (shape === "circle") {
@@ -55,9 +74,10 @@ export function outline(context, shape, radius) {
   context.closePath();
 }
 
+/** @param {Body} body */
 function drawBody({ shape, radius, colour, pattern, edge, hollow }) {
   const canvas = blank(2 * radius + 8, 2 * radius + 8);
-  const context = canvas.getContext("2d");
+  const context = context2d(canvas);
   context.translate(canvas.width / 2, canvas.height / 2);
   const line = Math.max(1.5, radius * 0.12);
   context.lineWidth = line;
@@ -81,7 +101,12 @@ function drawBody({ shape, radius, colour, pattern, edge, hollow }) {
   return canvas;
 }
 
-/** A wedge from the middle to the rim, and beyond it, in the direction of the heading. */
+/**
+ * A wedge from the middle to the rim, and beyond it, in the direction of the heading.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} radius
+ * @param {string} edge
+ */
 function drawHeading(context, radius, edge) {
   context.beginPath();
   context.moveTo(radius + 3, 0);
@@ -93,7 +118,13 @@ function drawHeading(context, radius, edge) {
   context.fill();
 }
 
-/** Stripes, dots or rings over what is filled, so that the colour is not alone. */
+/**
+ * Stripes, dots or rings over what is filled, so that the colour is not alone.
+ * @param {CanvasRenderingContext2D} context
+ * @param {string} pattern
+ * @param {number} radius
+ * @param {string} ink
+ */
 export function fillPattern(context, pattern, radius, ink) {
   context.strokeStyle = ink;
   context.fillStyle = ink;
@@ -120,12 +151,19 @@ export function fillPattern(context, pattern, radius, ink) {
   context.globalAlpha = 1;
 }
 
+/**
+ * @param {string} words
+ * @param {number} size
+ * @param {string} ink
+ * @param {string} halo
+ * @param {boolean} bold
+ */
 function drawText(words, size, ink, halo, bold) {
   const font = `${bold ? "600 " : ""}${size}px system-ui, "Segoe UI", Roboto, "Noto Sans", sans-serif`;
-  const probe = blank(1, 1).getContext("2d");
+  const probe = context2d(blank(1, 1));
   probe.font = font;
   const canvas = blank(probe.measureText(words).width + 8, size * 1.4 + 4);
-  const context = canvas.getContext("2d");
+  const context = context2d(canvas);
   context.font = font;
   context.textBaseline = "middle";
   context.lineJoin = "round";

@@ -9,16 +9,18 @@ export class Stats {
     this.fps = 0; // frames of the browser, over the last seconds
     this.frame_ms_p95 = 0; // work of this page per drawn frame
     this.interval_ms_p95 = 0; // from frame to frame
-    this.#work = [];
-    this.#intervals = [];
   }
 
-  #work;
-  #intervals;
+  #work = /** @type {number[]} */ ([]);
+  #intervals = /** @type {number[]} */ ([]);
   #last_ms = 0;
   #counted = 0;
 
-  /** Note a frame of the browser at `now_ms`; `work_ms` is null if nothing had to be drawn. */
+  /**
+   * Note a frame of the browser at `now_ms`; `work_ms` is null if nothing had to be drawn.
+   * @param {number} now_ms
+   * @param {number | null} work_ms
+   */
   frame(now_ms, work_ms) {
     if (this.#last_ms) keep(this.#intervals, now_ms - this.#last_ms);
     this.#last_ms = now_ms;
@@ -38,11 +40,16 @@ export class Stats {
   }
 }
 
+/**
+ * @param {number[]} values
+ * @param {number} value
+ */
 function keep(values, value) {
   values.push(value);
   if (values.length > KEPT) values.shift();
 }
 
+/** @param {number[]} values */
 function p95(values) {
   const sorted = [...values].sort((a, b) => a - b);
   return Math.round((sorted[Math.floor(0.95 * (sorted.length - 1))] ?? 0) * 100) / 100;

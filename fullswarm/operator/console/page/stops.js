@@ -3,14 +3,17 @@
 import { byId, make, setText } from "./dom.js";
 import { byNumber } from "./store.js";
 
+/** @import { Unsent } from "./commands.js" */
+/** @import { Estop, Receipt, Stop } from "./types.d.ts" */
+
 const HOLD_MS = 1500;
 const SHOWN_MS = 15000;
 const AFTER_MS = 5000;
-const UNSENT = {
+const UNSENT = /** @type {Record<string, string>} */ ({
   unsent: "NOT SENT: no link to the console. It goes out if the link is back within 10 s.",
   broken: "NOT CONFIRMED: the link to the console broke. It goes out again if the link is back within 10 s.",
   mute: "NOT CONFIRMED: the console gave no answer. Press again.",
-};
+});
 
 export class Stops {
   /**
@@ -52,6 +55,7 @@ export class Stops {
     this.commands.estop("pressed on the console");
   }
 
+  /** @param {Unsent} unsent */
   #unsent({ what, lost, reason }) {
     const words = unsentWords(lost, reason);
     if (what === "stop") return this.#tell(words, "bad");
@@ -60,6 +64,10 @@ export class Stops {
     return setText(byId("estop-title"), words);
   }
 
+  /**
+   * @param {string} words
+   * @param {string} mood
+   */
   #tell(words, mood) {
     const box = byId("stop-panel");
     box.hidden = false;
@@ -72,6 +80,7 @@ export class Stops {
     byId("stop-panel").hidden = true;
   }
 
+  /** @param {Stop} message */
   #showStop(message) {
     const { words, mood } = stopWords(message);
     this.#tell(words, mood);
@@ -82,7 +91,10 @@ export class Stops {
     return [...this.store.fleet.values()].filter((robot) => robot.estop).map((robot) => robot.robot).sort(byNumber);
   }
 
-  /** A new word on an order keeps the panel up for a while; what was over before this page came does not. */
+  /**
+   * A new word on an order keeps the panel up for a while; what was over before this page came does not.
+   * @param {Estop} order
+   */
   #onEstop(order) {
     const old = order.done && this.#order === null;
     if (!old) this.#upUntil_ms = performance.now() + AFTER_MS;
@@ -95,7 +107,7 @@ export class Stops {
   #showEstop() {
     const order = this.store.estop;
     const latched = this.#latched();
-    const unconfirmed = order?.engaged && (order.waiting?.length ?? 0) > 0;
+    const unconfirmed = Boolean(order?.engaged && order.waiting.length > 0);
     const up = latched.length > 0 || unconfirmed || performance.now() < this.#upUntil_ms;
     this.#showPanel(up);
     if (!up || latched.length === 0) this.#closeClear();
@@ -103,15 +115,22 @@ export class Stops {
     if (!up) return;
     setText(byId("estop-title"), this.#failed || title(order, latched));
     this.#receipts(order, latched);
-    byId("estop-clear").disabled = latched.length === 0;
+    /** @type {HTMLButtonElement} */ (byId("estop-clear")).disabled = latched.length === 0;
   }
 
-  /** The panel has a place beside the map, never over it; the page's layout makes that place. */
+  /**
+   * The panel has a place beside the map, never over it; the page's layout makes that place.
+   * @param {boolean} up
+   */
   #showPanel(up) {
     byId("estop-panel").hidden = !up;
     document.body.dataset.estop = up ? "up" : "";
   }
 
+  /**
+   * @param {Estop | null} order
+   * @param {string[]} latched
+   */
   #receipts(order, latched) {
     const rows = new Map(latched.map((id) => [id, "e-stop latched"]));
     for (const receipt of order?.receipts ?? []) rows.set(receipt.robot, receiptText(receipt));
@@ -147,7 +166,10 @@ export class Stops {
     byId("estop-clear").setAttribute("aria-expanded", "false");
   }
 
-  /** Only a press of 1.5 s counts, of the mouse, a finger or Enter. */
+  /**
+   * Only a press of 1.5 s counts, of the mouse, a finger or Enter.
+   * @param {HTMLElement} button
+   */
   #holdToClear(button) {
     let timer = 0;
     const begin = () => {
@@ -171,16 +193,23 @@ export class Stops {
   }
 }
 
-/** Say what became of a stop that the console has not confirmed. */
+/**
+ * Say what became of a stop that the console has not confirmed.
+ * @param {string | undefined} lost
+ * @param {string | undefined} reason
+ */
 export function unsentWords(lost, reason) {
-  return `${UNSENT[lost] ?? `NOT DONE: ${reason}.`} Use the switches on the robots.`;
+  return `${UNSENT[lost ?? ""] ?? `NOT DONE: ${reason}.`} Use the switches on the robots.`;
 }
 
-/** Say who stands since a stop; it is good only if all have been heard, and if there are any. */
+/**
+ * Say who stands since a stop; it is good only if all have been heard, and if there are any.
+ * @param {Stop} stop
+ */
 export function stopWords({ standing, moving, silent, done }) {
   const all = standing.length + moving.length + silent.length;
   if (all === 0) return { words: "0 of 0 standing: no robot has been heard", mood: "bad" };
-  const names = (ids) => [...ids].sort(byNumber).join(", ");
+  const names = (/** @type {string[]} */ ids) => [...ids].sort(byNumber).join(", ");
   let words = `${standing.length} of ${all} standing`;
   if (silent.length) words += `, ${names(silent)} not heard`;
   if (moving.length) words += ` · still moving: ${names(moving)}`;
@@ -188,6 +217,10 @@ export function stopWords({ standing, moving, silent, done }) {
   return { words, mood: done && !moving.length ? "good" : "" };
 }
 
+/**
+ * @param {Estop | null} order
+ * @param {string[]} latched
+ */
 function title(order, latched) {
   if (order && !order.engaged && !order.done) return "Clearing the e-stop";
   const sure = (order?.receipts ?? []).filter((receipt) => receipt.engaged && receipt.standing).length;
@@ -199,6 +232,7 @@ function title(order, latched) {
   return `E-STOP latched on ${latched.length}`;
 }
 
+/** @param {Receipt} receipt */
 function receiptText({ standing, rolled_m, after_s, engaged }) {
   const after = typeof after_s === "number" ? ` after ${after_s.toFixed(2)} s` : "";
   if (!engaged) return `cleared${after}`;

@@ -5,46 +5,56 @@ import { OLD_S } from "./linkstate.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
+/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, NodeState, Point, RequestStatus, Robot, States, Stop, World } from "./types.d.ts" */
+
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
 /**
  * Emits the name of what changed: world, robots (somebody new), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, lost.
+ * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
+ *   goals: Store["goals"], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
+ *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"], lost: Lost}>}
  */
 export class Store extends Emitter {
   constructor() {
     super();
-    this.hello = /** @type {any} */ (null);
+    this.hello = /** @type {Hello | null} */ (null);
     this.icons = /** @type {Record<string, [string, string]>} */ ({});
-    this.arena = /** @type {[number, number, number, number] | null} */ (null);
+    this.arena = /** @type {Box | null} */ (null);
     this.boxes = /** @type {number[][]} */ ([]);
     this.sensing_radius_m = /** @type {number | null} */ (null);
-    this.behaviours = /** @type {Record<string, any>} */ ({});
+    this.behaviours = /** @type {Record<string, Behaviour>} */ ({});
     this.groups = /** @type {Record<string, string[]>} */ ({});
     this.looks = new Looks();
     this.tracks = /** @type {Map<string, Track>} */ (new Map());
     this.clock = new ServerClock();
     this.at_s = 0;
-    this.fleet = /** @type {Map<string, any>} */ (new Map());
+    this.fleet = /** @type {Map<string, Robot>} */ (new Map());
     this.hub = true;
     this.core_age_s = /** @type {number | null} */ (null);
-    this.nodes = [];
+    this.nodes = /** @type {NodeState[]} */ ([]);
     this.missing = /** @type {string[]} */ ([]);
     this.filter = /** @type {Map<string, [number, number, string]>} */ (new Map());
-    this.goals = /** @type {Map<string, any>} */ (new Map());
-    this.charts = /** @type {number[][]} */ ([]);
-    this.coverage = /** @type {any} */ (null);
+    this.goals = /** @type {Map<string, Goal>} */ (new Map());
+    this.charts = /** @type {ChartRow[]} */ ([]);
+    this.coverage = /** @type {Coverage | null} */ (null);
     this.obstacles = /** @type {number[][]} */ ([]);
-    this.log = /** @type {any[]} */ ([]);
-    this.leases = /** @type {Map<string, any>} */ (new Map());
-    this.estop = /** @type {any} */ (null);
-    this.stop = /** @type {any} */ (null);
+    this.log = /** @type {Entry[]} */ ([]);
+    this.leases = /** @type {Map<string, Lease>} */ (new Map());
+    this.estop = /** @type {Estop | null} */ (null);
+    this.stop = /** @type {Stop | null} */ (null);
+    this.pending = /** @type {Map<string, Point[]> | null} */ (null); // trails, until the first states tell the time
   }
 
-  /** Take in one message; what this page does not know is left alone. */
+  /**
+   * Take in one message; what this page does not know is left alone.
+   * @param {Message} message
+   */
   apply(message) {
-    this.#handlers[message.t]?.(message);
+    const handler = /** @type {((message: Message) => void) | undefined} */ (this.#handlers[message.t]);
+    handler?.(message);
   }
 
   /** Return all robots known, by id as people count: r2 before r10. */
@@ -52,25 +62,42 @@ export class Store extends Emitter {
     return [...new Set([...this.tracks.keys(), ...this.fleet.keys()])].sort(byNumber);
   }
 
-  /** Return what the table knows of a robot; an empty record if nothing. */
+  /**
+   * Return what the table knows of a robot; an empty record if nothing.
+   * @param {string} id
+   * @returns {Partial<Robot>}
+   */
   info(id) {
     return this.fleet.get(id) ?? {};
   }
 
-  /** Return a robot's radius in metres. */
+  /**
+   * Return a robot's radius in metres.
+   * @param {string} id
+   */
   radius(id) {
     return this.info(id).radius_m ?? 0.17;
   }
 
-  /** Return robot → operator for those of `ids` that somebody else holds. */
+  /**
+   * Return robot → operator for those of `ids` that somebody else holds.
+   * @param {string[]} ids
+   */
   heldByOthers(ids) {
-    const held = ids.map((id) => this.leases.get(id)).filter((lease) => lease && !lease.mine);
-    return new Map(held.map((lease) => [lease.robot, lease.operator]));
+    const held = /** @type {Map<string, string>} */ (new Map());
+    for (const id of ids) {
+      const lease = this.leases.get(id);
+      if (lease && !lease.mine) held.set(id, lease.operator);
+    }
+    return held;
   }
 
-  /** Return what may keep robots (none: all of them) from obeying now, as words that can be compared. */
+  /**
+   * Return what may keep robots (none: all of them) from obeying now, as words that can be compared.
+   * @param {string[]} ids
+   */
   hindrances(ids) {
-    const found = new Set();
+    const found = /** @type {Set<string>} */ (new Set());
     if (!this.hub) found.add("hub");
     if (this.core_age_s === null || this.core_age_s > OLD_S) found.add("core");
     for (const id of ids.length ? ids : this.ids()) {
@@ -85,7 +112,7 @@ export class Store extends Emitter {
     return found;
   }
 
-  #handlers = {
+  #handlers = /** @type {{[T in Message["t"]]: (message: Extract<Message, {t: T}>) => void}} */ ({
     hello: (message) => this.#hello(message),
     world: (message) => this.#world(message),
     state: (message) => this.#states(message),
@@ -101,13 +128,19 @@ export class Store extends Emitter {
     stop: (message) => this.#set("stop", message),
     leases: ({ leases }) => this.#set("leases", new Map(leases.map((lease) => [lease.robot, lease]))),
     lost: (message) => this.emit("lost", message),
-  };
+  });
 
+  /**
+   * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases"} T
+   * @param {T} name
+   * @param {Store[T]} value
+   */
   #set(name, value) {
-    this[name] = value;
-    this.emit(name, value);
+    Object.assign(this, { [name]: value });
+    this.emit(name, /** @type {never} */ (value));
   }
 
+  /** @param {Hello} message */
   #hello(message) {
     this.hello = message;
     this.icons = message.icons ?? {};
@@ -117,27 +150,32 @@ export class Store extends Emitter {
     this.log = [...(history.log ?? [])];
     this.#world(message);
     const recalled = Object.entries(history.trails ?? {});
-    for (const [id, points] of recalled) this.#track(id).trail = [];
+    for (const [id] of recalled) this.#track(id).trail = [];
     this.pending = recalled.length ? new Map(recalled) : null;
     this.emit("hello", message);
     this.emit("charts", null);
     this.emit("log", null);
   }
 
+  /** @param {World} message */
   #world(message) {
-    for (const name of ["arena", "boxes", "sensing_radius_m", "behaviours", "groups"]) {
-      if (message[name] !== undefined && message[name] !== null) this[name] = message[name];
-    }
+    this.arena = message.arena ?? this.arena;
+    this.boxes = message.boxes ?? this.boxes;
+    this.sensing_radius_m = message.sensing_radius_m ?? this.sensing_radius_m;
+    this.behaviours = message.behaviours ?? this.behaviours;
+    this.groups = message.groups ?? this.groups;
     this.looks = new Looks(Object.keys(this.behaviours));
     this.emit("world", message);
   }
 
+  /** @param {string} id */
   #track(id) {
     let track = this.tracks.get(id);
     if (!track) this.tracks.set(id, (track = new Track()));
     return track;
   }
 
+  /** @param {States} states */
   #states({ at, robots }) {
     this.at_s = at;
     this.clock.heard(at, performance.now() / 1000);
@@ -153,6 +191,7 @@ export class Store extends Emitter {
     this.emit("states", null);
   }
 
+  /** @param {Fleet} message */
   #fleet(message) {
     const known = this.fleet.size;
     this.fleet = new Map(message.robots.map((robot) => [robot.robot, robot]));
@@ -164,12 +203,14 @@ export class Store extends Emitter {
     this.emit("fleet", message);
   }
 
+  /** @param {ChartRow} row */
   #chart(row) {
     this.charts.push(row);
     if (this.charts.length > CHART_KEPT) this.charts.shift();
     this.emit("charts", row);
   }
 
+  /** @param {Entry} entry */
   #log(entry) {
     this.log.push(entry);
     if (this.log.length > LOG_KEPT) this.log.shift();
@@ -177,7 +218,11 @@ export class Store extends Emitter {
   }
 }
 
-/** Order ids as people count. */
+/**
+ * Order ids as people count.
+ * @param {string} a
+ * @param {string} b
+ */
 export function byNumber(a, b) {
   return a.localeCompare(b, "en", { numeric: true });
 }

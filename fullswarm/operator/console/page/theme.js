@@ -3,7 +3,10 @@
 import { Emitter } from "./emitter.js";
 import { setText } from "./dom.js";
 
-/** Emits "change". */
+/**
+ * Emits "change".
+ * @extends {Emitter<{change: undefined}>}
+ */
 export class Theme extends Emitter {
   /** @param {HTMLElement} button */
   constructor(button) {

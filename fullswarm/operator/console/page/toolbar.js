@@ -2,6 +2,10 @@
 
 import { byId, setText } from "./dom.js";
 
+/** @import { Commands } from "./commands.js" */
+/** @import { Store } from "./store.js" */
+/** @import { Tools } from "./tools.js" */
+
 const HINTS = {
   select: "",
   goal: "Click where the selected robots shall go. Esc: leave it.",
@@ -17,7 +21,7 @@ export class Toolbar {
   constructor({ map, tools, commands, store }) {
     this.map = map;
     this.tools = tools;
-    for (const mode of ["select", "goal", "formation"]) {
+    for (const mode of /** @type {const} */ (["select", "goal", "formation"])) {
       byId(`tool-${mode}`).addEventListener("click", () => tools.use(mode));
     }
     byId("zoom-in").addEventListener("click", () => this.zoom(1.3));
@@ -25,25 +29,34 @@ export class Toolbar {
     byId("zoom-fit").addEventListener("click", () => map.fit());
     byId("layer-coverage").addEventListener("click", () => this.layer("coverage"));
     byId("layer-trails").addEventListener("click", () => this.layer("trails"));
-    byId("formation-shape").addEventListener("change", (event) => (tools.shape = event.target.value));
+    const shape = /** @type {HTMLSelectElement} */ (byId("formation-shape"));
+    shape.addEventListener("change", () => (tools.shape = /** @type {Tools["shape"]} */ (shape.value)));
     this.#goalBehaviours(commands, store);
     tools.on("change", () => this.#show());
     tools.on("draw", () => map.touch());
     this.#show();
   }
 
+  /** @param {number} factor */
   zoom(factor) {
     this.map.view.zoomAt(factor);
     this.map.touch(true);
   }
 
-  /** Show or hide a layer. */
+  /**
+   * Show or hide a layer.
+   * @param {"coverage" | "trails"} name
+   */
   layer(name) {
     this.map.options[name] = !this.map.options[name];
     byId(`layer-${name}`).setAttribute("aria-pressed", String(this.map.options[name]));
     this.map.touch(true);
   }
 
+  /**
+   * @param {Commands} commands
+   * @param {Store} store
+   */
   #goalBehaviours(commands, store) {
     const choice = /** @type {HTMLSelectElement} */ (byId("goal-behaviour"));
     choice.addEventListener("change", () => (commands.goalBehaviour = choice.value));
@@ -54,7 +67,7 @@ export class Toolbar {
 
   #show() {
     const { mode } = this.tools;
-    for (const each of ["select", "goal", "formation"]) {
+    for (const each of /** @type {const} */ (["select", "goal", "formation"])) {
       byId(`tool-${each}`).setAttribute("aria-pressed", String(each === mode));
     }
     setText(byId("tool-hint"), HINTS[mode]);

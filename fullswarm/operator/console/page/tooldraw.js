@@ -2,9 +2,21 @@
 
 import { assign } from "./geometry.js";
 
+/** @import { Scene } from "./ground.js" */
+/** @import { Placed } from "./robots.js" */
+/** @import { Selection } from "./selection.js" */
+/** @import { Tools } from "./tools.js" */
+/** @import { Point } from "./types.d.ts" */
+
 const PREVIEWED = 40; // robots; more would make the drag stutter
 
-/** Draw the tool over the robots; CSS pixels. */
+/**
+ * Draw the tool over the robots; CSS pixels.
+ * @param {Scene} scene
+ * @param {Tools} tool
+ * @param {Placed[]} placed
+ * @param {Selection} selection
+ */
 export function drawTool(scene, tool, placed, selection) {
   if (tool.lasso.length > 1) drawLasso(scene, tool.lasso);
   if (tool.drag) drawFormation(scene, tool, placed, selection);
@@ -12,6 +24,10 @@ export function drawTool(scene, tool, placed, selection) {
   if (tool.cursor) drawCrosshair(scene, tool.cursor);
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Point[]} lasso
+ */
 function drawLasso({ context, view, colours }, lasso) {
   context.beginPath();
   for (const [x, y] of lasso) context.lineTo(...view.toScreen(x, y));
@@ -25,10 +41,16 @@ function drawLasso({ context, view, colours }, lasso) {
   context.setLineDash([]);
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Tools} tool
+ * @param {Placed[]} placed
+ * @param {Selection} selection
+ */
 function drawFormation({ context, view, colours, store }, tool, placed, selection) {
   const targets = tool.places();
   const ids = selection.list();
-  const robots = ids.map((id) => placed.find((robot) => robot.id === id));
+  const robots = ids.flatMap((id) => placed.find((robot) => robot.id === id) ?? []);
   context.strokeStyle = colours.goal;
   context.lineWidth = 2;
   for (const [k, [x, y]] of targets.entries()) {
@@ -36,7 +58,7 @@ function drawFormation({ context, view, colours, store }, tool, placed, selectio
     context.arc(...view.toScreen(x, y), Math.max(5, store.radius(ids[k]) * view.scale), 0, 2 * Math.PI);
     context.stroke();
   }
-  if (targets.length > PREVIEWED || robots.includes(undefined)) return;
+  if (targets.length > PREVIEWED || robots.length < ids.length) return;
   const given = assign(robots.map(({ x, y }) => [x, y]), targets);
   context.globalAlpha = 0.5;
   context.setLineDash([2, 5]);
@@ -50,6 +72,11 @@ function drawFormation({ context, view, colours, store }, tool, placed, selectio
   context.globalAlpha = 1;
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Point} point
+ * @param {string} words
+ */
 function drawPicked({ context, view, colours }, point, words) {
   const [x, y] = view.toScreen(...point);
   context.fillStyle = colours.goal;
@@ -60,6 +87,10 @@ function drawPicked({ context, view, colours }, point, words) {
   context.fillText(words, x + 8, y - 6);
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Point} point
+ */
 function drawCrosshair({ context, view, colours }, point) {
   const [x, y] = view.toScreen(...point);
   context.strokeStyle = colours.goal;

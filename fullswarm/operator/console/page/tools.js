@@ -4,11 +4,18 @@ import { Emitter } from "./emitter.js";
 import { lassoed, places } from "./geometry.js";
 import { UNHEARD } from "./selection.js";
 
+/** @import { Placed } from "./robots.js" */
+/** @import { Point } from "./types.d.ts" */
+
 export const STEP_M = 0.25;
 
 /**
+ * @typedef {"select" | "goal" | "formation" | "pick"} Mode
+ */
+
+/**
  * Emits "change" when another tool is taken, "draw" when its picture changed.
- * @typedef {[number, number]} Point
+ * @extends {Emitter<{change: undefined, draw: undefined}>}
  */
 export class Tools extends Emitter {
   /**
@@ -21,18 +28,20 @@ export class Tools extends Emitter {
     this.selection = selection;
     this.commands = commands;
     this.tell = tell;
-    this.mode = /** @type {"select" | "goal" | "formation" | "pick"} */ ("select");
+    this.mode = /** @type {Mode} */ ("select");
     this.shape = /** @type {"ring" | "line" | "grid"} */ ("ring");
     this.lasso = /** @type {Point[]} */ ([]);
     this.drag = /** @type {{from: Point, to: Point} | null} */ (null);
-    this.cursor = /** @type {Point | null} */ (null); // keyboard
     this.picked = /** @type {Point[]} */ ([]);
-    this.#pick = null;
   }
 
-  #pick;
+  cursor = /** @type {Point | null} */ (null); // keyboard
+  #pick = /** @type {((point: Point) => boolean) | null} */ (null);
 
-  /** Take a tool; goal and formation want robots. */
+  /**
+   * Take a tool; goal and formation want robots.
+   * @param {Mode} mode
+   */
   use(mode) {
     if ((mode === "goal" || mode === "formation") && this.#meant().length === 0) return;
     if (this.mode === "pick" && mode !== "pick") this.#pick = null;
@@ -44,7 +53,11 @@ export class Tools extends Emitter {
     this.emit("change");
   }
 
-  /** Let the next clicks go to `onPoint` instead; it returns whether it wants more. */
+  /**
+   * Let the next clicks go to `onPoint` instead; it returns whether it wants more.
+   * @param {Point[]} points
+   * @param {(point: Point) => boolean} onPoint
+   */
   pick(points, onPoint) {
     this.use("pick");
     this.picked = points;
@@ -52,7 +65,12 @@ export class Tools extends Emitter {
     this.emit("change");
   }
 
-  /** A click on a robot or on the ground. */
+  /**
+   * A click on a robot or on the ground.
+   * @param {Point} point
+   * @param {{id: string} | null} robot
+   * @param {boolean} extend
+   */
   click(point, robot, extend) {
     if (this.mode === "goal") return this.goal(point);
     if (this.mode === "pick") return this.#picked(point);
@@ -60,7 +78,10 @@ export class Tools extends Emitter {
     return extend ? this.selection.toggle(robot.id) : this.selection.set([robot.id]);
   }
 
-  /** Send the selection to a point. */
+  /**
+   * Send the selection to a point.
+   * @param {Point} point
+   */
   goal(point) {
     const robots = this.#meant();
     if (robots.length === 0) return;
@@ -76,17 +97,23 @@ export class Tools extends Emitter {
     return robots;
   }
 
+  /** @param {Point} point */
   dragFrom(point) {
     if (this.mode === "select") this.lasso = [point];
     else if (this.mode === "formation") this.drag = { from: point, to: point };
   }
 
+  /** @param {Point} point */
   dragTo(point) {
     if (this.mode === "select") this.lasso.push(point);
     else if (this.drag) this.drag = { from: this.drag.from, to: point };
     this.emit("draw");
   }
 
+  /**
+   * @param {Placed[]} robots
+   * @param {boolean} extend
+   */
   dragEnd(robots, extend) {
     if (this.mode === "select" && this.lasso.length > 2) {
       const ids = lassoed(robots, this.lasso);
@@ -112,7 +139,12 @@ export class Tools extends Emitter {
     return places(this.shape, this.drag.from, this.drag.to, this.selection.list().length);
   }
 
-  /** Move the keyboard's crosshair; false if no tool wants one. */
+  /**
+   * Move the keyboard's crosshair; false if no tool wants one.
+   * @param {number} dx
+   * @param {number} dy
+   * @param {Point} start
+   */
   nudge(dx, dy, start) {
     if (this.mode === "select") return false;
     const [x, y] = this.cursor ?? start;
@@ -131,6 +163,7 @@ export class Tools extends Emitter {
     this.emit("draw");
   }
 
+  /** @param {Point} point */
   #picked(point) {
     this.picked = [...this.picked, point];
     if (!this.#pick?.(point)) this.use("select");

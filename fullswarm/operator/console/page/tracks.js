@@ -2,6 +2,8 @@
 
 import { mixAngle } from "./geometry.js";
 
+/** @import { Point } from "./types.d.ts" */
+
 const KEPT = 8;
 export const DELAY_S = 0.08;
 const TRAIL_S = 60;
@@ -14,7 +16,11 @@ export class ServerClock {
     this.offset_s = Infinity;
   }
 
-  /** Note a message stamped `at_s` that arrived at `now_s` of this page's clock. */
+  /**
+   * Note a message stamped `at_s` that arrived at `now_s` of this page's clock.
+   * @param {number} at_s
+   * @param {number} now_s
+   */
   heard(at_s, now_s) {
     const offset = now_s - at_s;
     // Creeps up, so that a clock which runs apart is followed; jumps when the server was started anew.
@@ -22,7 +28,10 @@ export class ServerClock {
     else this.offset_s += (offset - this.offset_s) * 0.002;
   }
 
-  /** Return the server's time to draw at `now_s`. */
+  /**
+   * Return the server's time to draw at `now_s`.
+   * @param {number} now_s
+   */
   drawn(now_s) {
     return now_s - this.offset_s - DELAY_S;
   }
@@ -35,6 +44,13 @@ export class Track {
     this.trail = /** @type {number[][]} */ ([]); // [at_s, x, y]
   }
 
+  /**
+   * @param {number} at_s
+   * @param {number} x
+   * @param {number} y
+   * @param {number} heading
+   * @param {number} speed
+   */
   push(at_s, x, y, heading, speed) {
     const newest = this.states.at(-1);
     if (newest && at_s < newest[0]) this.states.length = 0; // another server
@@ -43,7 +59,10 @@ export class Track {
     this.#trace(at_s, x, y);
   }
 
-  /** Return [x, y, heading, speed] at a time of the server; held at the ends. */
+  /**
+   * Return [x, y, heading, speed] at a time of the server; held at the ends.
+   * @param {number} at_s
+   */
   pose(at_s) {
     const states = this.states;
     for (let i = states.length - 1; i > 0; i -= 1) {
@@ -61,12 +80,21 @@ export class Track {
     return states.length ? states[0].slice(1) : null;
   }
 
-  /** Put a trail of an earlier time before what is known; it is stamped backwards from `before_s`. */
+  /**
+   * Put a trail of an earlier time before what is known; it is stamped backwards from `before_s`.
+   * @param {Point[]} points
+   * @param {number} before_s
+   */
   recall(points, before_s) {
     const older = points.map(([x, y], k) => [before_s - (points.length - k) * TRAIL_STEP_S, x, y]);
     this.trail = [...older, ...this.trail.filter((point) => point[0] >= before_s)];
   }
 
+  /**
+   * @param {number} at_s
+   * @param {number} x
+   * @param {number} y
+   */
   #trace(at_s, x, y) {
     const last = this.trail.at(-1);
     if (last && at_s < last[0] - 1) this.trail.length = 0;

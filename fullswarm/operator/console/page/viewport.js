@@ -1,17 +1,21 @@
 /** Which part of the world the map shows: metres to CSS pixels and back, pan, zoom, fit. y points up. */
 
+/** @import { Box } from "./types.d.ts" */
+
 const LEAST_PX_PER_M = 2;
 const MOST_PX_PER_M = 600;
 
 export class Viewport {
-  constructor() {
-    this.width = 1; // CSS pixels
-    this.height = 1;
-    this.centre = /** @type {[number, number]} */ ([0, 0]); // metres
-    this.scale = 40; // CSS pixels per metre
-  }
+  width = 1; // CSS pixels
+  height = 1;
+  centre = /** @type {[number, number]} */ ([0, 0]); // metres
+  scale = 40; // CSS pixels per metre
 
-  /** @returns {[number, number]} CSS pixels from the map's corner at the top left */
+  /**
+   * @param {number} x_m
+   * @param {number} y_m
+   * @returns {[number, number]} CSS pixels from the map's corner at the top left
+   */
   toScreen(x_m, y_m) {
     return [
       this.width / 2 + (x_m - this.centre[0]) * this.scale,
@@ -19,7 +23,11 @@ export class Viewport {
     ];
   }
 
-  /** @returns {[number, number]} metres */
+  /**
+   * @param {number} x_px
+   * @param {number} y_px
+   * @returns {[number, number]} metres
+   */
   toWorld(x_px, y_px) {
     return [
       this.centre[0] + (x_px - this.width / 2) / this.scale,
@@ -27,12 +35,21 @@ export class Viewport {
     ];
   }
 
-  /** Shift what is shown by CSS pixels. */
+  /**
+   * Shift what is shown by CSS pixels.
+   * @param {number} dx_px
+   * @param {number} dy_px
+   */
   pan(dx_px, dy_px) {
     this.centre = [this.centre[0] - dx_px / this.scale, this.centre[1] + dy_px / this.scale];
   }
 
-  /** Zoom by a factor; the point of the world under (x_px, y_px) stays where it is. */
+  /**
+   * Zoom by a factor; the point of the world under (x_px, y_px) stays where it is.
+   * @param {number} factor
+   * @param {number} [x_px]
+   * @param {number} [y_px]
+   */
   zoomAt(factor, x_px = this.width / 2, y_px = this.height / 2) {
     const [x, y] = this.toWorld(x_px, y_px);
     this.scale = Math.min(MOST_PX_PER_M, Math.max(LEAST_PX_PER_M, this.scale * factor));
@@ -40,7 +57,11 @@ export class Viewport {
     this.centre = [this.centre[0] + x - now_x, this.centre[1] + y - now_y];
   }
 
-  /** Show the whole of a box (x0, y0, x1, y1 in metres) with some room around it. */
+  /**
+   * Show the whole of a box (x0, y0, x1, y1 in metres) with some room around it.
+   * @param {Box} box
+   * @param {number} [margin_px]
+   */
   fit([x0, y0, x1, y1], margin_px = 28) {
     const wide = Math.max(x1 - x0, 0.5);
     const high = Math.max(y1 - y0, 0.5);
@@ -50,7 +71,11 @@ export class Viewport {
   }
 }
 
-/** Return a round length in metres whose bar is at most `most_px` long. */
+/**
+ * Return a round length in metres whose bar is at most `most_px` long.
+ * @param {number} px_per_m
+ * @param {number} [most_px]
+ */
 export function scaleBar(px_per_m, most_px = 120) {
   const most_m = most_px / px_per_m;
   const ten = 10 ** Math.floor(Math.log10(most_m));

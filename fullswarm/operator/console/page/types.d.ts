@@ -1,0 +1,201 @@
+/** The frames that the console sends, with the fields that the page reads. Only for the type check. */
+
+export type Point = [x_m: number, y_m: number];
+export type Box = [x0_m: number, y0_m: number, x1_m: number, y1_m: number];
+export type ChartRow = [at_s: number, ...values: (number | null)[]];
+
+export interface Robot {
+  robot: string;
+  age_s: number;
+  silent: boolean;
+  host: string;
+  version: string;
+  make: string;
+  model: string;
+  driver: string;
+  firmware: string;
+  lifecycle: string;
+  behaviour: string;
+  estop: boolean;
+  state: string;
+  state_word: string;
+  state_why: string;
+  attention: boolean;
+  stop_reason: string;
+  fault: string;
+  advice: string;
+  battery: number | null;
+  radius_m: number | null;
+  filter_note: string;
+}
+
+export interface Parameter {
+  type: string;
+  unit?: string;
+  doc?: string;
+  default?: unknown;
+  min?: number | null;
+  max?: number | null;
+  choices?: string[];
+  required?: boolean;
+}
+
+export interface Behaviour {
+  summary?: string;
+  filtered?: boolean;
+  expires_s?: number;
+  parameters?: Record<string, Parameter>;
+}
+
+export interface Shown {
+  arena: Box | null;
+  boxes: number[][];
+  sensing_radius_m: number | null;
+  behaviours: Record<string, Behaviour>;
+  groups: Record<string, string[]>;
+}
+
+export interface World extends Partial<Shown> {
+  t: "world" | "hello";
+}
+
+export interface Hello extends World {
+  t: "hello";
+  swarm: string;
+  operator: string;
+  read_only: boolean;
+  icons?: Record<string, [shape: string, letter: string]>;
+  history?: { trails?: Record<string, Point[]>; charts?: ChartRow[]; log?: Entry[] };
+}
+
+export interface Entry {
+  clock: string;
+  kind: string;
+  text: string;
+  robots: string[];
+  request_id: string;
+  mine: boolean;
+}
+
+export interface NodeState {
+  node: string;
+  age_s: number;
+  active: boolean;
+}
+
+export interface Fleet {
+  t: "fleet";
+  hub: boolean;
+  core_age_s: number | null;
+  nodes: NodeState[];
+  robots: Robot[];
+  missing: string[];
+}
+
+export interface States {
+  t: "state";
+  at: number;
+  robots: [id: string, x_m: number | null, y_m: number | null, heading_rad: number | null, speed_m_s: number | null][];
+}
+
+export interface Goal {
+  request_id: string;
+  goal: Point | null;
+  target: Point | null;
+  radius_m: number | null;
+}
+
+export interface Lease {
+  robot: string;
+  operator: string;
+  taken_from: string;
+  mine: boolean;
+}
+
+export interface Coverage {
+  t: "coverage";
+  origin: Point;
+  cell_m: number;
+  rows: number;
+  columns: number;
+  bits: string;
+}
+
+export interface RequestStatus {
+  t: "request";
+  request_id: string;
+  behaviour: string;
+  phase: string;
+  reason: string;
+  code: string;
+  about: Record<string, string>;
+  robots: string[];
+  running: string[];
+  missing: string[];
+  refused_by: string[];
+  mine: boolean;
+}
+
+export interface Receipt {
+  robot: string;
+  standing: boolean;
+  rolled_m: number | null;
+  after_s: number | null;
+  engaged: boolean;
+}
+
+export interface Estop {
+  t: "estop";
+  id: string;
+  engaged: boolean;
+  done: boolean;
+  receipts: Receipt[];
+  waiting: string[];
+  silent: string[];
+}
+
+export interface Stop {
+  t: "stop";
+  standing: string[];
+  moving: string[];
+  silent: string[];
+  done: boolean;
+}
+
+export interface Lost {
+  t: "lost";
+  robots: string[];
+  by: string;
+}
+
+export interface AnswerFrame {
+  t: "answer";
+  ref: number | null;
+  ok: boolean;
+  reason: string;
+  request_id: string;
+}
+
+export type Message =
+  | Hello
+  | (World & { t: "world" })
+  | States
+  | Fleet
+  | { t: "filter"; robots: [id: string, dx_m_s: number, dy_m_s: number, reason: string][] }
+  | { t: "goals"; robots: Record<string, Goal> }
+  | { t: "chart"; row: ChartRow }
+  | Coverage
+  | { t: "obstacles"; rows: number[][] }
+  | { t: "log"; entry: Entry }
+  | RequestStatus
+  | Estop
+  | Stop
+  | { t: "leases"; leases: Lease[] }
+  | Lost;
+
+declare global {
+  interface Window {
+    /** For tests: see the end of main.js. */
+    fullswarm: object;
+  }
+}
