@@ -19,7 +19,7 @@ STILL = 0.04
 
 @dataclass
 class Bench:
-    """A driver, its newest reading, and whoever stands beside the robot (None: nobody)."""
+    """A driver, its newest reading, and the operator beside the robot (None: no terminal)."""
 
     driver: Driver
     runtime: Runtime
@@ -36,7 +36,7 @@ class Bench:
         )
 
     def wait(self, until: Callable[[], bool], limit_s: float, each: Callable[[], object] | None = None) -> bool:
-        """Look at 50 Hz, calling `each`, until a condition holds; tell whether it did in time.
+        """Look at 50 Hz, calling `each`, until a condition holds; return whether it did in time.
 
         Raises
         ------
@@ -68,15 +68,15 @@ class Bench:
         self.wait(lambda: False, duration_s, lambda: self.driver.command(wished))
 
     def halt(self, limit_s: float) -> bool:
-        """Command zero until the robot stands; tell whether it does."""
+        """Command zero until the robot is at standstill; return whether it is."""
         return self.wait(self.standing, limit_s, lambda: self.driver.command(STAND))
 
     def reach(self, state: Lifecycle, limit_s: float, each: Callable[[], object] | None = None) -> bool:
-        """Wait for a state; tell whether it came."""
+        """Wait for a state; return whether it was reached."""
         return self.wait(lambda: self.driver.state is state, limit_s, each)
 
     def standing(self) -> bool:
-        """Tell whether the newest reading says that the robot stands."""
+        """Return whether the newest reading shows a robot at standstill."""
         twist = STAND if self.newest is None else self.newest.twist
         slow = abs(twist.linear_m_s) <= self.still.linear_m_s
         return slow and abs(twist.angular_rad_s) <= self.still.angular_rad_s
@@ -87,7 +87,7 @@ class Bench:
         return self.newest if self.wait(lambda: self.readings > seen, limit_s) else None
 
     def answers(self, question: str, limit_s: float = 120.0) -> bool | None:
-        """Ask the operator; None when there is nobody, or no answer."""
+        """Ask the operator; None without a terminal or an answer."""
         typed = self._ask(f"{question} [y/n] ", limit_s)
         return None if not typed else typed.lower() in ("y", "yes")
 

@@ -30,7 +30,7 @@ class Check:
 def show(checks: Iterable[Check], *, as_json: bool, about: dict[str, Any] | None = None) -> int:
     """Print each check as it comes, or all as JSON behind what they are `about`; return how many failed.
 
-    `about` is read at the end: who checks may fill it meanwhile.
+    `about` is read at the end: the checks may fill it meanwhile.
     """
     done = []
     for check in checks:

@@ -105,7 +105,7 @@ def _makes_of(robot: RobotConfig) -> Iterator[Make]:
             yield emulated_as(robot.emulate)[0]
             yield make_of("sim:")
     except ConfigError:
-        return  # the robot's own check says what is wrong
+        return  # the robot's own check reports what is wrong
 
 
 def _family(url: str) -> str:
@@ -123,7 +123,7 @@ def _hub(config: SwarmConfig) -> Check:
         bus.wait_connected(HUB_S)
     except Unreachable as error:
         if is_loopback(host_of(endpoint)):
-            what = f"nobody listens on {endpoint}: fine until the swarm is started"
+            what = f"no process listens on {endpoint}: normal before the swarm is started"
             return Check("hub", "warning", what, "fullswarm up FLEET.toml")
         return Check("hub", "failure", str(error), "start `fullswarm hub` there; check network and firewall")
     finally:
@@ -162,7 +162,7 @@ def _robot(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
 
 
 def _evidence(config: SwarmConfig) -> Iterator[Check]:
-    """Say what was proven for each make of the fleet, as far as its record tells."""
+    """Report what was proven for each make of the fleet, according to its record."""
     for make in dict.fromkeys(make for each in config.robot for make in _makes_of(each) if not make.simulated):
         yield Check(f"evidence for {make.name}", "ok", make.proven())
 

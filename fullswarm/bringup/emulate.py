@@ -1,6 +1,6 @@
 """`fullswarm emulate MAKE`: one emulated robot on a real port, on an endless floor, for anybody's client.
 
-What a client opens is printed on stdout; on stderr follows what the robot is told; stdin takes mishaps.
+Prints what a client opens on stdout and the commands that the robot receives on stderr; stdin takes faults to inject.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LOOK_S, TELL_S, LISTEN_S = 0.1, 1.0, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """What the command line asks for; None: not said."""
+class EmulateOptions:
+    """Options of the command line; None: not given."""
 
     make: str
     port: Path | None = None
@@ -38,7 +38,9 @@ class Wish:
     model: str | None = None
 
 
-def run(wish: Wish, faults: LinkFaults, orders: Sequence[str], seconds: float | None, *, as_json: bool) -> int:
+def run(
+    options: EmulateOptions, faults: LinkFaults, orders: Sequence[str], seconds: float | None, *, as_json: bool
+) -> int:
     """Serve until Ctrl-C, ``quit`` or for so many seconds; return the exit code.
 
     Raises
@@ -50,16 +52,16 @@ def run(wish: Wish, faults: LinkFaults, orders: Sequence[str], seconds: float | 
     MissingExtra
         The make's library is not installed.
     """
-    _refuse_misfits(wish)
+    _refuse_misfits(options)
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     body = FreeBody()
-    with _port_path(wish) as path, _started(wish, path, body) as emulator:
+    with _port_path(options) as path, _started(options, path, body) as emulator:
         emulator.faults.drop, emulator.faults.corrupt = faults.drop, faults.corrupt
         emulator.faults.delay_s = faults.delay_s
         for each in orders:
             mishaps.obey(emulator, each)
-        _announce(wish, emulator.url, as_json=as_json)
+        _announce(options, emulator.url, as_json=as_json)
         teller, typed = _Teller(emulator, body), Typed()
         runtime.every(LOOK_S, lambda: teller.look(runtime.now_s()), first_s=0.0)
         runtime.every(LISTEN_S, lambda: _listen(typed, emulator, runtime))
@@ -67,17 +69,17 @@ def run(wish: Wish, faults: LinkFaults, orders: Sequence[str], seconds: float | 
     return 130 if runtime.exit_signal == 2 else 0
 
 
-def _refuse_misfits(wish: Wish) -> None:
-    emulation = _emulation(wish.make)
+def _refuse_misfits(options: EmulateOptions) -> None:
+    emulation = _emulation(options.make)
     useless = {
         "listen": not emulation.listens,
         "model": len(emulation.models) < 2,
         "port": emulation.models[0].place != "path" and not emulation.listens,
     }
     for name, nothing in useless.items():
-        if nothing and getattr(wish, name) is not None:
-            raise ConfigError(f"means nothing to an emulated {wish.make}", where=f"--{name}")
-    if sum(each is not None for each in (wish.port, wish.listen, wish.url)) > 1:
+        if nothing and getattr(options, name) is not None:
+            raise ConfigError(f"means nothing to an emulated {options.make}", where=f"--{name}")
+    if sum(each is not None for each in (options.port, options.listen, options.url)) > 1:
         raise ConfigError("--port, --listen and --url exclude each other", hint="name one place")
 
 
@@ -89,28 +91,28 @@ def _emulation(name: str) -> Emulation:
 
 # ---------------------------------------------------------------- starting
 @contextmanager
-def _port_path(wish: Wish) -> Iterator[str]:
-    """Hand out the path for a serial port; without a wish one in a new folder."""
-    if wish.port is not None:
-        yield os.path.abspath(wish.port)  # noqa: PTH100  (resolve() would follow the link that an emulator left)
+def _port_path(options: EmulateOptions) -> Iterator[str]:
+    """Yield the path for a serial port: the given one, or one in a new folder."""
+    if options.port is not None:
+        yield os.path.abspath(options.port)  # noqa: PTH100  (resolve() would follow the link that an emulator left)
         return
     with tempfile.TemporaryDirectory(prefix="fullswarm-") as folder:
-        yield str(Path(folder) / wish.make)
+        yield str(Path(folder) / options.make)
 
 
 @contextmanager
-def _started(wish: Wish, path: str, body: Body) -> Iterator[Emulator]:
-    make, emulation = named(wish.make), _emulation(wish.make)
+def _started(options: EmulateOptions, path: str, body: Body) -> Iterator[Emulator]:
+    make, emulation = named(options.make), _emulation(options.make)
     emulator: Emulator
     if emulation.bench:
-        bench = Bench(path, wish.port, wish.listen, wish.url, wish.model)
+        bench = Bench(path, options.port, options.listen, options.url, options.model)
         emulator = emulation_part(make, emulation.bench)(bench, body)
     else:
         models = {each.name: each for each in emulation.models}
-        name = wish.model or emulation.models[0].name
+        name = options.model or emulation.models[0].name
         if name not in models:
             raise ConfigError(f"no model '{name}'", where="--model", hint=did_you_mean(name, models))
-        emulator = emulation_part(make, emulation.start)(wish.url or models[name].driver_url(quote(path)), body)
+        emulator = emulation_part(make, emulation.start)(options.url or models[name].driver_url(quote(path)), body)
     try:
         yield emulator
     finally:
@@ -118,11 +120,11 @@ def _started(wish: Wish, path: str, body: Body) -> Iterator[Emulator]:
 
 
 # ---------------------------------------------------------------- what a client opens
-def _announce(wish: Wish, url: str, *, as_json: bool) -> None:
+def _announce(options: EmulateOptions, url: str, *, as_json: bool) -> None:
     clients = openings(url)
     if as_json:
         # One line, and at once: programs wait for it.
-        output.data(_json_line({"make": wish.make, "url": url, "clients": clients, "pid": os.getpid()}))
+        output.data(_json_line({"make": options.make, "url": url, "clients": clients, "pid": os.getpid()}))
     else:
         output.data(f"our driver:  {url}")
         for client, opening in clients.items():
@@ -146,7 +148,7 @@ def _json_line(value: object) -> str:
 
 # ---------------------------------------------------------------- while it runs
 class _Teller:
-    """Says on stderr what the robot is told and does: on a change, and each second while it moves."""
+    """Prints on stderr what the robot receives and does: on a change, and each second while it moves."""
 
     def __init__(self, emulator: Emulator, body: FreeBody) -> None:
         self._emulator, self._body = emulator, body

@@ -1,4 +1,4 @@
-"""What `fullswarm doctor` looks at for gamepads: SDL says nothing when it may not read one."""
+"""Checks of `fullswarm doctor` for gamepads: SDL reports nothing when it may not read one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def checks(folder: Path = devices.INPUT, listing: Path = devices.LIST) -> Iterat
     try:
         load_sdl()
     except MissingExtra as error:
-        # Without a pad nobody misses it, and the line on extras has said how to get it.
+        # Without a pad it is not needed, and the line on extras has named how to get it.
         yield Check(NAME, "warning", error.what, error.hint) if found else Check(NAME, "ok", "none is plugged in")
         return
     if not found:

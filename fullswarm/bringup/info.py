@@ -49,7 +49,7 @@ def run(hub: str | None, swarm: str, *, as_json: bool) -> int:
 
 
 def collect(hub: str | None, swarm: str) -> Info:
-    """Look at everything; what cannot be found out says so."""
+    """Collect everything; what cannot be found out is reported as such."""
     installed, extras = requirements()
     return Info(
         fullswarm={
@@ -150,7 +150,7 @@ def _swarm(hub: str | None, swarm: str) -> dict[str, str]:
     from fullswarm.operator.view import FleetView
 
     local = hub is None or "127.0.0.1" in hub or "localhost" in hub
-    where = "on this machine" if local else "on another machine"  # whose address is nobody's business
+    where = "on this machine" if local else "on another machine"  # its address is private
     try:
         with session.connect(Target(hub, swarm), within_s=HUB_S) as line:
             view = FleetView(line.bus, line.keys, line.runtime)

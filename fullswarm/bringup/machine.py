@@ -186,6 +186,6 @@ def resources() -> Iterator[Check]:
     load = os.getloadavg()[0] / count
     what = f"{count} processors, {load:.0%} busy in the last minute"
     if load > HIGH_LOAD:
-        yield Check("cpu", "warning", what, "see who it is: top")
+        yield Check("cpu", "warning", what, "find the process with: top")
     else:
         yield Check("cpu", "ok", what)

@@ -1,6 +1,6 @@
 """What may be done to an emulated robot while it runs, typed as a line: ``cliff on``, ``battery 0.1``, ``unplug``.
 
-Every make's emulator has the same names for what it can suffer; what one cannot is refused in words.
+Every make's emulator has the same names for injected faults; what a make does not support is refused.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _set_fault(name: str, high: float) -> Callable[[Any, str], None]:
 def _body(emulator: Any) -> FreeBody:
     body: object = emulator.body
     if not isinstance(body, FreeBody):
-        raise ConfigError("its body lives in a world: nobody can take hold of it")
+        raise ConfigError("its body belongs to a simulated world and cannot be lifted here")
     return body
 
 
@@ -141,12 +141,12 @@ ORDERS: dict[str, Order] = {
 
 
 def obey(emulator: object, line: str) -> None:
-    """Do what a line says to an emulator.
+    """Apply one line of commands to an emulator.
 
     Raises
     ------
     ConfigError
-        No such command, an argument that does not fit, or something that this make cannot suffer.
+        No such command, an argument that does not fit, or a fault that this make does not support.
     """
     name, _, argument = " ".join(line.split()).partition(" ")
     order = ORDERS.get(name)

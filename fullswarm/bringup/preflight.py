@@ -2,7 +2,7 @@
 
 Two ways lead to a robot, and each is told apart from the other: the bus, on which its agent talks
 (``preflight_bus.py``), and SSH, behind which its computer answers (``preflight_ssh.py``, judged by
-``preflight_board.py``). Nothing moves; at the end its e-stop is pressed and released once if somebody agrees
+``preflight_board.py``). Nothing moves; at the end its e-stop is pressed and released once if the operator agrees
 (``preflight_estop.py``).
 """
 
@@ -18,7 +18,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 from fullswarm import __version__, output
 from fullswarm.bringup import preflight_board, preflight_bus, preflight_estop
 from fullswarm.bringup.checks import Check, show
-from fullswarm.bringup.preflight_bus import Heard
+from fullswarm.bringup.preflight_bus import BusState
 from fullswarm.bringup.preflight_estop import Agree
 from fullswarm.bringup.preflight_ssh import Board, look
 from fullswarm.bus.endpoint import host_of, is_loopback
@@ -73,22 +73,22 @@ class Ways:
     Parameters
     ----------
     bus
-        A Heard, or why there is none: no hub answers.
+        A BusState, or why there is none: no hub answers.
     ssh
         A Board, or why there is none; None: a simulated robot has no computer of its own.
     """
 
-    bus: Heard | FullswarmError
+    bus: BusState | FullswarmError
     ssh: Board | FullswarmError | None
 
     @property
     def heard(self) -> bool:
-        """Tell whether the bus leads to it."""
-        return isinstance(self.bus, Heard) and self.bus.there
+        """Return whether it is reachable on the bus."""
+        return isinstance(self.bus, BusState) and self.bus.there
 
     @property
     def answers(self) -> bool:
-        """Tell whether its computer answers, if only to turn us away."""
+        """Return whether its computer answers, even if it refuses the login."""
         return isinstance(self.ssh, Board | HostKeyProblem | LoginRefused)
 
 
@@ -102,7 +102,7 @@ def _checks(config: SwarmConfig, robot: RobotConfig, agree: Agree | None, reache
             port, net = port_of(robot)
             yield from preflight_board.checks(ways.ssh, robot.id, __version__, port=port, net=net)
         yield _by_bus(config, robot, ways)
-        if isinstance(bus, Heard) and bus.there and line is not None and view is not None:
+        if isinstance(bus, BusState) and bus.there and line is not None and view is not None:
             yield from preflight_bus.checks(bus, config.agent.battery_low)
             if agree is None:
                 yield Check(preflight_estop.NAME, "ok", "not pressed: not wanted")
@@ -112,7 +112,7 @@ def _checks(config: SwarmConfig, robot: RobotConfig, agree: Agree | None, reache
 
 def _listen(
     config: SwarmConfig, robot: RobotConfig, stack: ExitStack
-) -> tuple[Session | None, FleetView | None, Heard | FullswarmError]:
+) -> tuple[Session | None, FleetView | None, BusState | FullswarmError]:
     output.progress(f"listening for {robot.id} on {config.hub.endpoint}")
     try:
         line = stack.enter_context(session.connect(Target(config.hub.endpoint, config.swarm)))
@@ -157,20 +157,20 @@ def _by_ssh(ways: Ways) -> Check:
         return Check("ssh", "ok", "its computer lets us in")
     what, where = ways.ssh.what, f"{ways.ssh.where}: " if ways.ssh.where else ""
     if ways.heard:
-        what += "; but its agent is heard on the bus, so it is switched on and in the network"
+        what += "; but its agent is received on the bus, so it is switched on and in the network"
     return Check("ssh", "failure", f"{where}{what}", ways.ssh.hint)
 
 
 def _by_bus(config: SwarmConfig, robot: RobotConfig, ways: Ways) -> Check:
     hub, bus = config.hub.endpoint, ways.bus
-    if not isinstance(bus, Heard):
+    if not isinstance(bus, BusState):
         also = "; but its computer answers: only the hub is missing" if ways.answers else ""
         mend = f"start it there: `fullswarm hub --listen {hub} --insecure-network`; check network and firewall"
         return Check("bus", "failure", f"{hub}: {bus.what}{also}", mend)
     if ways.heard:
         row = bus.row
-        return Check("bus", "ok", f"{hub}: heard, fullswarm {row.version if row else ''} aboard")
-    was = "no longer heard" if bus.row is not None else "not heard"
+        return Check("bus", "ok", f"{hub}: received, fullswarm {row.version if row else ''} aboard")
+    was = "no longer received" if bus.row is not None else "not heard"
     what = f"{hub}: the hub answers, but {robot.id} is {was} in swarm '{config.swarm}'"
     if not ways.answers:
         return Check("bus", "failure", what, "is it switched on and in this network?")

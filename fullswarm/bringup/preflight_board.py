@@ -36,7 +36,7 @@ def checks(board: Board, robot: str, version: str, *, port: str = "", net: str =
         Where the robot's driver shall find its serial port, or its CAN interface.
     """
     for check in _checks(board, robot, version, port, net):
-        yield replace(check, what=clean(check.what))  # much of it the robot has said
+        yield replace(check, what=clean(check.what))  # much of it comes from the robot
 
 
 def _checks(board: Board, robot: str, version: str, port: str, net: str) -> Iterator[Check]:
@@ -106,7 +106,7 @@ def _power(throttled: str) -> Check:
 
 def _temperature(celsius: float | None) -> Check:
     if celsius is None or not math.isfinite(celsius):
-        return Check("temperature", "ok", "not known: this computer does not tell")
+        return Check("temperature", "ok", "not known: this computer does not report it")
     status: Status = "failure" if celsius >= TOO_HOT_C else "warning" if celsius >= HOT_C else "ok"
     mend = "" if status == "ok" else "a heat sink, a fan, or open its case; it will slow down"
     return Check("temperature", status, f"{celsius:.0f} °C", mend)
@@ -172,9 +172,9 @@ def _software(board: Board, robot: str, version: str) -> Iterator[Check]:
     yield from _units(board, robot)
     health = facts.health
     if health is None:
-        yield Check("agent", "failure", "it has said nothing of its health lately", f"fullswarm logs {robot}")
+        yield Check("agent", "failure", "it has sent no health report lately", f"fullswarm logs {robot}")
     elif not health.healthy:
-        why = "; ".join(health.why) or "it does not say why"
+        why = "; ".join(health.why) or "it gives no reason"
         yield Check("agent", "failure", f"not healthy: {why}", f"see the other lines; fullswarm logs {robot} has more")
     else:
         yield Check("agent", "ok", f"healthy, {health.lifecycle}")
@@ -183,7 +183,7 @@ def _software(board: Board, robot: str, version: str) -> Iterator[Check]:
 def _release(board: Board, robot: str, version: str) -> Check:
     facts = board.facts
     if facts.robot != robot:
-        what = f"this computer says it is '{facts.robot}'"
+        what = f"this computer reports that it is '{facts.robot}'"
         return Check("software", "failure", what, f"`host` in the fleet file, or fullswarm deploy {robot}")
     if facts.current is None:
         return Check("software", "failure", "no release is installed", f"fullswarm deploy {robot}")
@@ -211,7 +211,7 @@ def _units(board: Board, robot: str) -> Iterator[Check]:
         what = "fullswarm-boot.service did not run: after a power cut in an update nothing would go back"
         yield Check("units", "failure", what, f"fullswarm deploy {robot}")
     if said.get("agent_WatchdogUSec", "") in ("0", "infinity"):
-        what = "nobody watches whether its agent hangs (WatchdogSec)"
+        what = "no watchdog restarts its agent if it hangs (WatchdogSec)"
         yield Check("watchdog", "warning", what, f"fullswarm deploy {robot}")
     elif "agent_WatchdogUSec" in said:
         yield Check("watchdog", "ok", f"systemd starts it again when it hangs for {said['agent_WatchdogUSec']}")

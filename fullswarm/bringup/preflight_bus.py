@@ -1,4 +1,4 @@
-"""A robot before it drives, as the bus knows it: is it heard, how far away, how does it feel."""
+"""Checks a robot over the bus before it drives: presence, round trip, health."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fullswarm.operator.session import Session
 from fullswarm.operator.view import FleetView, RobotRow
 
 LISTEN_S = 1.2
-"""Two health reports, and what the core says each second."""
+"""Two health reports, and the core's heartbeat of each second."""
 PATIENCE_S = 3.0
 PINGS = 20
 PING_S = 0.5
@@ -23,13 +23,13 @@ READY = ("READY", "ACTIVE")
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What the bus told of a robot.
+class BusState:
+    """What was received from a robot on the bus.
 
     Parameters
     ----------
     row
-        None: it was not heard.
+        None: it was not received.
     trips_s
         How long each ping took there and back that was answered.
     lost
@@ -43,23 +43,23 @@ class Heard:
 
     @property
     def there(self) -> bool:
-        """Tell whether it is heard now."""
+        """Return whether it is received now."""
         return self.row is not None and not self.row.silent
 
 
-def listen(line: Session, view: FleetView, robot: str) -> Heard:
-    """Wait for a robot to be heard, then ping it."""
+def listen(line: Session, view: FleetView, robot: str) -> BusState:
+    """Wait for a robot's messages, then ping it."""
     line.run(LISTEN_S)
     if _row(view, robot) is None:
         waiting = line.runtime.every(0.05, lambda: line.runtime.pause() if _row(view, robot) else None)
         line.run(PATIENCE_S - LISTEN_S)
         waiting.cancel()
     seen = view.snapshot()
-    heard = Heard(_row(view, robot), any(node.node == "core" and node.age_s < LISTEN_S for node in seen.nodes))
+    heard = BusState(_row(view, robot), any(node.node == "core" and node.age_s < LISTEN_S for node in seen.nodes))
     if not heard.there:
         return heard
     trips_s = tuple(took_s for number in range(PINGS) if (took_s := _ping(line, robot, number)) is not None)
-    return Heard(heard.row, heard.core, trips_s, PINGS - len(trips_s))
+    return BusState(heard.row, heard.core, trips_s, PINGS - len(trips_s))
 
 
 def _row(view: FleetView, robot: str) -> RobotRow | None:
@@ -84,8 +84,8 @@ def _ping(line: Session, robot: str, number: int) -> float | None:
 
 
 # ---------------------------------------------------------------- what that means
-def checks(heard: Heard, battery_low: float) -> Iterator[Check]:
-    """Judge a robot that is heard.
+def checks(heard: BusState, battery_low: float) -> Iterator[Check]:
+    """Check a robot that is received.
 
     Parameters
     ----------
@@ -97,15 +97,15 @@ def checks(heard: Heard, battery_low: float) -> Iterator[Check]:
         return
     yield _round_trip(heard)
     if not heard.core:
-        yield Check("core", "warning", "no core is heard: nobody can ask for a behaviour", "start `fullswarm core`")
+        yield Check("core", "warning", "no core is received: behaviours cannot be requested", "start `fullswarm core`")
     yield _driver(row)
     yield _battery(row.health.battery, battery_low)
 
 
-def _round_trip(heard: Heard) -> Check:
+def _round_trip(heard: BusState) -> Check:
     name = "round trip (bus)"
     if not heard.trips_s:
-        what = f"none of {heard.lost} pings was answered, although it is heard"
+        what = f"none of {heard.lost} pings was answered, although its health reports arrive"
         return Check(name, "failure", what, "an older release? `fullswarm update` brings it to this one")
     middle_s, worst_s = statistics.median(heard.trips_s), max(heard.trips_s)
     what = f"half of {len(heard.trips_s)} within {took(middle_s)}, all within {took(worst_s)}"
@@ -117,7 +117,7 @@ def _round_trip(heard: Heard) -> Check:
 
 
 def _driver(row: RobotRow) -> Check:
-    """Tell what the agent says of its robot, with what the console would advise."""
+    """Report the agent's state, with the console's advice."""
     health = row.health
     assert health is not None  # noqa: S101  (narrows the type; checks() has looked)
     robot = " ".join(filter(None, (health.make, health.model, health.firmware)))
@@ -133,7 +133,7 @@ def _driver(row: RobotRow) -> Check:
 
 def _battery(share: float, low: float) -> Check:
     if share < 0.0:
-        return Check("battery", "ok", "not known: this robot does not tell")
+        return Check("battery", "ok", "not known: this robot does not report it")
     if share <= low:
         return Check("battery", "failure", f"{share:.0%}: at {low:.0%} it stands", "charge it")
     if share < LOW_BATTERY:

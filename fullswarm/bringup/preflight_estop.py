@@ -1,7 +1,7 @@
 """Presses a standing robot's e-stop for a moment and releases it again: whether it gets there, and how soon.
 
-Nothing moves by this, and nobody's e-stop is undone: a robot that is latched already is left alone, and one that
-somebody else latches while this goes on stays latched.
+Nothing moves by this, and no other operator's e-stop is cleared: a robot that is latched already is left alone, and
+one that another operator latches meanwhile stays latched.
 """
 
 from __future__ import annotations
@@ -22,27 +22,32 @@ FRESH_S = 1.0
 """Health reports come at 2 Hz and on change: an older one may not know of a latch or a behaviour."""
 ROLLED_M = 0.02
 CROSSING_S = 0.3
-"""Somebody else's order may cross ours for so long."""
+"""Time within which another operator's order may cross ours."""
 
 Agree = Callable[[str], bool | None]
-"""Asks somebody; None: there is nobody to be asked."""
+"""Asks the operator; None: no terminal."""
 
 
 def check(line: Session, view: FleetView, robot: str, agree: Agree) -> Check:
-    """Press and release if the robot stands, is free and somebody agrees."""
+    """Press and release if the robot is at standstill, is free and the operator agrees."""
     others = _Others(line, robot)
     try:
-        line.run(FRESH_S)  # what was heard before, somebody may have taken minutes to answer us since
+        line.run(FRESH_S)  # older messages may be minutes old: the operator may have taken so long to answer
         if reason := _unfit(view, robot, line.operator.name):
             return Check(NAME, "warning", f"not pressed: {reason}", f"then again: fullswarm doctor --robot {robot}")
         agreed = agree(f"Press the e-stop of {robot} for a moment and release it again? It stands; nothing moves.")
         if agreed is None:
-            return Check(NAME, "warning", "not pressed: there is nobody to ask", "--yes presses it without a question")
+            return Check(
+                NAME,
+                "warning",
+                "not pressed: no terminal to ask for confirmation",
+                "--yes skips the confirmation prompt",
+            )
         if not agreed:
             return Check(NAME, "ok", "not pressed: not wanted")
         line.run(FRESH_S)
         if others.pressed or (reason := _unfit(view, robot, line.operator.name)):
-            what = f"not pressed: {reason or 'somebody else has just pressed it'}"
+            what = f"not pressed: {reason or 'another operator has just pressed it'}"
             return Check(NAME, "warning", what, f"then again: fullswarm doctor --robot {robot}")
         return _press(line, robot, others)
     finally:
@@ -50,7 +55,7 @@ def check(line: Session, view: FleetView, robot: str, agree: Agree) -> Check:
 
 
 class _Others:
-    """Hears whether anybody else presses this robot's e-stop."""
+    """Watches whether another operator presses this robot's e-stop."""
 
     def __init__(self, line: Session, robot: str) -> None:
         self.pressed = ""
@@ -59,18 +64,18 @@ class _Others:
 
     def _hear(self, order: EStop) -> None:
         if order.engaged and order.source != self._source and (not order.robots or self._robot in order.robots):
-            self.pressed = order.source or "somebody"
+            self.pressed = order.source or "another operator"
 
     def close(self) -> None:
         self._subscription.close()
 
 
 def _unfit(view: FleetView, robot: str, name: str) -> str:
-    """Tell why this is no moment to press it; empty when it is."""
+    """Return why it must not be pressed now; empty if it may."""
     seen = view.snapshot()
     row = next((each for each in seen.robots if each.robot == robot), None)
     if row is None or row.health is None or row.silent:
-        return f"{robot} is not heard"
+        return f"{robot} is not received"
     health, holder = row.health, seen.holders.get(robot, "")
     if health.estop:
         return "it is latched already, and stays so"
@@ -81,7 +86,7 @@ def _unfit(view: FleetView, robot: str, name: str) -> str:
     if holder and holder != name:
         return f"{holder} holds it"
     if health.lifecycle not in ("READY", "ACTIVE"):
-        return f"its driver is {health.lifecycle}: nobody could see that it stands"
+        return f"its driver is {health.lifecycle}: its standstill could not be verified"
     return ""
 
 
@@ -137,7 +142,7 @@ def _judge(robot: str, pressed: EStopOrder, released: EStopOrder | None, other: 
     if released is None:
         return Check(NAME, "warning", f"{other} pressed it meanwhile: it stays latched", f"when that is over: {clear}")
     if released.overruled_by:
-        return Check(NAME, "warning", "somebody pressed it as it was released: it stays latched", clear)
+        return Check(NAME, "warning", "another operator pressed it during the release: it stays latched", clear)
     if released.unconfirmed():
         return Check(NAME, "failure", "pressed, but its release was not confirmed: it may still be latched", clear)
     if pressed.silent():
@@ -150,7 +155,7 @@ def _judge(robot: str, pressed: EStopOrder, released: EStopOrder | None, other: 
     what = f"receipt after {took(answered_s)}, seen standing after {took(stood_s)}, released again"
     if pressed.receipts[robot].rolled_m > ROLLED_M:
         what = f"{what}; it rolled {pressed.receipts[robot].rolled_m:.3f} m"
-        return Check(NAME, "failure", what, "it was said to stand: look at its wheels and its encoders")
+        return Check(NAME, "failure", what, "it was reported at standstill: check its wheels and its encoders")
     if answered_s > LATE_S:
         mend = "look at the network before it drives"
         return Check(NAME, "failure" if answered_s > TOO_LATE_S else "warning", what, mend)

@@ -19,7 +19,7 @@ TRIPS = 5
 TRIP_S = 5.0
 LOOK_S = 20.0
 CLOCK = "date -u +%s.%N"
-# What `fullswarm-robot facts` does not say, as the user that logs in: no root, and nothing is changed.
+# What `fullswarm-robot facts` does not report, as the user that logs in: no root, and nothing is changed.
 LOOK = r"""
 if [ -n "$1" ]; then stat -Lc 'port=%a %U %G %F' -- "$1" 2>/dev/null || echo port=none; fi
 if [ -n "$2" ]; then
@@ -40,7 +40,7 @@ exit 0
 
 
 class BoardFacts(Facts, frozen=True):
-    """What else ``fullswarm-robot facts`` says that matters before driving."""
+    """What else ``fullswarm-robot facts`` reports that matters before driving."""
 
     disk_errors: int | None = None
     card_errors: int | None = None
@@ -60,7 +60,7 @@ class Board:
     trips_s
         How long commands took that do nothing, there and back.
     clock_off_s, clock_doubt_s
-        How far its clock is ahead of ours, and half the round trip in which that was asked; None: it did not say.
+        How far its clock is ahead of ours, and half the round trip in which that was asked; None: not reported.
     """
 
     trips_s: tuple[float, ...]
@@ -93,7 +93,7 @@ async def look(login: Login, address: Address, port: str = "", net: str = "") ->
         except FullswarmError as error:
             trouble = error
     timed = [trip for trip in trips if trip[1] is not None]
-    # The quickest knows best when the other clock was read.
+    # The shortest round trip bounds best when the other clock was read.
     took_s, off_s = min(timed, default=(0.0, None))
     return Board(tuple(each for each, _ in trips), facts, said, off_s, took_s / 2.0, trouble)
 

@@ -50,7 +50,7 @@ def run(
     Raises
     ------
     ConfigError
-        Neither or both of `url` and `rig`, a wrong URL, a rig that does not import, or nobody confirmed.
+        Neither or both of `url` and `rig`, a wrong URL, a rig that does not import, or no confirmation.
     DriverError
         The port cannot be had.
     """

@@ -1,6 +1,6 @@
-"""`fullswarm robots test URL`: drives one robot a little, slowly, and says whether it does as the driver tells.
+"""`fullswarm robots test URL`: drives one robot a short way, slowly, and reports whether it follows the driver.
 
-Each step gives a verdict. Whatever ends the test, Ctrl-C and a closed terminal included, the wheels are told zero
+Each step gives a verdict. Whatever ends the test, Ctrl-C and a closed terminal included, the wheels are commanded zero
 first; should this process be killed, the robot's watchdog stops them, or the guardian of one that has none.
 """
 
@@ -35,14 +35,14 @@ def run(url: str, *, speed_m_s: float, confirmed: bool, ready_s: float, as_json:
     Parameters
     ----------
     confirmed
-        Nobody is there to be asked; it is safe to drive.
+        Skip the confirmation prompt: it is safe to drive.
     ready_s
         How long it may take to be READY.
 
     Raises
     ------
     ConfigError
-        The URL is wrong, the speed is beyond the robot's, or nobody confirmed.
+        The URL is wrong, the speed is beyond the robot's, or no confirmation.
     DriverError
         The port cannot be had.
     """
@@ -67,7 +67,7 @@ def run(url: str, *, speed_m_s: float, confirmed: bool, ready_s: float, as_json:
             done.append(step)
             output.progress(f"{step.verdict:8} {step.name}: {step.what}")
         firmware, battery = driver.firmware, bench.newest.battery if bench.newest else None
-        description = driver.description  # a rover tells only now whose autopilot it has
+        description = driver.description  # a rover reports its autopilot only now
     done.append(_closed(driver))
     passed = all(each.verdict != "failed" for each in done)
     if as_json:
@@ -120,7 +120,7 @@ def _explain(description: Description, speed_m_s: float) -> str:
 def _agreed(bench: Bench) -> bool:
     agreed = bench.answers("Is it safe to drive?")
     if agreed is None:
-        raise ConfigError("nobody confirmed that it is safe to drive", hint="answer y, or say so with --yes")
+        raise ConfigError("not confirmed that it is safe to drive", hint="answer y, or skip the prompt with --yes")
     return agreed
 
 

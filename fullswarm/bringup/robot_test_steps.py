@@ -23,7 +23,7 @@ HALF = 0.45, 0.55
 SLOWEST_HZ = 4.0
 """An agent stops its robot when readings are older than 0.5 s."""
 SILENCE_S = 1.0
-"""Within which a robot whose driver hears nothing stands: 0.5 s, and as much to roll out."""
+"""Time within which a robot without commands is at standstill: 0.5 s, and as much to decelerate."""
 PRESS_S = 30.0
 
 
@@ -91,7 +91,7 @@ def _identity(bench: Bench) -> Step:
     battery = None if reading is None else reading.battery
     charge = "battery unknown" if battery is None else f"battery {battery:.0%}"
     hazards = Hazard.NONE if reading is None else reading.hazards
-    what = f"firmware {firmware or 'not told'}, {charge}"
+    what = f"firmware {firmware or 'not reported'}, {charge}"
     if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT | Hazard.MOTORS_OFF):
         return Step("state", "failed", f"{what}, {_names(hazards)}: mend that first")
     return Step("state", "passed", f"{what}, {_names(hazards)}" if hazards else what)
@@ -179,7 +179,7 @@ def _blame(share: float, wished: Twist) -> str:
 
 
 def _watchdog(bench: Bench, clock: Clock, wished: Twist, *, blind: bool) -> Step:
-    """Say nothing while it drives: the driver must stop it."""
+    """Send no commands while it drives: the driver must stop it."""
     bench.drive(wished, SETTLE_S + WINDOW_S)
     began_s = clock.now_s()
     if blind:
@@ -209,7 +209,7 @@ def _sensors(bench: Bench) -> Iterator[Step]:
     for name, instruction, wanted in tests:
         seen = bench.sees(instruction, partial(_reported, wanted), PRESS_S)
         if seen is None:
-            yield Step(name, "skipped", "nobody tried")
+            yield Step(name, "skipped", "not tried")
         elif not seen:
             yield Step(name, "failed", f"nothing was reported within {PRESS_S:g} s")
         elif bench.sees("Let go, and put it down.", partial(_over, wanted), PRESS_S) is False:
@@ -237,7 +237,7 @@ def _deactivated(bench: Bench) -> Step:
 
 
 def _why(driver: Driver) -> str:
-    """Return the driver's own words for where it stands."""
+    """Return the driver's own description of its state."""
     words = driver.fault or getattr(driver, "blocked", "") or getattr(driver, "why", "")
     return f"{driver.state}: {words}" if words else str(driver.state)
 

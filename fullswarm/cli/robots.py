@@ -165,9 +165,9 @@ def emulate(
     as_json: Json = False,
 ) -> int:
     """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
-    from fullswarm.bringup.emulate import Wish, run
+    from fullswarm.bringup.emulate import EmulateOptions, run
     from fullswarm.drivers.faults import LinkFaults
 
     orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
     faults = LinkFaults(drop, corrupt, delay)
-    return run(Wish(make, port, listen, url, model), faults, orders, seconds, as_json=as_json)
+    return run(EmulateOptions(make, port, listen, url, model), faults, orders, seconds, as_json=as_json)

@@ -5,7 +5,7 @@
 ``flash/``        writes a card whose first boot needs no network but the lab's
 ``fleet/``        the same over SSH, many robots at a time: deploy, update in waves, roll back, look
 
-In flows a fleet file (who, where) and wheels; out flow releases, cards and robots that run an agent. Nothing here
+Turns a fleet file and wheels into releases, cards and robots that run an agent. Nothing here
 runs on board but the shell scripts in ``robot/``: whether a release is good is the agent's own word
 (``agent/health_file.py``), and a robot that hears no verdict goes back by itself.
 """

@@ -8,7 +8,7 @@ from threading import Event
 import pytest
 
 from fullswarm.bringup import mishaps
-from fullswarm.bringup.emulate import Wish, _started, openings, run
+from fullswarm.bringup.emulate import EmulateOptions, _started, openings, run
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.faults import LinkFaults
@@ -107,17 +107,20 @@ COMMON = {"unplug", "replug", "reboot", "mute", "stick", "battery", "bump", "pus
 
 
 @pytest.mark.parametrize(
-    ("wish", "more"),
+    ("options", "more"),
     [
-        (Wish("create"), {"cliff", "wheel_drop", "overcurrent", "charger", "dock", "button", "light", "infrared"}),
-        (Wish("mavlink", listen="udpin://127.0.0.1:0"), {"estop", "pilot", "gps"}),
-        (Wish("mavlink", listen="udpin://127.0.0.1:0", model="px4"), {"pilot"}),
-        (Wish("odrive"), {"estop"}),
-        (Wish("vesc"), {"estop"}),
+        (
+            EmulateOptions("create"),
+            {"cliff", "wheel_drop", "overcurrent", "charger", "dock", "button", "light", "infrared"},
+        ),
+        (EmulateOptions("mavlink", listen="udpin://127.0.0.1:0"), {"estop", "pilot", "gps"}),
+        (EmulateOptions("mavlink", listen="udpin://127.0.0.1:0", model="px4"), {"pilot"}),
+        (EmulateOptions("odrive"), {"estop"}),
+        (EmulateOptions("vesc"), {"estop"}),
     ],
 )
-def test_every_make_suffers_all_that_its_help_says(wish: Wish, more: set[str], tmp_path: Path) -> None:
-    with _started(wish, str(tmp_path / "port"), FreeBody()) as emulator:
+def test_every_make_suffers_all_that_its_help_says(options: EmulateOptions, more: set[str], tmp_path: Path) -> None:
+    with _started(options, str(tmp_path / "port"), FreeBody()) as emulator:
         names = mishaps.known(emulator)
         assert set(names) >= COMMON | more
         for name in names:
@@ -161,19 +164,19 @@ def test_other_clients_are_told_what_to_open(url: str, client: str, opening: str
 
 @pytest.mark.usefixtures("keep_signals")
 @pytest.mark.parametrize(
-    ("wish", "word"),
+    ("options", "word"),
     [
-        (Wish("create", listen="udp://127.0.0.1:1"), "--listen"),
-        (Wish("create", model="create3"), "did you mean 'create"),
-        (Wish("mavlink", model="rovr"), "did you mean 'rover'"),
-        (Wish("vesc", model="create2"), "--model"),
-        (Wish("odrive", url="can+vesc://x?interface=virtual"), "write can+odrive://"),
-        (Wish("odrive", port=Path("/tmp/x"), url="can+odrive://x"), "exclude each other"),
-        (Wish("mavlink", listen="carrier-pigeon:"), "not an address"),
+        (EmulateOptions("create", listen="udp://127.0.0.1:1"), "--listen"),
+        (EmulateOptions("create", model="create3"), "did you mean 'create"),
+        (EmulateOptions("mavlink", model="rovr"), "did you mean 'rover'"),
+        (EmulateOptions("vesc", model="create2"), "--model"),
+        (EmulateOptions("odrive", url="can+vesc://x?interface=virtual"), "write can+odrive://"),
+        (EmulateOptions("odrive", port=Path("/tmp/x"), url="can+odrive://x"), "exclude each other"),
+        (EmulateOptions("mavlink", listen="carrier-pigeon:"), "not an address"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(wish: Wish, word: str) -> None:
+def test_options_that_do_not_fit_are_refused(options: EmulateOptions, word: str) -> None:
     with pytest.raises(FullswarmError) as refused:
-        run(wish, LinkFaults(), (), 0.1, as_json=True)
+        run(options, LinkFaults(), (), 0.1, as_json=True)
     assert refused.value.exit_code == 2
     assert word in str(refused.value)

@@ -6,7 +6,7 @@ import pytest
 
 from fullswarm.bringup import preflight_bus
 from fullswarm.bringup.checks import Check
-from fullswarm.bringup.preflight_bus import PINGS, Heard
+from fullswarm.bringup.preflight_bus import PINGS, BusState
 from fullswarm.messages import Ping, RobotHealth
 from fullswarm.operator.session import Session
 from fullswarm.operator.view import FleetView, RobotRow
@@ -17,13 +17,13 @@ HEALTH = RobotHealth(robot="r1", driver="sim://r1", make="iRobot", model="Create
 ROW = RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, HEALTH, version="1.2.3")
 
 
-def listen(bench: Bench, robot: str = "r1") -> Heard:
+def listen(bench: Bench, robot: str = "r1") -> BusState:
     line = Session(bench.bus, bench.keys, bench.runtime, "tcp/hub", "ann")
     view = FleetView(bench.bus, bench.keys, bench.runtime, (robot,))
     return preflight_bus.listen(line, view, robot)
 
 
-def judged(heard: Heard, battery_low: float = 0.1) -> dict[str, Check]:
+def judged(heard: BusState, battery_low: float = 0.1) -> dict[str, Check]:
     return {each.name: each for each in preflight_bus.checks(heard, battery_low)}
 
 
@@ -52,7 +52,7 @@ def test_who_is_not_there_is_not_pinged() -> None:
 
 
 def test_an_agent_that_does_not_know_pings_is_older_not_absent() -> None:
-    found = judged(Heard(ROW, core=True, trips_s=(), lost=PINGS))["round trip (bus)"]
+    found = judged(BusState(ROW, core=True, trips_s=(), lost=PINGS))["round trip (bus)"]
     assert (found.status, "fullswarm update" in found.mend) == ("failure", True)
 
 
@@ -65,14 +65,14 @@ def test_an_agent_that_does_not_know_pings_is_older_not_absent() -> None:
     ],
 )
 def test_round_trips(trips_s: tuple[float, ...], lost: int, status: str, what: str) -> None:
-    found = judged(Heard(ROW, core=True, trips_s=trips_s, lost=lost))["round trip (bus)"]
+    found = judged(BusState(ROW, core=True, trips_s=trips_s, lost=lost))["round trip (bus)"]
     assert (found.status, found.what) == (status, what)
 
 
 @pytest.mark.parametrize(
     ("share", "status", "what"),
     [
-        (-1.0, "ok", "not known: this robot does not tell"),
+        (-1.0, "ok", "not known: this robot does not report it"),
         (0.8, "ok", "80%"),
         (0.15, "warning", "15%"),
         (0.1, "failure", "10%: at 10% it stands"),
@@ -80,7 +80,7 @@ def test_round_trips(trips_s: tuple[float, ...], lost: int, status: str, what: s
 )
 def test_batteries(share: float, status: str, what: str) -> None:
     row = replace(ROW, health=_health(battery=share))
-    found = judged(Heard(row, core=True, trips_s=(0.01,)))["battery"]
+    found = judged(BusState(row, core=True, trips_s=(0.01,)))["battery"]
     assert (found.status, found.what) == (status, what)
 
 
@@ -101,9 +101,9 @@ def _health(**fields: object) -> RobotHealth:
     ],
 )
 def test_what_a_robot_complains_of_comes_with_what_mends_it(fields: dict[str, object], status: str, mend: str) -> None:
-    found = judged(Heard(replace(ROW, health=_health(**fields)), core=True, trips_s=(0.01,)))["driver"]
+    found = judged(BusState(replace(ROW, health=_health(**fields)), core=True, trips_s=(0.01,)))["driver"]
     assert (found.status, mend in found.mend) == (status, True)
 
 
 def test_without_a_core_nobody_can_ask_for_anything() -> None:
-    assert judged(Heard(ROW, trips_s=(0.01,)))["core"].status == "warning"
+    assert judged(BusState(ROW, trips_s=(0.01,)))["core"].status == "warning"

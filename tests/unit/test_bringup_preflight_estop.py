@@ -88,7 +88,7 @@ def test_it_is_pressed_and_released_and_nothing_moves(yard: Yard) -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "status", "part"), [(False, "ok", "not wanted"), (None, "warning", "nobody to ask")]
+    ("answer", "status", "part"), [(False, "ok", "not wanted"), (None, "warning", "no terminal to ask")]
 )
 def test_nobody_is_surprised(yard: Yard, answer: bool | None, status: str, part: str) -> None:
     check = yard.check(answer)

@@ -156,7 +156,7 @@ def test_seed_only_fills_a_mounted_boot_partition(lab: Lab) -> None:
         (["r1", "--output", "x.img", "--release", "1.0-000000000000"], "there is no release '1.0-000000000000'"),
         (["r1", "--output", "x.img", "--sha256", "0" * 64], "its SHA-256 is"),
         (["r1", "--output", "x.img", "--wifi-file", "none.toml"], "cannot be read"),
-        (["r1", "--output", "x.img", "--wifi", "lab"], "nobody is here to type the passphrase"),
+        (["r1", "--output", "x.img", "--wifi", "lab"], "no terminal to type the passphrase"),
         (["r1", "--output", "x.img", "--static", "10.9.0.1/24"], "is no address for it"),
         (["r2", "--output", "x.img", "--static", "10.0.0.1/24"], "not an address"),
         (["r1", "--device", "/dev/nosuchcard"], "no such block device"),

@@ -2,7 +2,7 @@
 
 ``partitions.py`` ``fat.py`` ``image.py``   what is inside an image: pure reading, nothing trusted
 ``mtools.py``                                editing a FAT with mtools, judged by fsck.vfat
-``card.py`` ``order.py``                     which devices may be written, what was asked for, and who has agreed to it
+``card.py`` ``order.py``                     which devices may be written, what was asked for, and the confirmation
 ``wifi.py`` ``seed.py`` ``firstrun.py``      what a robot is told: cloud-init, or Raspberry Pi's firstrun.sh
 ``payload.py``                               all files that go onto the boot partition of one robot
 ``write.py``                                 one decompression, many cards, read back and compared

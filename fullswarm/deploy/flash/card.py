@@ -1,4 +1,4 @@
-"""Which devices may be overwritten: cards, unmounted, and only those that somebody has named by serial number."""
+"""Which devices may be overwritten: cards, unmounted, and only those that the user has named by serial number."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import msgspec
 from fullswarm.errors import ConfigError
 
 MOST_BYTES = 300_000_000_000
-"""Cards are smaller; what is larger is somebody's backup disk until they say otherwise."""
+"""Cards are smaller; a larger device counts as a backup disk unless the user confirms."""
 
 SYS_BLOCK = Path("/sys/block")
 _SYSTEM = frozenset({"/", "/boot", "/boot/firmware", "/boot/efi", "/home", "/usr", "/var", "[SWAP]"})
@@ -42,7 +42,7 @@ class Card:
 
     @property
     def token(self) -> str:
-        """What names it when somebody agrees to lose what is on it: its serial number, if it has one."""
+        """Its name in the confirmation that its content may be lost: its serial number, if it has one."""
         return self.serial or Path(self.path).name
 
     @property
@@ -172,7 +172,7 @@ def refusal(card: Card, most_bytes: int = MOST_BYTES) -> tuple[str, str] | None:
     if card.size_bytes == 0:
         return "there is no card in the reader", "put one in"
     if card.owners:
-        return f"it is part of {', '.join(card.owners)}", "it holds somebody's data; take another card"
+        return f"it is part of {', '.join(card.owners)}", "it holds data; take another card"
     if card.mounts:
         devices = sorted({device for device, _ in card.mounts})
         return f"it is mounted ({', '.join(where for _, where in card.mounts)})", f"sudo umount {' '.join(devices)}"
@@ -185,7 +185,7 @@ def refusal(card: Card, most_bytes: int = MOST_BYTES) -> tuple[str, str] | None:
 
 
 def check_agreed(cards: Sequence[Card], agreed: Sequence[str]) -> tuple[Card, ...]:
-    """Return the cards that nobody has agreed to overwrite yet; `agreed` are serial numbers.
+    """Return the cards that are not confirmed for overwriting yet; `agreed` are serial numbers.
 
     Raises
     ------
@@ -206,5 +206,5 @@ def as_dict(card: Card) -> dict[str, Any]:
 
 
 def same_card(card: Card) -> bool:
-    """Tell whether the device still is what it was when somebody agreed to it."""
+    """Return whether the device still is the one that was confirmed."""
     return any(msgspec.to_builtins(each) == msgspec.to_builtins(card) for each in list_cards())

@@ -86,7 +86,7 @@ def names(disk: Path, volume: Volume) -> frozenset[str]:
 
 
 def fsck(disk: Path, volume: Volume) -> str:
-    """Let fsck.vfat judge the FAT, read only; return what it is called here, or why nobody judged.
+    """Let fsck.vfat judge the FAT, read only; return the tool's name here, or why there was no check.
 
     Raises
     ------

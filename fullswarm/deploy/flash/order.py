@@ -56,7 +56,7 @@ def agree(
     agreed: Sequence[str],
     loss: str = "its system stays, the files that tell which robot it is will be lost",
 ) -> None:
-    """Have somebody agree to lose something of each card, by its serial number.
+    """Have the user confirm, by its serial number, that each card may lose data.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def agree(
     Raises
     ------
     ConfigError
-        Somebody did not, or a card is not the same any more.
+        Not confirmed, or a card is not the same any more.
     """
     cards = [each for each in targets if isinstance(each, Card)]
     for each in card.check_agreed(cards, agreed):

@@ -1,4 +1,4 @@
-"""Reads partition tables, MBR and GPT, from bytes that nobody vouches for."""
+"""Reads partition tables, MBR and GPT, from untrusted bytes."""
 
 from __future__ import annotations
 

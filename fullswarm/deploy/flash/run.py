@@ -146,7 +146,7 @@ def _check_output(path: Path, *, seed_only: bool) -> None:
 def _ask_passphrase(ssid: str) -> str:
     if not sys.stdin.isatty():
         hint = f"put it into a --wifi-file, or into the environment as {wifi.PASSPHRASE}"
-        raise ConfigError(f"nobody is here to type the passphrase of '{ssid}'", where="--wifi", hint=hint)
+        raise ConfigError(f"no terminal to type the passphrase of '{ssid}'", where="--wifi", hint=hint)
     import getpass
 
     return getpass.getpass(f"Passphrase of Wi-Fi '{ssid}' (empty: open): ")
@@ -168,7 +168,7 @@ def _flash(
         with image.opened(request.image):
             pass  # says what is wrong
     if wanted is None:
-        output.progress("image: nobody said its SHA-256, so only its compression's own checks hold (--sha256)")
+        output.progress("image: no SHA-256 given, so only its compression's own checks apply (--sha256)")
     digest = image.check_sha256(request.image, wanted, _teller("checksum"))
     with tempfile.TemporaryDirectory(prefix="fullswarm-flash-") as name:
         try:

@@ -20,7 +20,7 @@ from fullswarm.errors import ConfigError, MissingExtra
 WIRED, WIRELESS = "eth0", "wlan0"
 
 # Each boot, before anything else. A radio that was never given a country comes up blocked, and Raspberry Pi OS asks for
-# a user on the screen until it has one; both are nobody's wish on a robot.
+# a user on the screen until it has one; neither is wanted on a robot.
 _UNBLOCK = "command -v rfkill >/dev/null && rfkill unblock wifi; exit 0"
 _NO_WIZARD = (
     "systemctl -q is-enabled userconfig 2>/dev/null || exit 0; "

@@ -42,7 +42,7 @@ def _user(document: dict[str, Any]) -> Iterator[str]:
         yield f"no passwords belong here: {', '.join(sorted(found))}"
     users = document["users"]
     if not users:
-        yield "nobody could log in: users is empty"
+        yield "no user could log in: users is empty"
     for user in users:
         if not valid_user(user["name"]):
             yield f"'{user['name']}' cannot be a user"
@@ -76,7 +76,7 @@ def _network(document: dict[str, Any]) -> Iterator[str]:
         yield "version must be 2"
     wired, wifis = document.get("ethernets", {}), document.get("wifis", {})
     if not wired and not wifis:
-        yield "has no interface: nobody could reach the robot"
+        yield "has no interface: the robot would be unreachable"
     for name, interface in {**wired, **wifis}.items():
         if "match" in interface:
             yield f"{name}: a match breaks Debian's renderer; name the interface"

@@ -46,7 +46,7 @@ def check(target: session.Target) -> None:
 
 
 def wait(target: session.Target, robots: Sequence[str], minutes: float) -> tuple[dict[str, Hello], list[str]]:
-    """Return who was heard, as they come also on stderr, and who was not within `minutes`.
+    """Return the robots that were received, printing each on stderr, and those that were not within `minutes`.
 
     Raises
     ------

@@ -77,7 +77,7 @@ class _Writer:
                 f"{type(error).__name__}: {error} (a bug in fullswarm)", where=self.job.name
             )
         finally:
-            while not self._fed:  # whoever feeds must not wait for ever
+            while not self._fed:  # the feeding thread must not wait for ever
                 self._next()
 
     def _next(self) -> bytes | None:
@@ -167,7 +167,7 @@ def _finish(writers: Sequence[_Writer], threads: Sequence[threading.Thread]) -> 
 
 @dataclass(slots=True)
 class _open:  # noqa: N801  (reads like the built-in)
-    """A file descriptor for a card or a file; a card only if nobody else has mounted it."""
+    """A file descriptor for a card or a file; a card only if it is not mounted."""
 
     path: Path
     flags: int
@@ -193,7 +193,7 @@ def _overlay(chunk: bytes, at: int, edited: int, edited_at: int) -> bytes:
 
 
 def explain(error: OSError, target: Path, at_bytes: int) -> FullswarmError:
-    """Return what an error of the kernel means for somebody with a card in hand."""
+    """Return what a kernel error means for the user who writes a card."""
     where = str(target)
     if error.errno in (errno.EACCES, errno.EPERM):
         hint = 'cards are root\'s: `sudo -E "$(command -v fullswarm)" flash …`, or join group disk'

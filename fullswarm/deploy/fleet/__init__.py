@@ -8,10 +8,10 @@
 ``choose.py``     which release of the store fits it
 ``ship.py``       what it lacks, packed once for all robots that lack the same
 ``steps.py``      one robot, one step: install, stage, switch under guard, confirm, roll back
-``rollout.py``    who may switch when: canary, waves, stop at k failures. Pure: no network, no clock
+``rollout.py``    which robots may switch when: canary, waves, stop at k failures. Pure: no network, no clock
 ``work.py``       what a rollout asks of one robot; ``verdict.py`` after the switch: kept, or taken back
 ``update.py``     performs a rollout
-``desired.py``    what each robot should run, kept on the base for who was away
+``desired.py``    what each robot should run, kept on the base for robots that were away
 ``commands.py``   deploy, update; ``visit.py`` rollback, reboot; ``status.py`` fleet; ``terminal.py`` logs, shell
 
 In flow a fleet file, a release and keys; out flow robots that run it, and a table that says of each what happened

@@ -163,7 +163,7 @@ async def _perform(order: Order, fleet: Fleet, board: Board, work: Work, *, firs
 
 
 def _wanted(board: Board, work: Work) -> dict[str, str]:
-    """What robots should run from now on: what they were given, and for who was away what the others were."""
+    """What robots should run from now on: what they were given; those that were away, what the others were given."""
     given = {robot: folder.name for robot, folder in work.releases.items()}
     away = [robot for robot, stage in board.rollout.stages.items() if stage is Stage.UNREACHABLE]
     if work.named is not None or len(set(given.values())) == 1:

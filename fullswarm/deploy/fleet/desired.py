@@ -1,4 +1,4 @@
-"""What each robot of a swarm should run, kept on the base: who was away converges with the next update."""
+"""What each robot of a swarm should run, kept on the base: a robot that was away converges with the next update."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ SSH_PORT = 22
 
 
 class HostKeyProblem(FullswarmError):
-    """A computer is not, or not yet, who we think it is."""
+    """A computer's identity is wrong, or not confirmed yet."""
 
     exit_code = 3
 
@@ -70,13 +70,13 @@ class Pins:
         else:
             mend = f"rm '{self.flashed / f'{robot}_ed25519.pub'}'"
         return HostKeyProblem(
-            "shows another host key than the one that is known: another computer at its address, or somebody between",
+            "shows another host key than the one that is known: another computer at its address, or an interception",
             where=f"{robot} ({host})",
             hint=f"only if it was set up anew on purpose: {mend}, then `fullswarm deploy {robot}`",
         )
 
     def unknown(self, robot: str, host: str, key: str) -> HostKeyProblem:
-        """Return the error for a computer nobody has confirmed yet."""
+        """Return the error for a computer that is not confirmed yet."""
         return HostKeyProblem(
             f"its host key is not known yet: {fingerprint(key)}",
             where=f"{robot} ({host})",

@@ -83,7 +83,7 @@ class Login:
         LoginRefused
             None of our keys is let in.
         Unreachable
-            Nobody answers there, in time.
+            No answer in time.
         """
         if not self.pins.keys(address.robot, address.host, address.port):
             raise self.pins.unknown(address.robot, address.host, await self.host_key(address))
@@ -205,7 +205,7 @@ def _words_for(error: Exception) -> str:
     if isinstance(error, ConnectionRefusedError):
         return "refuses the connection: no SSH server on that port"
     if isinstance(error, socket.gaierror):
-        return "nobody knows this name"
+        return "host name could not be resolved"
     if isinstance(error, OSError) and error.errno:
         return os.strerror(error.errno).lower()
     return clean(str(error)) or "does not answer"

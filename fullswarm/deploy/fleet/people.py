@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 def pick(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple[RobotConfig, ...]:
-    """Return the robots that were named, by id or @group, in that order; nobody named: all with a computer.
+    """Return the robots that were named, by id or @group, in that order; none named: all with a computer.
 
     Raises
     ------
     ConfigError
-        A name is not in the fleet file, or those named stand for nobody: an empty word, an empty group.
+        A name is not in the fleet file, or the names select no robot: an empty word, an empty group.
     """
     words = tuple(named)
     by_id = {each.id: each for each in config.robot}
@@ -68,12 +68,12 @@ def login(config: SwarmConfig, keys: Keys, *, ask_password: bool = False, own_ke
 
 
 async def get_to_know(entrance: Login, addresses: Sequence[Address], *, accept: bool) -> dict[str, FullswarmError]:
-    """Pin the host keys of computers that nobody has met yet, after somebody has confirmed each.
+    """Pin the host keys of unknown computers, after the user has confirmed each.
 
     Returns
     -------
     dict
-        Who could not be asked, or was not confirmed, and why.
+        The robots that could not be asked or were not confirmed, and why.
     """
     pins = entrance.pins
     fresh = [each for each in addresses if not pins.keys(each.robot, each.host, each.port)]

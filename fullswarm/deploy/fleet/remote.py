@@ -28,7 +28,7 @@ COMMAND_S = 60.0
 OPEN_S = 20.0
 CLOSE_S = 3.0
 _OURS = (b"fullswarm-robot:", b"install.sh:")
-"""Who speaks so was run by sudo."""
+"""The prefix of sudo's own messages."""
 _SUDO = re.compile(rb"sudo(-rs)?: |Sorry, user .* (may not|is not allowed)|\S+ is not in the sudoers file")
 _HARMLESS = re.compile(rb"unable to resolve host|unable to send audit message|setrlimit\(|command not found")
 """sudo says it and goes on; and a program that is not there is no matter of who may run it."""

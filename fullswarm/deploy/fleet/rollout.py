@@ -1,4 +1,4 @@
-"""Who may switch when: stage to all, a canary, a wave, the rest; stop at k failures. No network, no clock.
+"""Decides which robots may switch: stage to all, a canary, a wave, the rest; stop at k failures. No network, no clock.
 
 ::
 
@@ -87,7 +87,7 @@ class Rollout:
 
     @property
     def stopped(self) -> bool:
-        """Too many failures: who has not switched keeps what it runs."""
+        """Too many failures: a robot that has not switched keeps what it runs."""
         return self._count(BAD) >= self.plan.stop_at
 
     @property
@@ -123,7 +123,7 @@ class Rollout:
 
     def _room(self) -> int:
         """How many more robots may switch, by what has become of those before."""
-        # Who ran the release before says nothing of how the others take the switch.
+        # A robot that ran the release before is no evidence for how the others take the switch.
         everybody = len(self.stages) - self._count({Stage.CURRENT})
         switching, good, bad = self._count({Stage.SWITCHING}), self._count({Stage.HEALTHY}), self._count(BAD)
         if good < min(self.plan.canary, everybody):

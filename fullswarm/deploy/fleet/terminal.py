@@ -65,7 +65,7 @@ def shell(order: Order, command: list[str]) -> int:
 
 
 def ssh_words(fleet: Fleet, address: Address) -> list[str]:
-    """``ssh``'s arguments: our pinned keys and nobody else's, the fleet's key, then the user's own."""
+    """``ssh``'s arguments: our pinned keys and no others, the fleet's key, then the user's own."""
     return [
         *("-o", f"UserKnownHostsFile={fleet.login.pins.known_hosts}"),
         *("-o", "GlobalKnownHostsFile=/dev/null"),

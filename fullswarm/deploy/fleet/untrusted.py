@@ -17,7 +17,7 @@ LINE = 300
 def clean(said: bytes | str, limit: int = LINE) -> str:
     """One printable line: no escape sequences, no bidirectional tricks, at most `limit` characters."""
     text = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
-    # Cut before the slow part: whoever says 100 MB gets no more of our time than who says a line.
+    # Cut before the slow part: a robot that sends 100 MB takes no more of our time than one that sends a line.
     words = "".join(_printable(each) for each in text[: 4 * limit]).split()
     line = " ".join(words)
     return line if len(line) <= limit else line[: limit - 1] + "…"

@@ -33,14 +33,14 @@ class Board:
         self.outcomes[robot] = outcome
 
     def again(self) -> int:
-        """Begin anew with who could not be reached or was moving; return how many."""
+        """Begin anew with robots that could not be reached or were moving; return how many."""
         late = [robot for robot, each in self.rollout.stages.items() if each in (Stage.UNREACHABLE, Stage.REFUSED)]
         for robot in late:
             self.rollout = self.rollout.again(robot)
         return len(late)
 
     def held(self) -> None:
-        """Say of who has the release and may not switch to it that it keeps what it runs."""
+        """Report that robots which have the release and may not switch to it keep what they run."""
         for robot, stage in self.rollout.stages.items():
             if stage is Stage.STAGED and robot in self.outcomes:
                 outcome = self.outcomes[robot]
@@ -91,7 +91,7 @@ async def _round(board: Board, hands: Hands, at_a_time: int) -> None:
                 robot = running.pop(each)
                 try:
                     board.end(robot, each.result())
-                except Exception as error:  # others may be in the midst of their switch: nobody begins, they finish
+                except Exception as error:  # others may be in the midst of their switch: no new one begins, they finish
                     bug = bug or error
     finally:
         for each in running:

@@ -23,7 +23,7 @@ AFTER_GUARD_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """healthy: committed; back: on the release before; never: it has not switched; lost: nobody knows yet."""
+    """healthy: committed; back: on the release before; never: it has not switched; lost: unknown yet."""
 
     state: Literal["healthy", "back", "never", "lost"]
     why: str = ""

@@ -28,7 +28,7 @@ POLL_S = 0.5
 SILENT_S = 30.0
 """An agent that was restarted says how it is within this time, on the slowest card too."""
 SICK_S = 5.0
-"""What keeps an agent from being healthy for so long, a core that nobody has started, for one, may stay."""
+"""What keeps an agent from being healthy for so long, a core that is not started, for example, may stay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ class Work:
             except steps.WentBack as error:
                 return _rolled_back(error.what, before)
             except Unreachable:
-                pass  # it may have switched: whoever watches finds out
+                pass  # it may have switched: the watch over its health finds out
         verdict = await watch.until_settled()
         self.tell(f"{robot}: {verdict.state}{f': {verdict.why}' if verdict.why else ''}")
         return _judged(verdict, release, before)
@@ -244,7 +244,7 @@ def _why_not_well(facts: Facts, release: str) -> str:
         return "it says nothing of its health"
     if said.release != release:
         return f"it still runs {clean(said.release or 'another release', 60)}"
-    return "" if said.healthy else clean("; ".join(said.why)) or "it does not say why"
+    return "" if said.healthy else clean("; ".join(said.why)) or "it gives no reason"
 
 
 def _judged(verdict: Verdict, release: str, before: str | None) -> Outcome:

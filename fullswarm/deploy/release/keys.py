@@ -1,4 +1,4 @@
-"""The keys of a base station, in one folder that nobody else may read; each is made when it is first needed."""
+"""The keys of a base station, in one folder that no other user may read; each is made when it is first needed."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Keys:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """Keep other processes out: two keys of one name would lock somebody out of the fleet."""
+        """Keep other processes out: two keys of one name would lock a user out of the fleet."""
         _folder(self.folder)
         with (self.folder / ".lock").open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)

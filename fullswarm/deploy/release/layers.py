@@ -13,7 +13,7 @@ OWN = Path(fullswarm.__file__).parent
 NOT_ON_BOARD = ("testing/", "emulators/", "operator/console/page/", "bringup/lab/")
 """What no robot runs: checks for developers, emulated robots, the console's page, the lab of `fullswarm init`."""
 _LEFTOVERS = (".pyc", ".orig", ".rej", "~", ".md")
-"""The last: notes for whoever reads a checkout; an installed fullswarm, which must make the same bytes, has none."""
+"""The last: notes for readers of a checkout; an installed fullswarm, which must make the same bytes, has none."""
 
 
 def app(place: Path) -> None:
@@ -33,7 +33,7 @@ def robot(place: Path) -> None:
 
 
 def _plain_files(folder: Path) -> Iterator[str]:
-    """Yield the paths of the files below a folder that somebody wrote; not what tools and editors leave."""
+    """Yield the paths of the files below a folder that people wrote; not what tools and editors leave."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder)
         hidden = any(part.startswith(".") or part == "__pycache__" for part in name.parts)

@@ -76,7 +76,7 @@ class Store:
             _share(fresh, before)
         newest = max((each.stat().st_mtime_ns for each in self._made()), default=0)
         if place.exists():
-            shutil.rmtree(place)  # the same content by its name, unless somebody touched it: ours is sound
+            shutil.rmtree(place)  # the same content by its name, unless it was modified: ours is intact
         fresh.replace(place)
         now = max(time.time_ns(), newest + 1)  # whatever the clock did, this one is the latest
         os.utime(place, ns=(now, now))

@@ -60,7 +60,8 @@ def kit(
     signers
         Text of ``allowed_signers``: whose releases the robot takes.
     ssh_user
-        Who may run ``fullswarm-robot`` as root without a password; None: the fleet file's. ``root`` needs no rule.
+        The user who may run ``fullswarm-robot`` as root without a password; None: the fleet file's. ``root`` needs no
+        rule.
     environment
         Further lines of ``robot.env``, which the agent gets as its environment.
     tools
