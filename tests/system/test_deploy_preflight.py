@@ -111,7 +111,7 @@ def test_all_of_a_robot_is_looked_at_and_nothing_moves(robot: Robot) -> None:
 @pytest.mark.slow
 def test_without_a_terminal_and_a_yes_nothing_is_pressed(robot: Robot) -> None:
     _, checks, _ = robot.doctor()
-    assert (checks["e-stop"]["status"], "nobody to ask" in checks["e-stop"]["what"]) == ("warning", True)
+    assert (checks["e-stop"]["status"], "no terminal to ask" in checks["e-stop"]["what"]) == ("warning", True)
     _, checks, _ = robot.doctor("--no-estop")
     assert checks["e-stop"]["status"] == "ok"
 
@@ -152,7 +152,7 @@ def test_which_way_is_broken_is_told(robot: Robot) -> None:
     robot.computer.stop()
     code, checks, said = robot.doctor("--no-estop")
     assert (code, said["reached"]) == (1, {"bus": True, "ssh": False})
-    assert "heard on the bus" in checks["ssh"]["what"]
+    assert "received on the bus" in checks["ssh"]["what"]
 
     robot.computer.start()
     robot.swarm.supervisor.kill("r1")

@@ -80,7 +80,7 @@ def test_heard_but_not_reached_by_ssh(lab: Lab) -> None:
     code, checks, said = lab.run()
     assert (code, said["reached"]) == (1, {"bus": True, "ssh": False})
     assert checks["ssh"]["status"] == "failure"
-    assert "heard on the bus, so it is switched on" in checks["ssh"]["what"]
+    assert "received on the bus, so it is switched on" in checks["ssh"]["what"]
     assert checks["round trip (bus)"]["status"] == "ok"
 
 
