@@ -18,7 +18,6 @@ MOST = 10_000
 
 Names = Annotated[tuple[str, ...], Meta(max_length=MOST)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
-Counts = Annotated[tuple[Count, ...], Meta(max_length=MOST)]
 Ordinal = Annotated[int, Meta(ge=-(2**62), le=2**62)]
 
 Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]  # s
@@ -36,7 +35,6 @@ KnownSigma = Annotated[float, Meta(ge=-1.0, le=1e7)]  # -1: unknown
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 
 Places = Annotated[tuple[Metres, ...], Meta(max_length=MOST)]
-Ways = Annotated[tuple[Way, ...], Meta(max_length=MOST)]
 Radii = Annotated[tuple[Radius, ...], Meta(max_length=MOST)]
 Angles = Annotated[tuple[Radians, ...], Meta(max_length=MOST)]
 Speeds = Annotated[tuple[Speed, ...], Meta(max_length=MOST)]
@@ -362,24 +360,6 @@ class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
 
 
 # ---------------------------------------------------------------- performance (paper II.F)
-class WorkMeasurement(Message, frozen=True, kw_only=True):
-    """Distance travelled per robot since the agent started, in metres."""
-
-    host: str
-    robots: Names
-    distance_m: Ways
-    stamp_s: Stamp
-
-
-class CollisionMeasurement(Message, frozen=True, kw_only=True):
-    """Contact events per robot since the agent started (a new one after >= 0.25 s without)."""
-
-    host: str
-    robots: Names
-    events: Counts
-    stamp_s: Stamp
-
-
 class CoverageMeasurement(Message, frozen=True, kw_only=True):
     """Cells that the host's robots have covered so far, by a disc of the robot's radius.
 
@@ -413,7 +393,7 @@ class RobotMeasurement(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
-Measurement = WorkMeasurement | CollisionMeasurement | CoverageMeasurement | RobotMeasurement
+Measurement = CoverageMeasurement | RobotMeasurement
 
 
 class Summary(Message, frozen=True, kw_only=True):
@@ -470,7 +450,5 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         == len(m.radius_m) and (not m.teams or len(m.teams) == len(m.robots))
     ),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
-    WorkMeasurement: lambda m: len(m.robots) == len(m.distance_m),
-    CollisionMeasurement: lambda m: len(m.robots) == len(m.events),
 }  # fmt: skip
 """Whether a message's columns fit together, written out because states come a thousand times per second."""

@@ -7,6 +7,7 @@ measurement carries what others have counted anyway: the filter's deviation, ene
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,12 +121,11 @@ class Gauges:
         identity: Identity,
         loop: LoopStats,
         traffic: CountingBus,
-        deviation_m: Array,
-        energy_j: Array,
+        counted: Mapping[str, Array],
     ) -> RobotMeasurement:
         """Return the measurement; what its columns mean stands in ``perf/metrics.py``.
 
-        `deviation_m` (n,) is the filter's, `energy_j` (n,) what the wheels took.
+        `counted` are the columns of others, (n,) each: the calculators' and the filter's.
         """
         state = self._state
         x, y, heading = self._motion.pose.T.tolist()
@@ -141,8 +141,7 @@ class Gauges:
             "gap_m": gap,
             "draws": self._deadlocks.draws.tolist(),
             "aside_s": aside,
-            "deviation_m": deviation_m.tolist(),
-            "energy_j": energy_j.tolist(),
+            **{name: column.tolist() for name, column in counted.items()},
         }
         totals = {
             "ticks": float(loop.ticks), "late": float(loop.late), "missed": float(loop.missed),

@@ -313,9 +313,8 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.gauges.look(now_s)
-            message = self.gauges.message(
-                now_s, self._identity, self._loop(), self._bus, self.filter.deviation_m, self.calculators.energy_j
-            )
+            counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
+            message = self.gauges.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property

@@ -15,8 +15,6 @@ from fullswarm.perf.coverage import GridFrame, unpack_bits
 from fullswarm.perf.metrics import METRICS
 
 ROBOT_QUANTITY = {
-    "work": "distance_m",
-    "collisions": "events",
     "coverage": "area_m2",
     **{name: metric.per_robot for name, metric in METRICS.items() if metric.per_robot},
 }

@@ -43,18 +43,16 @@ def core(
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings
     from fullswarm.perf.performance_node import PerformanceNode
-    from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer, robot_summarizer
+    from fullswarm.perf.summarizers import CoverageSummarizer, robot_summarizers
     from fullswarm.store import Store
 
     keys = Keys(config.swarm)
     store = Store(config.core.store, wall_s)
     settings = Settings(store, config)
 
-    extra: list[Node] = [
-        summarizer(bus, keys, scheduler, lambda: settings.performance)
-        for summarizer in (WorkSummarizer, CollisionSummarizer, CoverageSummarizer)
-    ]
-    extra.append(robot_summarizer(bus, keys, scheduler, lambda: settings.performance, config.robots, config.bounds_m))
+    conditions = lambda: settings.performance  # noqa: E731
+    extra: list[Node] = [CoverageSummarizer(bus, keys, scheduler, conditions)]
+    extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
     return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
 

@@ -1,4 +1,4 @@
-"""Calculators (paper II.F.1): what each robot measures of itself. In: poses, contacts. Out: …Measurement.
+"""Calculators (paper II.F.1): what each robot measures of itself. In: poses, contacts. Out: columns, coverage.
 
 They run in the agent, for the n robots that it hosts: n is 1 on board, the whole swarm in lockstep. State is
 allocated once; an update is a single kernel call. Everything is cumulative, so a lost message costs nothing.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.bus.base import Bus
 from fullswarm.kernels import kernel
 from fullswarm.keys import Keys
-from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, WorkMeasurement
+from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf.coverage import Bounds, GridFrame, pack
 from fullswarm.perf.energy import MASS_KG, spend
 
@@ -284,22 +284,15 @@ class Calculators:
             self.energy.unknown if twist is None else twist, *self._kept,
         )  # fmt: skip
 
-    def publish(self, bus: Bus, keys: Keys, host: str, now_s: float, *, whole: bool = True) -> None:
-        """Publish the three measurements of `host`, cumulative since the start.
+    def columns(self) -> dict[str, Array]:
+        """Return the numbers per robot, (n,) each, by their names in ``metrics.py``; cumulative since the start."""
+        return {"distance_m": self.distance_m, "events": self.collisions.astype(float), "energy_j": self.energy_j}
 
-        Unless `whole` the grid goes along every second time only: it is larger than all else together.
+    def publish(self, bus: Bus, keys: Keys, host: str, now_s: float, *, whole: bool = True) -> None:
+        """Publish the grid of `host`, cumulative since the start; unless `whole` every second time only.
+
+        It is larger than all else together.
         """
-        ids = self.ids
-        distance_m, events = tuple(self.work.distance_m.tolist()), tuple(self.collision.events.tolist())
-        bus.publish(
-            keys.measurement("work", host),
-            WorkMeasurement(host=host, robots=ids, distance_m=distance_m, stamp_s=now_s),
-        )
-        bus.publish(
-            keys.measurement("collisions", host),
-            CollisionMeasurement(host=host, robots=ids, events=events, stamp_s=now_s),
-        )
         self._with_grid = whole or not self._with_grid
-        if not self._with_grid:
-            return
-        bus.publish(keys.measurement("coverage", host), self.coverage.message(host, ids, now_s))
+        if self._with_grid:
+            bus.publish(keys.measurement("coverage", host), self.coverage.message(host, self.ids, now_s))

@@ -1,8 +1,8 @@
-"""What is measured of a swarm besides work, coverage and collisions. One line per column, one per quantity.
+"""Lists what is measured of a swarm besides coverage: one line per column, one per quantity.
 
 A column is a number per robot (or per host) that an agent publishes at its measurement rate, see
 `RobotMeasurement`; a quantity joins a column of all robots to one number of the swarm. A new metric needs a column
-that some calculator fills (``agent/gauges.py`` says which array) and its lines here.
+that some calculator fills (``agent/gauges.py`` says which array) and its record here.
 """
 
 from __future__ import annotations
@@ -13,8 +13,12 @@ from typing import Literal
 Restart = Literal["add", "least", "most", "newest"]
 """What becomes of a robot's value when its agent is started again: counters add up, extremes stay, states do not."""
 
-Rule = Literal["sum", "mean", "max", "min", "share", "rms"]
-"""How robots' values become the swarm's; robots without a number are left out. share: of robots that have one."""
+Rule = Literal["sum", "mean", "max", "min", "share", "rms", "count", "positive"]
+"""How robots' values become the swarm's; robots without a number are left out. share: of robots that have one;
+count: how many have one; positive: how many have one above zero."""
+
+OFTEN_S, SELDOM_S = 1.0, 5.0
+"""How often summaries are sent. Most seldom: so many metrics are reported at a time, and at the end anyway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,7 @@ class Metric:
     doc: str
     quantities: dict[str, tuple[Rule, str]]  # name of the quantity → rule, column
     per_robot: str = ""  # the column that is shown per robot
+    period_s: float = SELDOM_S
 
 
 COLUMNS = {
@@ -44,6 +49,8 @@ COLUMNS = {
     "arrived_s": Column("s", "from the request until it last entered its goal's disc; none outside it"),
     "still_s": Column("s", "since it last moved by more than its radius; none without a task"),
     "gap_m": Column("m", "smallest gap to a neighbour so far: between centres, less both radii", "least"),
+    "distance_m": Column("m", "distance travelled", "add"),
+    "events": Column("", "contacts begun; two robots that meet count one each", "add"),
     "draws": Column("", "how often it was found blocked and stepped aside", "add"),
     "aside_s": Column("s", "time spent on stepping aside", "add"),
     "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
@@ -65,7 +72,31 @@ LOOP: dict[str, tuple[Rule, str]] = {
     "received": ("sum", "received"),
 }
 
+SHAPE = "shape"
+
 METRICS = {
+    "work": Metric(
+        "Distance travelled",
+        {
+            "total_m": ("sum", "distance_m"),
+            "mean_m": ("mean", "distance_m"),
+            "max_m": ("max", "distance_m"),
+            "robots": ("count", "distance_m"),
+        },
+        "distance_m",
+        OFTEN_S,
+    ),
+    "collisions": Metric(
+        "Contacts with robots and obstacles",
+        {
+            "events": ("sum", "events"),
+            "robots_touched": ("positive", "events"),
+            "max_events": ("max", "events"),
+            "robots": ("count", "events"),
+        },
+        "events",
+        OFTEN_S,
+    ),
     "arrival": Metric(
         "Which robots are at their goals, and since when, counted from the request",
         {"fraction": ("share", "arrived_s"), "mean_s": ("mean", "arrived_s"), "last_s": ("max", "arrived_s")},
@@ -87,9 +118,9 @@ METRICS = {
     ),
     "loop": Metric("Deadlines and messages of the agents", LOOP),
     "formation": Metric("Root mean square distance to the targets", {"error_m": ("rms", "goal_m")}, "goal_m"),
+    SHAPE: Metric("The swarm's shape, see `SHAPE_DOC`", {}),
 }
 
-SHAPE = "shape"
 SHAPE_DOC = {
     "order": "length of the mean heading vector: 1 when all look one way",
     "spacing_m": "mean distance to the nearest neighbour",

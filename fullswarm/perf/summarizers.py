@@ -1,7 +1,7 @@
 """Summarizers (paper II.F.2). In: measurements of all hosts. Out: a Summary per metric, now and then and at the end.
 
-Nodes in the core: ``WorkSummarizer(bus, keys, scheduler, conditions)``, likewise ``CollisionSummarizer`` and
-``CoverageSummarizer``; ``robot_summarizer`` for all that is one number per robot. They differ in their tally alone.
+Nodes in the core: ``CoverageSummarizer(bus, keys, scheduler, conditions)``, and ``robot_summarizers`` for all that is
+one number per robot. They differ in their tally alone.
 
 A supervisory process that sees the true bodies may calculate, too (paper II.F.1): what it publishes as host ``truth``
 is kept apart and shown beside what the robots say, as ``truth_…``. The truth decides when a trial is over, if it is
@@ -23,10 +23,11 @@ import structlog
 from fullswarm.bus.base import Bus
 from fullswarm.errors import MessageError
 from fullswarm.keys import Keys
-from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, RobotMeasurement, Summary, WorkMeasurement
+from fullswarm.messages import CoverageMeasurement, RobotMeasurement, Summary
 from fullswarm.perf.coverage import Bounds
+from fullswarm.perf.metrics import METRICS, OFTEN_S, Metric
 from fullswarm.perf.robot_tally import RobotTally
-from fullswarm.perf.tallies import Alone, CollisionTally, CoverageTally, M, One, Result, Results, Tally, WorkTally
+from fullswarm.perf.tallies import CoverageTally, M, Result, Results, Tally
 from fullswarm.perf.termination import Conditions, reason_to_stop
 from fullswarm.runtime import Scheduler, Timer
 from fullswarm.words import TRUTH
@@ -35,10 +36,6 @@ log = structlog.get_logger()
 
 FAILED = "failed: "
 """How the reason begins of a summary that could not be worked out just now."""
-
-REPORT_PERIOD_S = 1.0
-ROBOTS_PERIOD_S = 5.0
-"""So many metrics are reported at a time, and at the end anyway."""
 
 
 class Summarizer(Generic[M]):
@@ -51,11 +48,13 @@ class Summarizer(Generic[M]):
     Parameters
     ----------
     metric, kind, tally
-        What it is: name in the keys, type of its measurements, makes the bookkeeping.
+        What it is: name of its first metric, type of its measurements, makes the bookkeeping.
     bus, keys, scheduler
         What every node gets.
     conditions
         Reads the termination conditions as they are now (the core's local database, or a constant).
+    topic
+        Name of its measurements in the keys; by default that of the metric.
     """
 
     def __init__(
@@ -68,7 +67,8 @@ class Summarizer(Generic[M]):
         scheduler: Scheduler,
         conditions: Conditions,
         *,
-        period_s: float = REPORT_PERIOD_S,
+        period_s: float = OFTEN_S,
+        topic: str = "",
     ) -> None:
         self.metric, self.refused, self.failures = metric, 0, 0
         """`refused`: measurements that made no sense and were dropped; `failures`: of the bookkeeping itself."""
@@ -84,7 +84,7 @@ class Summarizer(Generic[M]):
         self._period_s = period_s
         self._timer = scheduler.every(period_s, lambda: self._safely(self._on_period))
         take = lambda message: self._safely(lambda: self._on_measurement(message))  # noqa: E731
-        self._subscription = bus.subscribe(keys.measurement(metric), kind, take, latest=True)
+        self._subscription = bus.subscribe(keys.measurement(topic or metric), kind, take, latest=True)
 
     @property
     def finished(self) -> bool:
@@ -216,22 +216,23 @@ def _marked(values: dict[str, float]) -> dict[str, float]:
     return {f"{TRUTH}_{quantity}": value for quantity, value in values.items()}
 
 
-def _alone(metric: str, tally: Callable[[], One[M]]) -> Callable[[], Tally[M]]:
-    return lambda: Alone(metric, tally())
+CoverageSummarizer = partial(Summarizer[CoverageMeasurement], "coverage", CoverageMeasurement, CoverageTally)
 
 
-WorkSummarizer = partial(Summarizer[WorkMeasurement], "work", WorkMeasurement, _alone("work", WorkTally))
-CollisionSummarizer = partial(
-    Summarizer[CollisionMeasurement], "collisions", CollisionMeasurement, _alone("collisions", CollisionTally)
-)
-CoverageSummarizer = partial(
-    Summarizer[CoverageMeasurement], "coverage", CoverageMeasurement, _alone("coverage", CoverageTally)
-)
-
-
-def robot_summarizer(
+def robot_summarizers(
     bus: Bus, keys: Keys, scheduler: Scheduler, conditions: Conditions, robots: Sequence[str], bounds_m: Bounds
-) -> Summarizer[RobotMeasurement]:
-    """Return the summarizer of all metrics in ``metrics.py``; `robots` are those of the fleet file."""
-    tally = partial(RobotTally, robots, bounds_m)
-    return Summarizer("robots", RobotMeasurement, tally, bus, keys, scheduler, conditions, period_s=ROBOTS_PERIOD_S)
+) -> list[Summarizer[RobotMeasurement]]:
+    """Return the summarizers of all metrics in ``metrics.py``, one for each period in which some are reported.
+
+    `robots` are those of the fleet file.
+    """
+    groups: dict[float, dict[str, Metric]] = {}
+    for name, metric in METRICS.items():
+        groups.setdefault(metric.period_s, {})[name] = metric
+    return [
+        Summarizer(
+            next(iter(group)), RobotMeasurement, partial(RobotTally, robots, bounds_m, group), bus, keys, scheduler,
+            conditions, period_s=period_s, topic="robots",
+        )
+        for period_s, group in groups.items()
+    ]  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import CollisionMeasurement, RobotMeasurement, WorkMeasurement
+from fullswarm.messages import RobotMeasurement
 from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Scheduler
 from fullswarm.words import TRUTH
@@ -34,12 +34,6 @@ class SupervisorCalculator:
         """Publish everything now."""
         truth, now_s, keys = self._truth, self._scheduler.now_s(), self._keys
         ids = truth.ids
-        work = WorkMeasurement(host=TRUTH, robots=ids, distance_m=tuple(truth.distance_m.tolist()), stamp_s=now_s)
-        self._bus.publish(keys.measurement("work", TRUTH), work)
-        if truth.contacts_seen:
-            events = tuple(truth.events.tolist())
-            hits = CollisionMeasurement(host=TRUTH, robots=ids, events=events, stamp_s=now_s)
-            self._bus.publish(keys.measurement("collisions", TRUTH), hits)
         self._bus.publish(keys.measurement("coverage", TRUTH), truth.coverage.message(TRUTH, ids, now_s))
         columns = {name: tuple(column.tolist()) for name, column in truth.columns().items()}
         numbers = RobotMeasurement(host=TRUTH, process=self._process, robots=ids, columns=columns, stamp_s=now_s)

@@ -185,8 +185,11 @@ class Truth:
             "x_m": state[:, X],
             "y_m": state[:, Y],
             "heading_rad": state[:, HEADING],
+            "distance_m": state[:, DISTANCE],
             "energy_j": state[:, SPENT],
         }
+        if self.contacts_seen:
+            columns["events"] = self.events.astype(float)
         if self._have_goals:
             columns |= {"goal_m": self._goal_m(), "arrived_s": state[:, ENTERED]}
         return columns

@@ -144,8 +144,6 @@ SEEN = messages.SeenObstacles(host="r1", rows=((1.0, 2.0, 0.5, 0.5, 0.0, 0.0),),
 COMMAND = Command(
     robot="r1", request_id="q", linear_m_s=0.1, angular_rad_s=0.0, ttl_s=0.3, sequence=1, stamp_s=1.0
 )  # fmt: skip
-WORK = messages.WorkMeasurement(host="r1", robots=("r1",), distance_m=(1.0,), stamp_s=1.0)
-TOUCHED = messages.CollisionMeasurement(host="r1", robots=("r1",), events=(1,), stamp_s=1.0)
 FIX = messages.PoseFix(
     robot="r1", x_m=1.0, y_m=1.0, heading_rad=0.0, position_sigma_m=0.1, heading_sigma_rad=0.1, source="s", stamp_s=1.0
 )  # fmt: skip
@@ -169,9 +167,6 @@ CONTROL = messages.ControlRequest(request_id="q", robot="r1", behaviour="b", ena
         (COMMAND, "ttl_s", math.nan),
         (COMMAND, "ttl_s", 1e6),
         (COMMAND, "ttl_s", -1.0),
-        (WORK, "distance_m", (1e308,)),
-        (WORK, "distance_m", (-1.0,)),
-        (TOUCHED, "events", (2**63 - 1,)),
         (FIX, "x_m", math.nan),
         (FIX, "heading_rad", math.inf),
         (FIX, "position_sigma_m", -1.0),

@@ -16,10 +16,11 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.keys import Keys
-from fullswarm.messages import CollisionMeasurement, CoverageMeasurement, WorkMeasurement
+from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf import calculators
 from fullswarm.perf.calculators import Calculators, CollisionCalculator, CoverageCalculator, WorkCalculator
 from fullswarm.perf.coverage import GridFrame, count_bits, pack, unpack_bits
+from fullswarm.perf.metrics import COLUMNS
 from fullswarm.runtime import Runtime
 
 Array = NDArray[np.float64]
@@ -278,19 +279,18 @@ def test_they_publish_what_they_counted() -> None:
     counted = calculate(3, poses, contacts)
     runtime = Runtime(SimClock())
     bus, keys = LocalBus(runtime.mailbox), Keys("lab")
-    got: list[WorkMeasurement | CollisionMeasurement | CoverageMeasurement] = []
-    bus.subscribe("lab/measurement/work/h1", WorkMeasurement, got.append)
-    bus.subscribe("lab/measurement/collisions/h1", CollisionMeasurement, got.append)
+    got: list[CoverageMeasurement] = []
     bus.subscribe("lab/measurement/coverage/h1", CoverageMeasurement, got.append)
     counted.publish(bus, keys, "h1", 7.0)
     runtime.mailbox.drain()
-    work, collisions, coverage = got
-    assert isinstance(work, WorkMeasurement)
-    assert isinstance(collisions, CollisionMeasurement)
-    assert isinstance(coverage, CoverageMeasurement)
-    assert work.distance_m == tuple(counted.distance_m)
-    assert collisions.events == tuple(counted.collisions)
+    (coverage,) = got
+    columns = counted.columns()
+    assert columns["distance_m"].tolist() == counted.work.distance_m.tolist()
+    assert columns["events"].tolist() == counted.collision.events.tolist()
+    assert max(columns["events"]) > 0
+    assert columns["energy_j"].tolist() == counted.energy.energy_j.tolist()
+    assert columns.keys() <= COLUMNS.keys()
     bits = unpack_bits(coverage.cells, GridFrame.of(coverage))
     assert count_bits(bits) == counted.coverage.covered > 0
-    assert {each.stamp_s for each in got} == {7.0}
-    assert work.robots == ("r0", "r1", "r2")
+    assert coverage.stamp_s == 7.0
+    assert coverage.robots == ("r0", "r1", "r2")

@@ -18,10 +18,10 @@ from fullswarm.clock import SimClock
 from fullswarm.config import PerformanceConfig
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.messages import Summary
+from fullswarm.messages import RobotMeasurement, Summary
 from fullswarm.perf.calculators import Calculators
 from fullswarm.perf.performance_node import PerformanceNode
-from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer
+from fullswarm.perf.summarizers import CoverageSummarizer, Summarizer, robot_summarizers
 from fullswarm.runtime import Runtime
 
 KEYS = Keys("lab")
@@ -189,11 +189,12 @@ def run_trial(results: Path) -> bytes:
     bench = Bench(results)
     runtime, bus = bench.runtime, bench.bus
     conditions = PerformanceConfig(max_execution_s=2.0)
-    summarizers = [
-        make(bus, KEYS, runtime, lambda: conditions)
-        for make in (WorkSummarizer, CollisionSummarizer, CoverageSummarizer)
+    arena = (0.0, 0.0, 5.0, 5.0)
+    summarizers: list[Summarizer[Any]] = [
+        CoverageSummarizer(bus, KEYS, runtime, lambda: conditions),
+        *robot_summarizers(bus, KEYS, runtime, lambda: conditions, ("a", "b"), arena),
     ]
-    calculators = Calculators(["a", "b"], (0.0, 0.0, 5.0, 5.0), 0.02, [0.17, 0.17], 0.5)
+    calculators = Calculators(["a", "b"], arena, 0.02, [0.17, 0.17], 0.5)
 
     def tick() -> None:
         x = 1.0 + 0.5 * runtime.now_s()
@@ -202,7 +203,16 @@ def run_trial(results: Path) -> bytes:
         calculators.update(runtime.now_s(), pose, contacts, 0.02)
 
     runtime.every(0.02, tick)
-    runtime.every(0.5, lambda: calculators.publish(bus, KEYS, "h", runtime.now_s()))
+
+    def publish() -> None:
+        calculators.publish(bus, KEYS, "h", runtime.now_s())
+        columns = {name: tuple(column.tolist()) for name, column in calculators.columns().items()}
+        message = RobotMeasurement(
+            host="h", process="p", robots=calculators.ids, columns=columns, stamp_s=runtime.now_s()
+        )  # fmt: skip
+        bus.publish(KEYS.measurement("robots", "h"), message)
+
+    runtime.every(0.5, publish)
     runtime.run(6.0)
     bench.node.close()
     assert all(each.finished for each in summarizers)

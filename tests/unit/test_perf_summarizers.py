@@ -12,17 +12,11 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import PerformanceConfig
 from fullswarm.keys import Keys
-from fullswarm.messages import (
-    CollisionMeasurement,
-    CoverageMeasurement,
-    Message,
-    Summary,
-    WorkMeasurement,
-)
+from fullswarm.messages import CoverageMeasurement, Message, RobotMeasurement, Summary
 from fullswarm.perf.coverage import MAX_CELLS, pack
 from fullswarm.perf.performance_node import PerformanceNode
-from fullswarm.perf.summarizers import CollisionSummarizer, CoverageSummarizer, WorkSummarizer
-from fullswarm.perf.tallies import Totals
+from fullswarm.perf.robot_tally import RobotTally
+from fullswarm.perf.summarizers import CoverageSummarizer, robot_summarizers
 from fullswarm.perf.termination import Progress, reason_to_stop
 from fullswarm.runtime import Runtime
 
@@ -30,7 +24,7 @@ KEYS = Keys("lab")
 
 
 class Bench:
-    """A bus on a simulated clock, the three summarizers, and all summaries that they sent."""
+    """A bus on a simulated clock, the summarizers, and all summaries that they sent."""
 
     def __init__(self, **conditions: float | bool) -> None:
         self.runtime = Runtime(SimClock(100.0))
@@ -39,12 +33,11 @@ class Bench:
         self.sent: list[Summary] = []
         self.bus.subscribe(KEYS.summary(), Summary, self.sent.append)
         ask = lambda: self.conditions  # noqa: E731
-        self.work = WorkSummarizer(self.bus, KEYS, self.runtime, ask)
-        self.collisions = CollisionSummarizer(self.bus, KEYS, self.runtime, ask)
+        self.often, _ = robot_summarizers(self.bus, KEYS, self.runtime, ask, (), (0.0, 0.0, 4.0, 3.0))
         self.coverage = CoverageSummarizer(self.bus, KEYS, self.runtime, ask)
 
     def tell(self, *messages: Message) -> None:
-        names = {WorkMeasurement: "work", CollisionMeasurement: "collisions", CoverageMeasurement: "coverage"}
+        names = {RobotMeasurement: "robots", CoverageMeasurement: "coverage"}
         for message in messages:
             host = str(getattr(message, "host", ""))
             self.bus.publish(KEYS.measurement(names[type(message)], host), message)
@@ -53,13 +46,21 @@ class Bench:
     def of(self, metric: str) -> list[Summary]:
         return [each for each in self.sent if each.metric == metric]
 
+    def now(self, metric: str) -> Summary:
+        return next(each for each in self.often.summaries() if each.metric == metric)
 
-def work(host: str, **distance_m: float) -> WorkMeasurement:
-    return WorkMeasurement(host=host, robots=tuple(distance_m), distance_m=tuple(distance_m.values()), stamp_s=0.0)
+
+def column(host: str, process: str, name: str, values: dict[str, float]) -> RobotMeasurement:
+    columns = {name: tuple(map(float, values.values()))}
+    return RobotMeasurement(host=host, process=process, robots=tuple(values), columns=columns, stamp_s=0.0)
 
 
-def hits(host: str, **events: int) -> CollisionMeasurement:
-    return CollisionMeasurement(host=host, robots=tuple(events), events=tuple(events.values()), stamp_s=0.0)
+def work(host: str, process: str = "p", **distance_m: float) -> RobotMeasurement:
+    return column(host, process, "distance_m", distance_m)
+
+
+def hits(host: str, process: str = "p", **events: float) -> RobotMeasurement:
+    return column(host, process, "events", events)
 
 
 def covered(host: str, *cells: tuple[int, int], shape: tuple[int, int] = (4, 5)) -> CoverageMeasurement:
@@ -76,7 +77,7 @@ def covered(host: str, *cells: tuple[int, int], shape: tuple[int, int] = (4, 5))
 def test_work_is_summed_over_hosts() -> None:
     bench = Bench()
     bench.tell(work("h1", a=1.0, b=2.0), work("h2", c=6.0))
-    result = bench.work.summary()
+    result = bench.now("work")
     assert result.values == {"total_m": 9.0, "mean_m": 3.0, "max_m": 6.0, "robots": 3.0, "elapsed_s": 0.0}
     assert result.per_robot == {"a": 1.0, "b": 2.0, "c": 6.0}
     assert not result.finished
@@ -87,40 +88,40 @@ def test_measurements_are_cumulative_so_a_lost_one_costs_nothing() -> None:
     reports = [work("h", a=float(metre)) for metre in range(10)]
     complete.tell(*reports)
     lossy.tell(reports[0], reports[4], reports[9])
-    assert complete.work.summary() == lossy.work.summary()
-    assert lossy.work.summary().values["total_m"] == 9.0
+    assert complete.now("work") == lossy.now("work")
+    assert lossy.now("work").values["total_m"] == 9.0
 
 
 def test_the_total_survives_restarts_of_an_agent() -> None:
     bench = Bench()
-    bench.tell(work("h1", a=5.0), work("h2", b=1.0), work("h1", a=0.5), work("h1", a=2.0))
-    assert bench.work.summary().per_robot == {"a": 7.0, "b": 1.0}
-    bench.tell(work("h1", a=0.0), work("h1", a=0.25))
-    assert bench.work.summary().per_robot == {"a": 7.25, "b": 1.0}
+    bench.tell(work("h1", a=5.0), work("h2", b=1.0), work("h1", "q", a=0.5), work("h1", "q", a=2.0))
+    assert bench.now("work").per_robot == {"a": 7.0, "b": 1.0}
+    bench.tell(work("h1", "r", a=0.0), work("h1", "r", a=0.25))
+    assert bench.now("work").per_robot == {"a": 7.25, "b": 1.0}
 
 
-def test_one_fallen_counter_means_that_the_whole_agent_began_again() -> None:
+def test_another_process_of_an_agent_has_begun_again_with_all_its_counters() -> None:
     bench = Bench()
-    bench.tell(hits("h", a=4, b=1), hits("h", a=1, b=1))
-    assert bench.collisions.summary().per_robot == {"a": 5.0, "b": 2.0}
+    bench.tell(hits("h", a=4, b=1), hits("h", "q", a=1, b=1))
+    assert bench.now("collisions").per_robot == {"a": 5.0, "b": 2.0}
 
 
 def test_an_agent_that_came_back_with_fewer_robots_counts_none_twice() -> None:
     bench = Bench()
-    bench.tell(work("h", a=4.0, b=1.0), work("h", a=1.0))
-    assert bench.work.summary().per_robot == {"a": 5.0, "b": 1.0}
+    bench.tell(work("h", a=4.0, b=1.0), work("h", "q", a=1.0))
+    assert bench.now("work").per_robot == {"a": 5.0, "b": 1.0}
 
 
 def test_a_robot_that_moved_to_another_host_keeps_its_total() -> None:
     bench = Bench()
     bench.tell(work("old", a=5.0), work("new", a=1.0))
-    assert bench.work.summary().per_robot == {"a": 6.0}
+    assert bench.now("work").per_robot == {"a": 6.0}
 
 
 def test_collisions_are_summed_and_robots_counted() -> None:
     bench = Bench()
     bench.tell(hits("h1", a=2, b=0), hits("h2", c=1))
-    values = bench.collisions.summary().values
+    values = bench.now("collisions").values
     assert (values["events"], values["robots_touched"], values["max_events"], values["robots"]) == (3, 2, 2, 3)
 
 
@@ -159,9 +160,8 @@ def broken(**changes: object) -> CoverageMeasurement:
 
 NONSENSE: list[Message] = [
     work("h", a=-1.0),
-    work("h", a=math.nan),
     work("h", a=math.inf),
-    WorkMeasurement(host="h", robots=("a", "b"), distance_m=(1.0,), stamp_s=0.0),
+    RobotMeasurement(host="h", process="p", robots=("a", "b"), columns={"distance_m": (1.0,)}, stamp_s=0.0),
     hits("h", a=-1),
     broken(rows=0),
     broken(rows=-4, columns=-5),
@@ -176,7 +176,7 @@ NONSENSE: list[Message] = [
 def test_nonsense_is_counted_and_starts_nothing(message: Message) -> None:
     bench = Bench(max_execution_s=1.0)
     bench.tell(message)
-    assert bench.work.refused + bench.collisions.refused + bench.coverage.refused == 1
+    assert bench.often.refused + bench.coverage.refused == 1
     bench.runtime.run(3.0)
     assert bench.sent == []
 
@@ -188,21 +188,22 @@ def test_it_reports_once_per_second_from_the_first_measurement_on() -> None:
     assert bench.sent == []
     bench.tell(work("h", a=1.0))
     bench.runtime.run(3.0)
-    assert [each.stamp_s for each in bench.sent] == [103.0, 104.0, 105.0]
-    assert [each.values["elapsed_s"] for each in bench.sent] == [0.5, 1.5, 2.5]
+    sent = bench.of("work")
+    assert [each.stamp_s for each in sent] == [103.0, 104.0, 105.0]
+    assert [each.values["elapsed_s"] for each in sent] == [0.5, 1.5, 2.5]
 
 
 def test_report_sends_at_once_and_close_ends_it() -> None:
     bench = Bench()
     bench.tell(work("h", a=1.0))
-    bench.work.report()
+    bench.often.report()
     bench.runtime.mailbox.drain()
-    assert len(bench.sent) == 1
-    bench.work.close()
-    bench.work.close()
+    assert [each.metric for each in bench.sent] == ["work", "collisions"]
+    bench.often.close()
+    bench.often.close()
     bench.tell(work("h", a=9.0))
     bench.runtime.run(3.0)
-    assert len(bench.sent) == 1
+    assert [each.metric for each in bench.sent] == ["work", "collisions"]
 
 
 @pytest.mark.parametrize("limit_s", [0.3, 2.0, 2.7])
@@ -223,24 +224,24 @@ def test_after_the_end_the_result_stands_and_is_still_sent() -> None:
     bench = Bench(max_execution_s=2.0)
     bench.tell(work("h", a=1.0))
     bench.runtime.run(2.5)
-    final = bench.sent[-1]
+    final = bench.of("work")[-1]
     assert final.finished
     bench.tell(work("h", a=50.0))
     bench.runtime.run(3.0)
-    assert bench.work.summary() == final
+    assert bench.now("work") == final
     assert bench.sent.count(final) == 4  # at the end, and then each second
-    assert bench.work.finished
+    assert bench.often.finished
 
 
 def test_a_collision_ends_the_trial_at_once_if_asked_to() -> None:
     asked, not_asked = Bench(stop_on_collision=True), Bench()
     for bench in (asked, not_asked):
         bench.tell(hits("h", a=0))
-        assert not bench.collisions.finished
+        assert not bench.often.finished
         bench.tell(hits("h", a=1))
-    assert asked.collisions.summary().reason == "stop_on_collision"
-    assert asked.sent[-1].values["events"] == 1.0
-    assert not not_asked.collisions.finished
+    assert asked.now("collisions").reason == "stop_on_collision"
+    assert asked.of("collisions")[-1].values["events"] == 1.0
+    assert not not_asked.often.finished
 
 
 def test_coverage_reached_ends_the_trial_at_once() -> None:
@@ -259,10 +260,10 @@ def test_conditions_may_change_while_it_runs() -> None:
     bench.runtime.run(2.5)
     bench.conditions = PerformanceConfig(max_execution_s=6.0)
     bench.runtime.run(2.0)
-    assert not bench.work.finished
+    assert not bench.often.finished
     bench.conditions = PerformanceConfig(max_execution_s=1.0)
     bench.runtime.run(1.0)
-    assert bench.work.finished
+    assert bench.often.finished
 
 
 def test_a_change_before_the_deadline_moves_it() -> None:
@@ -271,7 +272,7 @@ def test_a_change_before_the_deadline_moves_it() -> None:
     bench.runtime.run(1.0)
     bench.conditions = PerformanceConfig(max_execution_s=2.25)
     bench.runtime.run(5.0)
-    assert bench.work.summary().values["elapsed_s"] == 2.25
+    assert bench.now("work").values["elapsed_s"] == 2.25
 
 
 @pytest.mark.parametrize(
@@ -290,39 +291,55 @@ def test_reason_to_stop(conditions: dict[str, float | bool], progress: Progress,
     assert reason_to_stop(PerformanceConfig.model_validate(conditions), progress) == reason
 
 
-def test_numbers_whose_sum_is_not_finite_end_nothing_and_the_metric_says_so(tmp_path: Path) -> None:
+def test_a_robot_without_a_number_is_left_out() -> None:
+    bench = Bench()
+    bench.tell(work("a", a=3.0), work("b", b=math.nan), work("c", c=1.7e308), hits("b", "q", b=math.nan))
+    assert bench.now("work").values == {"total_m": 3.0, "mean_m": 3.0, "max_m": 3.0, "robots": 1.0, "elapsed_s": 0.0}
+    assert bench.now("work").per_robot == {"a": 3.0}
+    assert bench.now("collisions").values["robots_touched"] == 0.0
+    bench.runtime.run(2.0)
+    assert (bench.of("work")[-1].reason, bench.often.failures) == ("", 0)
+
+
+def test_a_failure_ends_nothing_and_the_metric_says_so_until_it_passes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench = Bench()
     node = PerformanceNode(bench.bus, KEYS, bench.runtime, tmp_path)
-    bench.tell(work("a", a=3.0))
-    bench.runtime.run(1.5)
-    bench.tell(work("b", b=1.7e308), work("c", c=1.7e308))  # no wire has looked at them
-    bench.runtime.run(2.0)
-    newest = bench.of("work")[-1]
-    assert newest.reason.startswith("failed: OverflowError")
-    assert not newest.finished
-    assert newest.values["total_m"] == 3.0  # what could be worked out last
-    assert bench.work.failures > 0
-    assert {row.state for row in node.table()} == {newest.reason}
-    bench.tell(hits("a", a=1))
-    bench.runtime.run(1.0)
-    assert bench.of("collisions")[-1].reason == ""
-    bench.work.report()  # as at the end of the core
-    node.close()
-    assert "failed: OverflowError" in (tmp_path / "performance.json").read_text()
-
-
-def test_a_failure_that_passes_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
 
     def broken(*_: object) -> None:
         raise ZeroDivisionError("for once")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Totals, "add", broken)
-        bench.tell(work("a", a=3.0))
+        patch.setattr(RobotTally, "add", broken)
+        bench.tell(work("a", a=2.0))
         bench.runtime.run(1.0)
-    assert bench.of("work")[-1].reason == "failed: ZeroDivisionError: for once"
-    bench.tell(work("a", a=4.0))
+        assert bench.of("work")[-1].reason == "failed: ZeroDivisionError: for once"
+        assert "total_m" not in bench.of("work")[-1].values
+    bench.tell(work("a", a=3.0))
     bench.runtime.run(1.0)
     assert bench.of("work")[-1].reason == ""
+    with monkeypatch.context() as patch:
+        patch.setattr(RobotTally, "add", broken)
+        bench.tell(work("a", a=4.0))
+        bench.runtime.run(1.0)
+    newest = bench.of("work")[-1]
+    assert newest.reason == "failed: ZeroDivisionError: for once"
+    assert not newest.finished
+    assert newest.values["total_m"] == 3.0  # what could be worked out last
+    assert bench.often.failures > 0
+    assert {row.state for row in node.table()} == {newest.reason}
+    bench.tell(covered("a", (0, 0)))
+    bench.runtime.run(1.0)
+    assert bench.of("coverage")[-1].reason == ""
+    assert bench.of("work")[-1].reason == ""
+    with monkeypatch.context() as patch:
+        patch.setattr(RobotTally, "add", broken)
+        bench.tell(work("a", a=5.0))
+        bench.often.report()  # as at the end of the core
+        bench.runtime.mailbox.drain()
+        node.close()
+    assert "failed: ZeroDivisionError" in (tmp_path / "performance.json").read_text()
+    bench.tell(work("a", a=4.0))
+    bench.runtime.run(1.0)
     assert bench.of("work")[-1].values["total_m"] == 4.0

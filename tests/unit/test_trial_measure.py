@@ -102,11 +102,11 @@ def test_a_termination_condition_ends_the_trial(stop: tuple[tuple[str, float], .
 
 
 def test_a_bad_network_is_measured_too() -> None:
-    one = trial(time_limit_s=2.0)
+    one = trial(time_limit_s=3.0)  # in 2 s one lost report is half of the way
     found = measure(replace(one, cell=replace(one.cell, network="loss=20%,delay=50ms", noise_m=0.01)))
     assert found.end_reason == "time limit"
     assert found.onboard["work.robots"] == 8
-    assert found.onboard["work.total_m"] == pytest.approx(found.truth["work.total_m"], rel=0.5)
+    assert found.onboard["work.total_m"] == pytest.approx(found.truth["work.total_m"], rel=0.4)
 
 
 # ------------------------------------------------------------------------------------- counted again by an outsider
