@@ -13,7 +13,7 @@ file                        what it does
                             ``preflight_board.py``), on the bus (``preflight_bus.py``), by its e-stop
                             (``preflight_estop.py``)
 ``checks.py``               one line of a check-up, and how all of them are shown
-``emulate.py``              `emulate`: one emulated robot on a real port; ``mishaps.py``: faults that are typed
+``emulate.py``              `emulate`: one emulated robot on a real port; ``injected_faults.py``: faults that are typed
 ``info.py``                 `info`: what a bug report needs
 ``init.py``                 `init`: a lab's folder, made of ``lab/``
 =========================== ==================================================================

@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from fullswarm import output
-from fullswarm.bringup import mishaps
+from fullswarm.bringup import injected_faults
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.faults import LinkFaults
@@ -60,7 +60,7 @@ def run(
         emulator.faults.drop, emulator.faults.corrupt = faults.drop, faults.corrupt
         emulator.faults.delay_s = faults.delay_s
         for each in orders:
-            mishaps.obey(emulator, each)
+            injected_faults.obey(emulator, each)
         _announce(options, emulator.url, as_json=as_json)
         teller, typed = _Teller(emulator, body), Typed()
         runtime.every(LOOK_S, lambda: teller.look(runtime.now_s()), first_s=0.0)
@@ -129,7 +129,7 @@ def _announce(options: EmulateOptions, url: str, *, as_json: bool) -> None:
         output.data(f"our driver:  {url}")
         for client, opening in clients.items():
             output.data(f"{client + ':':12} {opening}")
-    output.progress("type `help` for mishaps; Ctrl-C ends")
+    output.progress("type `help` for the faults to inject; Ctrl-C ends")
 
 
 def openings(url: str) -> dict[str, str]:
@@ -182,10 +182,10 @@ def _listen(typed: Typed, emulator: Emulator, runtime: Runtime) -> None:
         if line in ("quit", "exit"):
             runtime.stop()
         elif line == "help":
-            output.progress(mishaps.explain(emulator))
+            output.progress(injected_faults.explain(emulator))
         elif line:
             try:
-                mishaps.obey(emulator, line)
+                injected_faults.obey(emulator, line)
                 output.progress(f"done: {line}")
             except FullswarmError as error:
                 output.progress(f"error: {error}")

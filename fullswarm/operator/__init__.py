@@ -9,12 +9,12 @@ Further files:
 
 ``console/``          The web console: one page on which people see a swarm and ask it for behaviours (extra
                       ``[console]``)
-``estop.py``          One e-stop order and who has confirmed it
-``estop_command.py``  The command ``estop``: presses until every robot has confirmed, and says at every moment who has
+``estop.py``          One e-stop order and the robots that have confirmed it
+``estop_command.py``  The command ``estop``: presses until every robot has confirmed, and reports which have
                       not
 ``joystick/``         Driving with a gamepad: pads (SDL) → pilot (what it means) → requests, stops and e-stops
 ``known.py``          Names that exist: of the swarm that runs, of a fleet file, of the package
-``lease_command.py``  The commands about authority: who holds which robots, and holding some
+``lease_command.py``  The commands about leases: list the holders, and hold robots
 ``leases.py``         Holding robots: the operator's side of the leases that the core keeps
 ``mock.py``           The paper's mock publisher (III.A): asks for one behaviour again and again, as an impatient
                       operator would

@@ -113,7 +113,7 @@ class Operator:
     ) -> Asked:
         """Ask for `behaviour`; send again every 0.2 s until the core has answered that id once.
 
-        No `robots` means the whole swarm. `on_status` hears every status of the request until a final one.
+        No `robots` means the whole swarm. `on_status` receives every status of the request until a final one.
         With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
         the robots are taken over from an operator who holds them.
         """
@@ -141,7 +141,7 @@ class Operator:
         return asked
 
     def forget(self, asked: Asked) -> None:
-        """Stop sending a request and hear no more of it."""
+        """Stop sending a request and unsubscribe from its status."""
         asked.close()
         self._asked.pop(asked.request.id, None)
 
@@ -198,7 +198,7 @@ class Operator:
         return order
 
     def close(self) -> None:
-        """Send nothing more and hear nothing more."""
+        """Stop sending and unsubscribe."""
         for asked in self._asked.values():
             asked.close()
         for order in self._orders.values():
@@ -236,7 +236,7 @@ class Operator:
     def _overtake(self, newer: Asked) -> None:
         """Call off what was asked before `newer` for no other robots and got lost: it must not come after it.
 
-        What was asked for others too is sent on: the core leaves out who has something newer.
+        What was asked for others too is sent on: the core leaves out robots that have something newer.
         """
         robots = newer.request.robots
         for asked in list(itertools.takewhile(lambda each: each is not newer, self._asked.values())):
@@ -252,7 +252,7 @@ class Operator:
                 self._call_off(asked, why)
 
     def _call_off(self, asked: Asked, why: str) -> None:
-        """Send a request no more, if it is still unanswered, and tell who asked."""
+        """Stop sending a request that is still unanswered, and notify its caller."""
         if asked.status is not None or not asked.repeats:
             return
         self.forget(asked)

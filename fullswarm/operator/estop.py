@@ -1,4 +1,4 @@
-"""One e-stop order and who has confirmed it."""
+"""One e-stop order and the robots that have confirmed it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fullswarm.runtime import Scheduler, Timer
 
 REPEAT_S = 0.1
 LISTEN_S = 0.6
-"""Health reports come at 2 Hz: after this long every living robot has been heard of."""
+"""Health reports come at 2 Hz: after this long every running robot has been received."""
 
 
 class EStopOrder:

@@ -1,4 +1,4 @@
-"""The command ``estop``: presses until every robot has confirmed, and says at every moment who has not."""
+"""The command ``estop``: presses until every robot has confirmed, and reports at every moment which have not."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Press:
     engaged: bool
     reason: str = ""
     timeout_s: float | None = None
-    fleet: frozenset[str] = frozenset()  # of the fleet file: they must confirm even if they were never heard
+    fleet: frozenset[str] = frozenset()  # of the fleet file: they must confirm even if they were never received
 
     @property
     def patience_s(self) -> float:
@@ -65,7 +65,7 @@ def estop(
     SafetyStop
         A robot did not confirm before the time was up or Ctrl-C; names them.
     Unreachable
-        No robot was heard, or no hub answered while there was time.
+        No robot was received, or no hub answered in time.
     """
     press = Press(robot_ids(robots), engaged, reason, timeout_s)
     target, press = _with_fleet(target, press, fleet)
@@ -97,7 +97,7 @@ def _with_fleet(target: Target, press: Press, fleet: Path | None) -> tuple[Targe
 
 
 def _connect(stack: ExitStack, target: Target, press: Press) -> Session:
-    """Reach the hub, however long it takes: robots whose hub comes back drive on unless they are told."""
+    """Reach the hub, however long it takes: robots whose hub comes back drive on unless they receive the order."""
     waited_s, within_s = 0.0, COMPLAIN_S if press.engaged else session.CONNECT_S
     while True:
         try:
@@ -148,7 +148,7 @@ class Pressing:
         if order.overruled_by:
             raise SafetyStop(
                 f"{order.overruled_by} was latched again after this release",
-                hint="somebody pressed the e-stop meanwhile: it holds",
+                hint="another operator pressed the e-stop meanwhile: it holds",
             )
         if not order.concerned():
             raise Unreachable("no robot was heard", where=self.line.hub, hint="are agents running in this swarm?")
@@ -166,7 +166,7 @@ class Pressing:
             self._from_core.update(status.robots)
 
     def _missing(self) -> list[str]:
-        """Return who has not confirmed, by what is known of them."""
+        """Return the robots that have not confirmed, by what is known of them."""
         order, heard = self.order, {*self._view.robots()}
         never = [robot for robot in order.silent() if robot not in heard]
         mute = [robot for robot in order.silent() if robot in heard]

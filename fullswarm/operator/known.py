@@ -92,7 +92,7 @@ def _ask(endpoint: str, swarm: str, wanted: bool) -> Known | None:
     bus = ZenohBus(runtime.mailbox, hub=endpoint)
     robots: set[str] = set()
     entries: dict[str, Any] = {}
-    told: Counter[str] = Counter()  # states by host: once one repeats itself, all have been heard
+    told: Counter[str] = Counter()  # states by host: once one repeats, all have been received
 
     def receive(reply: ParamReply) -> None:
         entries.update({entry.key: entry.value for entry in reply.entries})

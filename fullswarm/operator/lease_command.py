@@ -1,4 +1,4 @@
-"""The commands about authority: who holds which robots, and holding some. Each returns its exit code."""
+"""The commands about leases: list the holders, and hold robots. Each returns its exit code."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fullswarm.operator.orders import robot_ids
 from fullswarm.operator.session import Session, Target
 
 PATIENCE_S = 3.0
-"""The core says who holds what each second."""
+"""The core reports the leases each second."""
 
 
 def show(target: Target, *, as_json: bool, timeout_s: float = PATIENCE_S) -> int:
-    """Print who holds which robots, as the core says it each second."""
+    """Print which operator holds which robots, as the core reports it each second."""
     heard: Leases | None = None
     with session.connect(target) as line:
 

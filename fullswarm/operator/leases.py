@@ -27,13 +27,13 @@ class Wish:
     asked_s: float
     take: bool  # until the core has granted it: the word that takes it over may be lost
     held: bool = False  # the core has said so
-    of_group: bool = False  # nobody named it
+    of_group: bool = False  # not named by an operator
 
 
 class LeaseHolder:
     """Keeps one operator's leases alive and tells when one is lost.
 
-    Whoever lost a robot, or was refused it, must ask again, deliberately: nothing is waited for.
+    After a loss or a refusal the robot must be requested again, deliberately: nothing is waited for.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class LeaseHolder:
     on_change
         Called with all leases whenever an operator holds what they did not hold before.
     on_lost
-        Called with (robots, operator who took them) when somebody took over what was held here: once per loss.
+        Called with (robots, operator who took them) when another operator took over what was held here: once per loss.
     on_refused
         Called with (robots, operator who holds them) when they were asked for in vain.
 
     Attributes
     ----------
-    leases : robot → lease, as last heard
+    leases : robot → lease, as last received
     """
 
     def __init__(
@@ -81,16 +81,16 @@ class LeaseHolder:
 
     @property
     def heard(self) -> bool:
-        """Whether the core has said who holds what."""
+        """Whether the core has reported the leases."""
         return self._sequence >= 0
 
     def held_by_others(self, robots: Iterable[str]) -> dict[str, str]:
-        """Return robot → operator for those of `robots` that somebody else holds."""
+        """Return robot → operator for those of `robots` that another operator holds."""
         found = {robot: self.leases[robot].operator for robot in robots if robot in self.leases}
         return {robot: operator for robot, operator in found.items() if operator != self.name}
 
     def hold(self, robots: Iterable[str], *, take: bool = False) -> None:
-        """Ask for the leases of `robots` ("@name": of a group) and keep them; with `take` also from who holds them."""
+        """Ask for the leases of `robots` ("@name": of a group) and keep them; with `take` also from their holders."""
         robots, now_s = tuple(robots), self._scheduler.now_s()
         for robot in robots:
             wish = self._wanted.get(robot)
@@ -110,7 +110,7 @@ class LeaseHolder:
             self._ask(given, hold=False)
 
     def close(self) -> None:
-        """Give everything back and hear nothing more."""
+        """Give everything back and unsubscribe."""
         self.release()
         self._timer.cancel()
         self._subscription.close()
@@ -129,7 +129,7 @@ class LeaseHolder:
         anew = self.heard and message.core != self._core
         if self._is_old(message):
             return
-        if anew:  # a core that was started again knows of no lease: nobody shall come first by chance
+        if anew:  # a restarted core has no leases: none shall come first by chance
             self._renew()
         before, self.leases = self.leases, {lease.robot: lease for lease in message.leases}
         self._adopt_groups()
@@ -145,7 +145,7 @@ class LeaseHolder:
             self._on_change(self.leases)
 
     def _is_old(self, message: Leases) -> bool:
-        """Tell whether something newer was heard before; else note which core has the word."""
+        """Return whether something newer was received before; else note the core in charge."""
         if message.core in self._past or (message.core == self._core and message.sequence <= self._sequence):
             return True
         if message.core != self._core:
@@ -173,7 +173,7 @@ class LeaseHolder:
         for robot, wish in tuple(self._wanted.items()):
             lease = self.leases.get(robot)
             if lease is None:
-                continue  # the core was started anew, or has not heard of it yet
+                continue  # the core was restarted, or has not received it yet
             if lease.operator == self.name:
                 wish.held, wish.take = True, False
             elif wish.held or now_s - wish.asked_s >= SETTLE_S:

@@ -76,7 +76,7 @@ def request(
                 line.runtime.after(ANSWER_S, line.finish)
             newest = status
             text = f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed"
-            if wait and status.phase != "refused" and text != told:  # the core says it again now and then
+            if wait and status.phase != "refused" and text != told:  # the core repeats it
                 output.progress(text)
                 told = text
             if wait is False or settled(status):
@@ -119,7 +119,7 @@ def unconfirmed(status: RequestStatus) -> tuple[str, ...]:
 
 
 def settled(status: RequestStatus) -> bool:
-    """Tell whether nothing more is to be expected soon."""
+    """Return whether nothing more is to be expected soon."""
     if status.phase in ("refused", "superseded", "ended"):
         return True
     return bool(status.running or status.refused_by) and not unconfirmed(status)
@@ -167,7 +167,7 @@ def drive(
     *,
     take: bool = False,
 ) -> int:
-    """Stream the intent to drive for `seconds`, until Ctrl-C or until somebody stops them, then zero.
+    """Stream the intent to drive for `seconds`, until Ctrl-C or until another operator stops them, then zero.
 
     Robots named are held meanwhile.
     """
@@ -180,7 +180,7 @@ def drive(
 
         def receive(status: RequestStatus) -> None:
             nonlocal refused, answered
-            answered, teleop.take = True, False  # taken once; whoever takes it back shall have it
+            answered, teleop.take = True, False  # taken once; an operator that takes it back keeps it
             driven.update(status.robots)
             if status.phase == "refused" and refused is None:
                 refused = status

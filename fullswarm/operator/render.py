@@ -18,7 +18,7 @@ _NAMES_SHOWN = 8
 STANDS_M_S = 0.005
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
-"""What makes room for who holds the robots."""
+"""Width kept free for the holders of the robots."""
 _HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
 """Values of a summary that the same line or the table already says in another way."""
 _TRUTH = "truth_"
@@ -176,7 +176,7 @@ def _values(summary: Summary) -> str:
 
 
 def _is_nought(name: str, value: float) -> bool:
-    """Tell whether a count of trouble is zero, so that it need not be said."""
+    """Return whether a count of faults is zero, so that it need not be shown."""
     return name.startswith("refused") and value == 0
 
 

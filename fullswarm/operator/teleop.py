@@ -13,9 +13,9 @@ from fullswarm.runtime import Scheduler, Timer
 BEHAVIOUR = "drive"
 RATE_HZ = 20.0
 LEAST_S = 0.02
-"""A stick that has moved is not told before the last frame is so old; then at once, not with the next period."""
+"""A moved stick is not sent before the last frame is so old; then at once, not with the next period."""
 ZERO_FRAMES = 3
-"""Zeros sent on release: one may be lost, and the intent lapses by itself anyway."""
+"""Zeros sent on release: one may be lost, and the intent expires by itself anyway."""
 REMEMBERED_FRAMES = 20
 """Frames whose answer may still come; what the core says of older ones no longer matters."""
 
@@ -26,7 +26,7 @@ class Teleop:
     Attributes
     ----------
     robots : those driven; none: the whole swarm
-    take : whether the frames take robots over from who holds them; for the first ones, see `drive`
+    take : whether the frames take robots over from their holders; for the first ones, see `drive`
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Teleop:
         Parameters
         ----------
         behaviour
-            One that lapses by itself, such as ``drive`` or ``move_left_bc``.
+            One that expires by itself, such as ``drive`` or ``move_left_bc``.
         sticks
             Its parameters that stand for sticks, shares of full rate, -1 to 1; zero on release.
         fixed

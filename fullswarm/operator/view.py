@@ -24,7 +24,7 @@ _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class RobotRow:
-    """One robot as last heard; NaN where nothing has been heard yet."""
+    """One robot as last received; NaN where nothing has been received yet."""
 
     robot: str
     age_s: float  # since its last message arrived
@@ -32,14 +32,14 @@ class RobotRow:
     y_m: float
     heading_rad: float
     speed_m_s: float
-    health: RobotHealth | None  # None: only its states have been heard
+    health: RobotHealth | None  # None: only its states have been received
     radius_m: float = math.nan
     host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
 
     @property
     def silent(self) -> bool:
-        """Whether it has not been heard for too long."""
+        """Whether its last message is too old."""
         return self.age_s > SILENT_S
 
 
@@ -63,12 +63,12 @@ class Snapshot:
     nodes: tuple[NodeRow, ...] = ()
     summaries: tuple[Summary, ...] = ()  # by metric
     request: RequestStatus | None = None  # the newest of all requests
-    missing: tuple[str, ...] = ()  # expected or addressed, but never heard
+    missing: tuple[str, ...] = ()  # expected or addressed, but never received
     leases: tuple[Lease, ...] = ()
 
     @property
     def holders(self) -> dict[str, str]:
-        """Robot → operator who holds it."""
+        """Robot → operator that holds it."""
         return {lease.robot: lease.operator for lease in self.leases}
 
     def only(self, robots: Iterable[str]) -> Snapshot:
@@ -83,7 +83,7 @@ class Snapshot:
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """Robots that have been heard, but not lately."""
+        """Robots that have been received, but not lately."""
         return tuple(row.robot for row in self.robots if row.silent)
 
     def as_dict(self) -> dict[str, object]:
@@ -128,11 +128,11 @@ class FleetView:
         ]
 
     def robots(self) -> tuple[str, ...]:
-        """Return who has been heard so far, by id."""
+        """Return the robots that have been received so far, by id."""
         return tuple(sorted({*self._health, *self._states}))
 
     def present(self) -> tuple[str, ...]:
-        """Return which robots must obey an order now: the robots expected and those heard."""
+        """Return which robots must obey an order now: the robots expected and those received."""
         return tuple(sorted({*self._expected, *self.robots()}))
 
     def snapshot(self) -> Snapshot:
@@ -155,7 +155,7 @@ class FleetView:
         )
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """Unsubscribe."""
         for subscription in self._subscriptions:
             subscription.close()
 

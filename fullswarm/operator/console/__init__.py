@@ -13,7 +13,7 @@ Two halves that meet in ``gateway``. The nodes know neither asyncio nor a browse
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, with no thread more:
 
-``server.py`` ``guard.py`` ``pages.py`` ``outbox.py``  HTTP, WebSocket, who may come in, who is too slow
+``server.py`` ``guard.py`` ``pages.py`` ``outbox.py``  HTTP, WebSocket, access control, slow clients
 ``connections.py``  what connections without the token may use up
 ``pump.py`` ``serve.py``  the loop, start and end
 

@@ -1,4 +1,4 @@
-"""E-stops and stops, whoever gave them: who has confirmed, who stands, who is silent."""
+"""Tracks e-stops and stops of all operators: which robots confirmed, are at standstill or silent."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from fullswarm.operator.teleop import Teleop
 from fullswarm.runtime import Scheduler, Timer
 
 DEAD_MAN_S = 0.25
-"""So long without a word from who drives, and the stick counts as let go."""
+"""After so long without a frame the stick counts as released."""
 WATCH_S = 0.05
 CLEAR_S = 5.0
 """A forgotten page must not release a robot that comes back tomorrow; an e-stop is pressed without end."""
@@ -158,7 +158,7 @@ class Desk:
         return Answer(ref=command.ref, request_id=order.message.id)
 
     def end_presses(self, robots: tuple[str, ...]) -> None:
-        """Press no e-stop any more that concerns `robots`, none: any: somebody has released them."""
+        """Press no e-stop any more that concerns `robots`, none: any: another operator has released them."""
         for order in self._pressed:
             theirs = order.message.robots
             if order.message.engaged and (not robots or not theirs or not set(theirs).isdisjoint(robots)):
@@ -166,7 +166,7 @@ class Desk:
         self._pressed = [each for each in self._pressed if not each.message.engaged]
 
     def stopped(self, robots: tuple[str, ...]) -> None:
-        """Note that somebody stopped `robots`, none: all: who drives one must let the dead-man go first."""
+        """Note that `robots` (none: all) were stopped: a driver of one must release the dead-man first."""
         mine = self._teleop.robots
         if self._teleop.held and (not robots or not mine or not set(mine).isdisjoint(robots)):
             self._block("stopped while driving")

@@ -1,4 +1,4 @@
-"""Opens the page in the user's browser without its token on a command line, which everybody on a machine can read."""
+"""Opens the page in the user's browser without its token on a command line, which other users can read."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ Stick = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag="hello"):
-    """The first frame. `session` is the page's own secret: who knows it is the same operator after a reload."""
+    """The first frame. `session` is the page's own secret: it identifies the operator after a reload."""
 
     token: Annotated[str, Meta(max_length=512)]
     session: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{8,64}\Z")]

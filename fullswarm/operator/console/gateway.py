@@ -46,7 +46,7 @@ Made = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who this console is."""
+    """Identity of this console."""
 
     host: str
     process: str  # unlike any other's
@@ -153,7 +153,7 @@ class Gateway:
         self._left_s.pop(session, None)
 
     def _make_room(self) -> None:
-        """Close the desks that were left longest ago: somebody may come with a new name each time."""
+        """Close the desks that were left longest ago: a client may use a new name each time."""
         empty = sorted((at_s, session) for session, at_s in self._left_s.items() if not self._desks[session].listeners)
         for _, session in empty[: max(0, len(self._desks) + 1 - MOST_DESKS)]:
             self._close_desk(session)

@@ -24,7 +24,7 @@ class Goals:
         self._asked: OrderedDict[str, BehaviourRequest] = OrderedDict()
 
     def heard(self, request: BehaviourRequest) -> None:
-        """Remember what somebody asked for."""
+        """Remember a request."""
         self._asked[request.id] = request
         while len(self._asked) > REMEMBERED:
             self._asked.popitem(last=False)

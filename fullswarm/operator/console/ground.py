@@ -130,5 +130,5 @@ class Holding:
         return {"t": "filter", "robots": [row for rows in self._robots.values() for row in rows.values()]}
 
     def expired(self, now_s: float) -> bool:
-        """Tell whether somebody is shown as held back who has said nothing for a while."""
+        """Return whether a robot is shown as held back that has sent nothing for a while."""
         return any(self._robots.get(host) and now_s - at_s > INTERVENTION_S for host, at_s in self._heard_s.items())

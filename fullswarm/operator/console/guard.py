@@ -1,4 +1,4 @@
-"""Who may come in: Host, Origin and token, how often, and what every answer carries along.
+"""Controls access: Host, Origin and token, how often, and what every answer carries along.
 
 A page of any other origin can make a browser send requests here, and open WebSockets. Three things keep it out: it
 does not know the token, its Origin is not this server's, and a name that it had pointed at this address is not ours.

@@ -90,7 +90,7 @@ class Entry:
 
 
 class Journal:
-    """The log. The wall clock is only for people who read it."""
+    """The log. The wall clock is only for its readers."""
 
     def __init__(self, wall_s: Callable[[], float], on_entry: Callable[[Entry], None]) -> None:
         self.entries: deque[Entry] = deque(maxlen=LOG_LENGTH)

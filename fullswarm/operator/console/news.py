@@ -59,7 +59,7 @@ class News:
                 self.journal.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
 
     def leased(self, leases: tuple[Lease, ...], now_s: float) -> bool:
-        """Write down who drives whom since the last time; True when that is news."""
+        """Log which operator drives which robots; True when that has changed."""
         before, self._leases = self._leases, {lease.robot: lease.operator for lease in leases}
         if before == self._leases:
             return False

@@ -1,4 +1,4 @@
-"""Who asked for what, and what became of it; the stream of a stick counts as one."""
+"""Keeps each request with its operator and its outcome; the stream of a stick counts as one."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class RequestBook:
         _bound(self._asked)
 
     def operator_of(self, request_id: str) -> str:
-        """Return who asked; empty when that was not heard."""
+        """Return the operator that asked; empty if that was not received."""
         asked = self._asked.get(request_id)
         return asked.operator if asked else ""
 

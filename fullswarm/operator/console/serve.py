@@ -40,7 +40,7 @@ LEAST_TOKEN = 16
 INTERRUPTED = 130
 DEAD_LINK_MS = 10_000
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
-"""For each way to listen everywhere: an address far away that belongs to nobody."""
+"""For each way to listen everywhere: a remote address that is assigned to no host."""
 
 Guest = Callable[[Scheduler, Callable[[], None]], None]
 """Gets the scheduler and how to end; launch brings the check whether its parent still lives."""
@@ -68,7 +68,7 @@ def serve(target: Target, options: Options, guest: Guest | None = None) -> int:
     MissingExtra
         The extra ``[console]`` is not installed.
     ConfigError
-        The address is malformed, or open to the network although nobody allowed that; a token too short.
+        The address is malformed, or open to the network without permission; a token too short.
     Unreachable
         The address is taken.
     """
@@ -99,7 +99,7 @@ def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
         raise ConfigError(f"'{text}' is no address", where="--listen", hint=f"write HOST:PORT, like {DEFAULT_LISTEN}")
     if not is_loopback(bare) and not insecure_network:
         raise ConfigError(
-            "this address is open to the network, and the console speaks plain HTTP: who listens there can read the "
+            "this address is open to the network, and the console speaks plain HTTP: a listener there can read the "
             "token and drive the robots",
             where=f"--listen {text}",
             hint=f"use {DEFAULT_LISTEN} and an SSH tunnel, or allow it with --insecure-network on a network that you "

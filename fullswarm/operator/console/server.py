@@ -63,7 +63,7 @@ class Web:
             hello = await self._greeting(websocket)
             if hello is None:
                 return
-            # Counted only now: who does not know the token must not be able to fill the room.
+            # Counted only now: a client without the token must not be able to use up the connections.
             if self.clients >= MOST_CLIENTS:
                 await _close(websocket, TOO_MANY, "too many pages are open")
                 return

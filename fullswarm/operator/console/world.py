@@ -55,7 +55,7 @@ class World:
         self._ask()
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """Unsubscribe."""
         self._closed = True
         for subscription in self._subscriptions:
             subscription.close()

@@ -24,7 +24,7 @@ from fullswarm.runtime import Scheduler, Timer
 
 POLL_S = 0.005
 HELD_POLL_S = 0.002
-"""While somebody drives: a look costs 40 µs, and waiting for it is most of the way from the stick to the wheels."""
+"""While driving: a sample costs 40 µs, and waiting for it is most of the way from the stick to the wheels."""
 IDLE_POLL_S = 0.1
 RUMBLE_S = 0.3
 """The filter's interventions are felt as single pulses, not as a buzz."""
@@ -196,7 +196,7 @@ class Pilot:
         if buttons.estop in pressed:
             self._reins.let_go()
             if self._estop is not None:
-                self._estop.close()  # each press is an order of its own: somebody may have cleared the last one
+                self._estop.close()  # each press is an order of its own: another operator may have cleared the last one
             self._estop = self._operator.estop(
                 True, (), "gamepad", known=self._roster.everybody, deadline_s=ESTOP_PATIENCE_S
             )

@@ -67,7 +67,7 @@ class Reins:
 
     @property
     def ready(self) -> bool:
-        """Whether robots are in hand, and nobody else holds them."""
+        """Whether robots are held here, and by no other operator."""
         return self.selection is not None and self._taking_s is None
 
     @property
@@ -76,7 +76,7 @@ class Reins:
         return any(self.values.values())
 
     def holders(self, selection: Selection) -> dict[str, str]:
-        """Return robot → operator for those that somebody else holds."""
+        """Return robot → operator for those that another operator holds."""
         return self._leases.held_by_others(selection.robots)
 
     # ------------------------------------------------------------------ doing
@@ -158,20 +158,20 @@ class Reins:
             others = self.holders(self.selection)
             if not others:
                 self._taking_s = None
-                self._leases.hold(self.selection.robots)  # whatever was heard in between: keep them from now on
+                self._leases.hold(self.selection.robots)  # whatever was received in between: keep them from now on
             elif self._scheduler.now_s() - self._taking_s > TAKE_OVER_S:
                 problem = held_by(others)
         if problem:
             self._lose(problem)
 
     def follow(self, selection: Selection) -> None:
-        """Take in hand who has joined the selection."""
+        """Hold the robots that have joined the selection."""
         if self.selection is not None and self.selection.addressed == selection.addressed:
             self._leases.hold(robot for robot in selection.robots if robot not in self.selection.robots)
             self.selection = selection
 
     def close(self) -> None:
-        """Give everything back and hear nothing more."""
+        """Give everything back and unsubscribe."""
         for subscription in self._subscriptions:
             subscription.close()
         self._leases.close()
@@ -197,7 +197,7 @@ class Reins:
         self._halted(order.robots, f"e-stop {act} by {order.source or 'an operator'}")
 
     def _halted(self, robots: tuple[str, ...], why: str) -> None:
-        """Let go of robots that somebody has stopped: the next frame would be a new request, and start them again."""
+        """Release robots that another operator has stopped: the next frame would start them again."""
         mine = self.selection.robots if self.selection is not None else ()
         if mine and (not robots or not set(robots).isdisjoint(mine)):
             self._lose(why)
@@ -220,7 +220,7 @@ class Reins:
 
 
 def held_by(others: Mapping[str, str]) -> str:
-    """Return in words who holds robots."""
+    """Return the holders of robots as text."""
     robots: dict[str, list[str]] = {}
     for robot, operator in others.items():
         robots.setdefault(operator, []).append(robot)

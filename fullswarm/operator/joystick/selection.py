@@ -18,12 +18,12 @@ GROUP = "group/"
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Who is driven.
+    """The robots that are driven.
 
     Attributes
     ----------
     robots
-        By name, also of the whole swarm as far as it has been heard: for leases.
+        By name, also of the whole swarm as far as it has been received: for leases.
         None: no robot can be driven.
     addressed
         As in a request: none means all, so that a robot that joins is among them.
@@ -66,15 +66,15 @@ class Roster:
 
     @property
     def core_alive(self) -> bool:
-        """Whether the core has been heard lately."""
+        """Whether the core has been received lately."""
         return self._scheduler.now_s() - self._core_s <= CORE_SILENT_S
 
     def robots(self) -> tuple[str, ...]:
-        """Return who may be chosen, r2 before r10."""
+        """Return the robots that may be chosen, r2 before r10."""
         return tuple(sorted(filter(self._may, self._makes), key=lambda name: (len(name), name)))
 
     def everybody(self) -> tuple[str, ...]:
-        """Return all robots that have been heard: those that must confirm an e-stop."""
+        """Return all robots that have been received: those that must confirm an e-stop."""
         return tuple(sorted(self._makes))
 
     def _may(self, robot: str) -> bool:
@@ -84,7 +84,7 @@ class Roster:
 
     @property
     def all_label(self) -> str:
-        """Return how all who may be chosen are called."""
+        """Return the name for all that may be chosen."""
         return "all given" if self._only else WHOLE_SWARM
 
     def groups(self) -> tuple[Selection, ...]:
@@ -102,7 +102,7 @@ class Roster:
         return tuple(found)
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """Unsubscribe."""
         for subscription in self._subscriptions:
             subscription.close()
 

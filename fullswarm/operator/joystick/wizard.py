@@ -167,6 +167,6 @@ def _whole(source: str) -> str:
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Tell whether two sources are the same, or one is half of the other."""
+    """Return whether two sources are the same, or one is half of the other."""
     halves = one[0] in "+-" and other[0] in "+-"
     return one == other if halves else _whole(one) == _whole(other)
