@@ -19,7 +19,6 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 
 Further files:
 
-``door.py``  Opens the page in the user's browser without its token on a command line, which everybody on a machine
-             can read
+``door.py``  Opens the page in the user's browser without its token on a command line, which other users can read
 ``news.py``  What happens to hub, core, robots and leases, as lines of the log: each change once
 """
