@@ -21,8 +21,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.messages import Heartbeat, PoseFix
 from fullswarm.perf.coverage import Bounds
-from fullswarm.perf.supervisor import SupervisorCalculator
-from fullswarm.perf.truth import Truth
+from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
 
 HEARTBEAT_S = 0.5

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import CoverageCalculator
-from fullswarm.perf.energy import GRAVITY_M_S2, ROLLING, WHEEL_RADII
+from fullswarm.perf.calculators import GRAVITY_M_S2, ROLLING, WHEEL_RADII, CoverageCalculator
 from fullswarm.perf.truth import Truth
 
 Array = NDArray[np.float64]

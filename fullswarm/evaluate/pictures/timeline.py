@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory
 
 APART_S = 0.25
 """A new contact needs so long without one, as in `Outcome`; here as far as the samples tell."""
