@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.engine import Engine, make_engine
 from fullswarm.drivers.sim.obstacles import static_obstacles
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
 
 R = 0.17
 # Metres of arc error per second of driving, and metres of penetration: wheels slip and rock on their casters.
