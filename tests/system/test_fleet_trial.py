@@ -33,8 +33,6 @@ from fullswarm.messages import EStop, PoseFix
 from fullswarm.runtime import Mailbox
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
-pytestmark = pytest.mark.system
-
 
 @pytest.fixture(autouse=True)
 def nobody_is_left() -> Iterator[None]:
