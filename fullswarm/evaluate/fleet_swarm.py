@@ -22,7 +22,6 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, SafetyStop
@@ -35,6 +34,7 @@ from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, reque
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness, in_safe_set
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.typed import Typed
 from fullswarm.messages import PoseFix

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.errors import FullswarmError
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
@@ -26,6 +25,7 @@ from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_confi
 from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
 from fullswarm.evaluate.trial_folder import FAILED, Measurement, Record, Trajectory, launch_text, trial_id, write_trial
 from fullswarm.evaluate.witness import Witness
+from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
 TOLERANCE_S = 1e-9

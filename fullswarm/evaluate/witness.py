@@ -17,17 +17,15 @@ from numpy.typing import NDArray
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import Array, Limits
+from fullswarm.drivers.base import Limits
 from fullswarm.drivers.sim.world import World
 from fullswarm.evaluate.swarm import Numbers, finite
 from fullswarm.evaluate.trial_folder import GRAIN_M, Contacts
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
-
-Ints = NDArray[np.int64]
 
 
 @kernel
@@ -38,7 +36,7 @@ def pair_index(i: int, j: int, n: int) -> int:
 
 @kernel
 def approach(
-    time_s: float, before: Array, pose: Array, radius: Array, near: Ints, gaps: Array, least: Array, at_s: Array,
+    time_s: float, before: Array, pose: Array, radius: Array, near: Index, gaps: Array, least: Array, at_s: Array,
     judged: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     """Take in one step: pairs in `near` came as close as `gaps` says, others moved straight from `before` to `pose`."""
@@ -96,7 +94,7 @@ class Approaches:
         self.least_m, self.at_s = np.full(n * (n - 1) // 2, math.inf), np.zeros(n * (n - 1) // 2)
         self._judged = np.zeros(n * (n - 1) // 2, np.bool_)
 
-    def look(self, time_s: float, pose: Array, near: Ints, gaps_m: Array) -> None:
+    def look(self, time_s: float, pose: Array, near: Index, gaps_m: Array) -> None:
         """Take in one step.
 
         Parameters

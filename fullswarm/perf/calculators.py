@@ -21,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf.coverage import Bounds, GridFrame, pack
-
-Array = NDArray[np.float64]
 
 MASS_KG = 3.6
 """A Create with its battery."""

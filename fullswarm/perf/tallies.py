@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MessageError
+from fullswarm.kernels import Array
 from fullswarm.messages import LARGEST, CoverageMeasurement, Message, RobotMeasurement
 from fullswarm.perf import shape
 from fullswarm.perf.coverage import Bounds, GridFrame, count_bits, unpack_bits
@@ -115,8 +116,6 @@ class CoverageTally:
     def _fraction(self) -> float:
         return self._covered / self._frame.cells if self._frame else 0.0
 
-
-Array = NDArray[np.float64]
 
 RULES: dict[Rule, Callable[[Array], float]] = {
     "sum": lambda values: math.fsum(values.tolist()),

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import RobotMeasurement
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import MASS_KG, Array, Counts, CoverageCalculator, Grid, cover, spend, touch
+from fullswarm.perf.calculators import MASS_KG, Counts, CoverageCalculator, Grid, cover, spend, touch
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.metrics import SHAPE
 from fullswarm.runtime import Scheduler

@@ -13,7 +13,7 @@ from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, TRIALS
 from tests.unit.experiment_work import Trouble
 
 pytest.importorskip("distributed")
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 CELL = "robots=4,empty,move_to_goal_bc"
 

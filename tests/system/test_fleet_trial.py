@@ -16,7 +16,6 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
@@ -26,14 +25,13 @@ from fullswarm.evaluate.fleet_swarm import FleetRunner, fit, run_fleet, starts_o
 from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.swarm import TrialFailed
 from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, Record, trial_id
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.latching import STATE, latch_folder
 from fullswarm.launch.ports import on_free_ports
 from fullswarm.messages import EStop, PoseFix
 from fullswarm.runtime import Mailbox
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
-
-pytestmark = pytest.mark.system
 
 
 @pytest.fixture(autouse=True)

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim import contact_kernels, kinematic_kernels, world_kernels
 from fullswarm.drivers.sim.kinematic import KinematicEngine
 from fullswarm.drivers.sim.obstacles import with_trigonometry
-from fullswarm.kernels import Kernel
+from fullswarm.kernels import Array, Kernel
 
 R = 0.17
 

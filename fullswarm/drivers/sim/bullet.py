@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fullswarm.drivers.base import Array
+from fullswarm.kernels import Array
 
 OBSTACLE_HEIGHT_M = 1.0
 LOOK_AHEAD_M = 0.05

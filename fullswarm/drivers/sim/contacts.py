@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contact_kernels import may_touch, sweep
+from fullswarm.kernels import Array
 
 TOUCH_M = 0.002
 """Bodies of 0.17 m that meet at 4 + 4 m/s are pushed by Bullet at a gap of up to 1.5 mm, see `touch_m`."""

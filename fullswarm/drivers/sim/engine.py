@@ -6,9 +6,9 @@ import math
 from typing import Protocol
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
 
 
 class Engine(Protocol):

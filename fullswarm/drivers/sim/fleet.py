@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import Array, FleetReading, Lifecycle, Pose
+from fullswarm.drivers.base import FleetReading, Lifecycle, Pose
 from fullswarm.drivers.sim.world import World
 from fullswarm.drivers.sim.world_kernels import admit, sense
+from fullswarm.kernels import Array
 
 
 class SimFleet:

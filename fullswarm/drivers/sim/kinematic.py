@@ -10,10 +10,10 @@ import numpy as np
 
 import fullswarm
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.drivers.sim.kinematic_kernels import SCRATCH_COLUMNS, advance
 from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
+from fullswarm.kernels import Array
 
 
 class KinematicEngine:

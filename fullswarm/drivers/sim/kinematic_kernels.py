@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import math
 
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contact_kernels import (
     BRUTE_FORCE_BODIES,
     SKIN_RADII,
-    Ints,
     near_bodies,
     near_bodies_grid,
     near_obstacles,
     obstacle_gap,
     sweep,
 )
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 
 SCRATCH_COLUMNS = 8
 SETTLED_M = 1e-5  # an overlap that need not be pushed out within the same substep
@@ -60,7 +58,7 @@ def push(pose: Array, obstacles: Array, scratch: Array, i: int, j: int, radius: 
 
 @kernel
 def first_pass(
-    pose: Array, obstacles: Array, scratch: Array, candidates: Ints, count: int, radius: float, close_m: float
+    pose: Array, obstacles: Array, scratch: Array, candidates: Index, count: int, radius: float, close_m: float
 ) -> int:
     """Push every overlapping candidate apart; list those nearer than `close_m`, return how many.
 
@@ -82,7 +80,7 @@ def first_pass(
 
 
 @kernel
-def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Ints, close: int, radius: float) -> None:
+def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Index, close: int, radius: float) -> None:
     """Go on pushing what the first pass pushed into each other, at most `PASSES` times."""
     turn, moved = 1.0, True
     while moved and turn < PASSES:
@@ -142,20 +140,20 @@ def advance(
     measured: Array,
     obstacles: Array,
     scratch: Array,
-    candidates: Ints,
-    grid: Ints,
+    candidates: Index,
+    grid: Index,
     state: Array,
-    counts: Ints,
+    counts: Index,
     radius: float,
     dt: float,
     substeps: int,
     touch: float,
     path: Array,
-    near: Ints,
+    near: Index,
     gaps: Array,
-    pairs: Ints,
-    contacts: Ints,
-    found: Ints,
+    pairs: Index,
+    contacts: Index,
+    found: Index,
 ) -> bool:
     """Advance all bodies by `dt` seconds in `substeps` parts, and judge their paths (see `sweep`).
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
+from fullswarm.kernels import Array
 
 WALL_HALF_M = 0.5
 """Half thickness of an arena wall; its inner face lies on the bound."""

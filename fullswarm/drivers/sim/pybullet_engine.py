@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.bullet import BulletClient
 from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
+from fullswarm.kernels import Array
 
 HEIGHT_M = 0.2
 SOLVER_ITERATIONS = 30  # a pile of 32 stays below 0.1 mm of penetration

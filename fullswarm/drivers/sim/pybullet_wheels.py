@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.bullet import BulletClient
 from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
+from fullswarm.kernels import Array
 
 WHEEL_BASE_M = 0.235  # Create 2 Open Interface specification
 WHEEL_RADIUS_M = 0.036

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contact_kernels import obstacle_gap
 from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array
 
 SPACINGS_RADII = (3.5, 2.6)  # 0.6 m for a Create; tighter only when the arena asks for it
 JITTER = 0.1  # of the gap between neighbours: breaks the symmetry that deadlocks a swarm

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array, Description, Limits
+from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.sim.engine import make_engine
 from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
 from fullswarm.drivers.sim.starts import fill_starts
 from fullswarm.drivers.sim.world_kernels import dead_reckon, front_bumps, ramp, sense
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.kernels import Array
 
 
 def describe(config: WorldConfig) -> Description:

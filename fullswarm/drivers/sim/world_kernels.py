@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.sim.contact_kernels import obstacle_gap
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
 BUMP_BIT = 1  # Hazard.BUMP, as a number that a compiled kernel can hold
 

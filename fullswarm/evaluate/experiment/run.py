@@ -14,7 +14,7 @@ from rich.table import Table
 
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
-from fullswarm.core.records import Library
+from fullswarm.core.behaviours import Library
 from fullswarm.core.settings import seeds
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused
 from fullswarm.evaluate.experiment import (

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, MissingExtra
-from fullswarm.evaluate.pictures.timeline import Array, Moment, Timeline
+from fullswarm.evaluate.pictures.timeline import Moment, Timeline
 from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.kernels import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
