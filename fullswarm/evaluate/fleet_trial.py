@@ -20,7 +20,6 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import load_fleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.experiment.results import TrialResult
@@ -35,6 +34,8 @@ from fullswarm.keys import Keys
 from fullswarm.launch.typed import Typed
 from fullswarm.messages import PoseFix
 from fullswarm.runtime import Runtime
+from fullswarm.simulation.starts import start_problems
+from fullswarm.simulation.world import World
 
 RUNNER = "fleet"
 LOOK_S = 0.2
@@ -67,7 +68,7 @@ def run_fleet(
     SafetyStop
         A robot is held by an e-stop: nothing goes on by itself. The trial is kept as a failed one.
     """
-    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True)
+    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True, check=start_problems)
     fits, left_out = choose(trials, config)
     tell_left_out(left_out)
     if not fits:

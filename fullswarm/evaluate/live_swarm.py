@@ -11,7 +11,6 @@ from fullswarm.bus.base import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.summaries import Summaries
 from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, TrialFailed, TrialHeld
@@ -25,6 +24,7 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime, Timer
+from fullswarm.simulation.world import World
 
 START_S = 60.0
 """A dozen interpreters start at once on a machine that may have other work."""

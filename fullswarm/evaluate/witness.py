@@ -17,7 +17,6 @@ from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Array, Limits
-from fullswarm.drivers.sim.world import World
 from fullswarm.evaluate.approach import Approaches
 from fullswarm.evaluate.experiment.record import GRAIN_M, Contacts
 from fullswarm.evaluate.summaries import finite
@@ -26,6 +25,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
+from fullswarm.simulation.world import World
 
 TOLERANCE = 1e-9
 ENDLESS = Limits(speed_m_s=np.inf, turn_rad_s=np.inf, accel_m_s2=np.inf, turn_accel_rad_s2=np.inf)
