@@ -7,10 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.kernels import kernel
-from fullswarm.perf.calculators import Array
-
-Ints = NDArray[np.int64]
+from fullswarm.kernels import Array, Index, kernel
 
 
 @kernel
@@ -21,7 +18,7 @@ def pair_index(i: int, j: int, n: int) -> int:
 
 @kernel
 def approach(
-    time_s: float, before: Array, pose: Array, radius: Array, near: Ints, gaps: Array, least: Array, at_s: Array,
+    time_s: float, before: Array, pose: Array, radius: Array, near: Index, gaps: Array, least: Array, at_s: Array,
     judged: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     """Take in one step: pairs in `near` came as close as `gaps` says, others moved straight from `before` to `pose`."""
@@ -79,7 +76,7 @@ class Approaches:
         self.least_m, self.at_s = np.full(n * (n - 1) // 2, math.inf), np.zeros(n * (n - 1) // 2)
         self._judged = np.zeros(n * (n - 1) // 2, np.bool_)
 
-    def look(self, time_s: float, pose: Array, near: Ints, gaps_m: Array) -> None:
+    def look(self, time_s: float, pose: Array, near: Index, gaps_m: Array) -> None:
         """Take in one step.
 
         Parameters

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_of
 from fullswarm.evaluate.scenarios import Scenario, distance_to_box, goals_for, spawn, world_config
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 
 NEAR_M, NEAR_RAD = 0.2, 0.3
 """So far from its place a robot may stand at the start."""

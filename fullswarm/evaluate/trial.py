@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.errors import FullswarmError
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of, world_of
 from fullswarm.evaluate.experiment.record import Contacts, Trajectory
@@ -26,6 +25,7 @@ from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_confi
 from fullswarm.evaluate.summaries import joined
 from fullswarm.evaluate.swarm import SAMPLE_S, Coverage, Numbers, Swarm, TrialStopped
 from fullswarm.evaluate.witness import Witness, WorldWitness, in_safe_set
+from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
 TOLERANCE_S = 1e-9

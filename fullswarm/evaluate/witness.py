@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import Array, Limits
+from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.approach import Approaches
 from fullswarm.evaluate.experiment.record import GRAIN_M, Contacts
 from fullswarm.evaluate.summaries import finite
 from fullswarm.evaluate.swarm import Numbers
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator

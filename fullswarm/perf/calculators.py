@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf.coverage import Bounds, GridFrame, pack
 from fullswarm.perf.energy import MASS_KG, spend
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Grid = NDArray[np.uint8]
 

@@ -12,12 +12,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array, kernel
 
 MASS_KG = 3.6
 """A Create with its battery."""

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MessageError
+from fullswarm.kernels import Array
 from fullswarm.messages import LARGEST, RobotMeasurement
 from fullswarm.perf import shape
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.metrics import COLUMNS, METRICS, SHAPE, Metric, Restart, Rule
 from fullswarm.perf.tallies import Result, Results, Values
 from fullswarm.perf.termination import Progress
-
-Array = NDArray[np.float64]
 
 RULES: dict[Rule, Callable[[Array], float]] = {
     "sum": lambda values: math.fsum(values.tolist()),

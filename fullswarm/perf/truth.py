@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import Array, Counts, CoverageCalculator, Grid, cover, touch
+from fullswarm.perf.calculators import Counts, CoverageCalculator, Grid, cover, touch
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.energy import MASS_KG, spend
 from fullswarm.perf.metrics import SHAPE

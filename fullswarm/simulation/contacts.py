@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.simulation.obstacles import obstacle_gap
 
 TOUCH_M = 0.002
@@ -28,8 +27,6 @@ PUSHED = 3.0
 BRUTE_FORCE_BODIES = 40
 SKIN_RADII = 1.5  # how far apart two bodies may be, in radii, to stay on the list
 HALVINGS = 40  # of an interval in which a distance has one minimum
-
-Ints = NDArray[np.int64]
 
 
 def touch_m(config: WorldConfig) -> float:
@@ -115,7 +112,7 @@ class ContactReferee:
 
 
 @kernel
-def near_obstacles(pose: Array, obstacles: Array, reach: float, candidates: Ints, count: int) -> int:
+def near_obstacles(pose: Array, obstacles: Array, reach: float, candidates: Index, count: int) -> int:
     """Add (body, -1-k) for all that are within `reach`; return the new count, which may exceed the room."""
     for i in range(pose.shape[0]):
         for k in range(obstacles.shape[0]):
@@ -129,7 +126,7 @@ def near_obstacles(pose: Array, obstacles: Array, reach: float, candidates: Ints
 
 
 @kernel
-def near_bodies(pose: Array, reach: float, candidates: Ints, count: int) -> int:
+def near_bodies(pose: Array, reach: float, candidates: Index, count: int) -> int:
     """Add all pairs of bodies within `reach`, each against each; return the new count."""
     n = pose.shape[0]
     for i in range(n):
@@ -144,7 +141,7 @@ def near_bodies(pose: Array, reach: float, candidates: Ints, count: int) -> int:
 
 
 @kernel
-def near_bodies_grid(pose: Array, reach: float, candidates: Ints, grid: Ints, count: int) -> int:
+def near_bodies_grid(pose: Array, reach: float, candidates: Index, grid: Index, count: int) -> int:
     """Do the same as `near_bodies` with a cell grid (counting sort); `grid` holds at least 8 n + 64 numbers."""
     n = pose.shape[0]
     x_min, x_max, y_min, y_max = pose[0, 0], pose[0, 0], pose[0, 1], pose[0, 1]
@@ -186,7 +183,7 @@ def near_bodies_grid(pose: Array, reach: float, candidates: Ints, grid: Ints, co
 
 
 @kernel
-def list_near(pose: Array, obstacles: Array, radius: float, skin: float, candidates: Ints, grid: Ints) -> int:
+def list_near(pose: Array, obstacles: Array, radius: float, skin: float, candidates: Index, grid: Index) -> int:
     """List all pairs whose rims are within `skin`; return how many, which may exceed the room in `candidates`."""
     listed = near_obstacles(pose, obstacles, radius + skin, candidates, 0)
     if pose.shape[0] > BRUTE_FORCE_BODIES:
@@ -237,8 +234,8 @@ def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, sto
 
 @kernel
 def may_touch(
-    pose: Array, obstacles: Array, radius: float, reach: float, anchor: Array, state: Array, counts: Ints,
-    candidates: Ints, grid: Ints, near: Ints, marked: NDArray[np.bool_],
+    pose: Array, obstacles: Array, radius: float, reach: float, anchor: Array, state: Array, counts: Index,
+    candidates: Index, grid: Index, near: Index, marked: NDArray[np.bool_],
 ) -> int:  # fmt: skip
     """List in `near` the pairs whose rims are within `reach`, and mark their bodies.
 
@@ -287,8 +284,8 @@ def may_touch(
 
 @kernel
 def sweep(
-    path: Array, obstacles: Array, radius: float, touch: float, reach: float, candidates: Ints, count: int,
-    near: Ints, gaps: Array, pairs: Ints, contacts: Ints, found: Ints,
+    path: Array, obstacles: Array, radius: float, touch: float, reach: float, candidates: Index, count: int,
+    near: Index, gaps: Array, pairs: Index, contacts: Index, found: Index,
 ) -> None:  # fmt: skip
     """Find which of the first `count` candidates touch on the path: rims within `touch` of each other.
 

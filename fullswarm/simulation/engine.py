@@ -6,8 +6,8 @@ import math
 from typing import Protocol
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import Array, FleetReading, Lifecycle, Pose
-from fullswarm.kernels import kernel
+from fullswarm.drivers.base import FleetReading, Lifecycle, Pose
+from fullswarm.kernels import Array, kernel
 from fullswarm.simulation.world import World, sense
 
 

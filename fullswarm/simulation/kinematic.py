@@ -16,9 +16,8 @@ import numpy as np
 
 import fullswarm
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.kernels import kernel
-from fullswarm.simulation.contacts import SKIN_RADII, ContactReferee, Ints, list_near, sweep
+from fullswarm.kernels import Array, Index, kernel
+from fullswarm.simulation.contacts import SKIN_RADII, ContactReferee, list_near, sweep
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SCRATCH_COLUMNS = 8
@@ -113,7 +112,7 @@ def push(pose: Array, obstacles: Array, scratch: Array, i: int, j: int, radius: 
 
 @kernel
 def first_pass(
-    pose: Array, obstacles: Array, scratch: Array, candidates: Ints, count: int, radius: float, close_m: float
+    pose: Array, obstacles: Array, scratch: Array, candidates: Index, count: int, radius: float, close_m: float
 ) -> int:
     """Push every overlapping candidate apart; list those nearer than `close_m`, return how many.
 
@@ -135,7 +134,7 @@ def first_pass(
 
 
 @kernel
-def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Ints, close: int, radius: float) -> None:
+def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Index, close: int, radius: float) -> None:
     """Go on pushing what the first pass pushed into each other, at most `PASSES` times."""
     turn, moved = 1.0, True
     while moved and turn < PASSES:
@@ -195,20 +194,20 @@ def advance(
     measured: Array,
     obstacles: Array,
     scratch: Array,
-    candidates: Ints,
-    grid: Ints,
+    candidates: Index,
+    grid: Index,
     state: Array,
-    counts: Ints,
+    counts: Index,
     radius: float,
     dt: float,
     substeps: int,
     touch: float,
     path: Array,
-    near: Ints,
+    near: Index,
     gaps: Array,
-    pairs: Ints,
-    contacts: Ints,
-    found: Ints,
+    pairs: Index,
+    contacts: Index,
+    found: Index,
 ) -> bool:
     """Advance all bodies by `dt` seconds in `substeps` parts, and judge their paths (see `sweep`).
 

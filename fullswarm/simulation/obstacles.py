@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
 WALL_HALF_M = 0.5
 """Half thickness of an arena wall; its inner face lies on the bound."""

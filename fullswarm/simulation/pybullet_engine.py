@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
+from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
+from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 from fullswarm.simulation.pybullet_engine import BulletClient

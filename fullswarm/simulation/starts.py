@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fullswarm.config import SwarmConfig, WorldConfig
-from fullswarm.drivers.base import Array
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SPACINGS_RADII = (3.5, 2.6)  # 0.6 m for a Create; tighter only when the arena asks for it

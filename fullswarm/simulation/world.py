@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array, Hazard, Limits
+from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.simulation.engine import make_engine
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 from fullswarm.simulation.starts import fill_starts

@@ -138,7 +138,6 @@ def _check(make: str, folder: Path, laps: int, way: float, record: Callable[[str
     assert error_m <= SHARE * path_m
 
 
-@pytest.mark.sim
 @pytest.mark.parametrize("make", ["create2", "odrive", "rover"])
 def test_one_side_forwards_and_back(make: str, tmp_path: Path) -> None:
     with rig(make, tmp_path) as (driver, body):
@@ -152,7 +151,6 @@ def test_one_side_forwards_and_back(make: str, tmp_path: Path) -> None:
     assert error_m <= SHARE * path_m + 0.005 + noise_m
 
 
-@pytest.mark.sim
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("make", ["create2", "odrive", "rover"])

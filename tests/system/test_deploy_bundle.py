@@ -18,7 +18,6 @@ from fullswarm.deploy.release.manifest import Manifest
 from fullswarm.deploy.release.targets import THIS_PYTHON
 from fullswarm.errors import Unreachable
 
-pytestmark = [pytest.mark.system, pytest.mark.untimed]
 MEGABYTE = 1_000_000
 NEVER = {"pybullet", "numba", "matplotlib"}
 

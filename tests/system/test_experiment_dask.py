@@ -13,7 +13,7 @@ from fullswarm.evaluate.experiment.run import Options, run
 from tests.unit.experiment_work import Trouble
 
 pytest.importorskip("distributed")
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 CELL = "robots=4,empty,move_to_goal_bc"
 

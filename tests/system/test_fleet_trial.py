@@ -16,7 +16,6 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, SafetyStop
@@ -25,6 +24,7 @@ from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, P
 from fullswarm.evaluate.fleet_setup import fit, starts_of
 from fullswarm.evaluate.fleet_trial import FleetRunner, run_fleet
 from fullswarm.evaluate.swarm import TrialFailed
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.latching import STATE, latch_folder
 from fullswarm.launch.ports import on_free_ports
@@ -32,8 +32,6 @@ from fullswarm.messages import EStop, PoseFix
 from fullswarm.runtime import Mailbox
 from fullswarm.simulation.bodies import FreeBody
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
-
-pytestmark = pytest.mark.system
 
 
 @pytest.fixture(autouse=True)

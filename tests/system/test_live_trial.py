@@ -23,7 +23,6 @@ from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.ports import on_free_ports
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
-pytestmark = pytest.mark.system
 LIMIT_S = 20.0
 
 

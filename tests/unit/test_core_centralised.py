@@ -16,8 +16,9 @@ from fullswarm.config import SwarmConfig
 from fullswarm.core.centralised import formation, teleop, voronoi
 from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
 from fullswarm.core.centralised.joint_layout import Arena
-from fullswarm.core.centralised.law import Array, Memory
+from fullswarm.core.centralised.law import Memory
 from fullswarm.core.centralised.node import CentralisedNode
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
 from fullswarm.runtime import Mailbox, Runtime

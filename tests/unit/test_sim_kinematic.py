@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.kernels import Kernel
+from fullswarm.kernels import Array, Kernel
 from fullswarm.simulation import contacts, fleet, kinematic, obstacles, world
 from fullswarm.simulation.kinematic import KinematicEngine
 from fullswarm.simulation.obstacles import with_trigonometry

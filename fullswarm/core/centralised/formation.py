@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from fullswarm.core.centralised import need
-from fullswarm.core.centralised.law import Array, Index, Memory, Params, number
+from fullswarm.core.centralised.law import Memory, Params, number
+from fullswarm.kernels import Array, Index
 
 CLEARLY = 0.9
 """The new sum of squares must be below this share of the present one."""

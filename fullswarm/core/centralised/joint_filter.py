@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fullswarm.core.centralised import need
 from fullswarm.core.centralised.joint_layout import Arena, Layout, Walls
-from fullswarm.core.centralised.law import Array, Index
+from fullswarm.kernels import Array, Index
 
 NEAR_M = 3.0
 STAY_M = 3.5

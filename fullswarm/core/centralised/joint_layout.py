@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.core.centralised.law import Array, Index
+from fullswarm.kernels import Array, Index
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fullswarm.core.centralised import need
+from fullswarm.kernels import Array, Index
 from fullswarm.messages import Value
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Params = Mapping[str, Value]
 Memory = dict[str, Array]
 Law = Callable[[Array, Array, Params, Memory, Index], Array]

@@ -15,9 +15,10 @@ from fullswarm.config import SwarmConfig
 from fullswarm.config.parameter import FILTER
 from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
 from fullswarm.core.centralised.joint_layout import Arena
-from fullswarm.core.centralised.law import Array, Index, Law, Memory, law, number
+from fullswarm.core.centralised.law import Law, Memory, law, number
 from fullswarm.errors import FullswarmError
 from fullswarm.geometry import clamp, unicycle
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
 from fullswarm.runtime import Scheduler

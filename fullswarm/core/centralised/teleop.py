@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fullswarm.core.centralised.law import Array, Index, Memory, Params, number
+from fullswarm.core.centralised.law import Memory, Params, number
+from fullswarm.kernels import Array, Index
 
 
 def velocities(positions: Array, headings: Array, params: Params, memory: Memory, rows: Index) -> Array:

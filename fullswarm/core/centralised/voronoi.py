@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from fullswarm.core.centralised import need
-from fullswarm.core.centralised.law import Array, Index, Memory, Params, number
+from fullswarm.core.centralised.law import Memory, Params, number
+from fullswarm.kernels import Array, Index
 
 APART_M = 1e-4
 """Robots on the same spot (or on a wall) are taken to be this far apart, or one of them would have no cell."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.experiment.record import Trajectory
 from fullswarm.evaluate.pictures import colours
-from fullswarm.evaluate.pictures.timeline import Array, Moment, Timeline
+from fullswarm.evaluate.pictures.timeline import Moment, Timeline
+from fullswarm.kernels import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ import random
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.create_oi.session import NEWS_S
 from fullswarm.emulators.create_oi.firmware import Quirks
-from tests.emulated.create_bench import GO, Bench
+from tests.unit.create_bench import GO, Bench
 
 
 def asked(bench: Bench, duration_s: float) -> set[str]:

@@ -12,7 +12,7 @@ from fullswarm.drivers.create_oi.protocol import Mode, Op
 from fullswarm.drivers.create_oi.senses import Charging
 from fullswarm.emulators.create_oi.firmware import Quirks
 from fullswarm.errors import DriverError
-from tests.emulated.create_bench import GO, Bench, Held
+from tests.unit.create_bench import GO, Bench, Held
 
 
 # ---------------------------------------------------------------- sensors that do not follow

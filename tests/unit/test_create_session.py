@@ -15,7 +15,7 @@ from fullswarm.drivers.create_oi.session import CALM_S, REPEAT_S, Session
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.emulators.create_oi.firmware import BOOT_S, Quirks
 from fullswarm.simulation.bodies import BodyState
-from tests.emulated.create_bench import GO, Bench, Held
+from tests.unit.create_bench import GO, Bench, Held
 
 
 def close_to(told: Pose, true: BodyState, way_m: float) -> bool:
