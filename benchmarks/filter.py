@@ -33,8 +33,7 @@ from fullswarm import kernels
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.core.centralised import joint_filter
-from fullswarm.core.centralised.joint_filter import JointFilter
-from fullswarm.core.centralised.joint_layout import Arena
+from fullswarm.core.centralised.joint_filter import Arena, JointFilter
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
 from fullswarm.kernels import Array
 

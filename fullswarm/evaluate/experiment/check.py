@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cache
 
-from fullswarm.core.records import Library
+from fullswarm.core.behaviours import Library
 from fullswarm.core.settings import seeds
 from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.evaluate.experiment import Trial, scenario_of

@@ -25,7 +25,7 @@ class _Asked(NamedTuple):
     stamp_s: float
 
 
-class Newest:
+class RequestOrder:
     """The newest request of each operator, and the newest stop on each clock, for each robot."""
 
     def __init__(self) -> None:

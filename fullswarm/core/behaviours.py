@@ -1,34 +1,102 @@
-"""Records of the behaviours: read from the local database, and a request's parameters checked against them."""
+"""The behaviours that exist: their records, the checks of a record, a request's parameters completed by one.
+
+Records come from ``behaviours.toml``, from other installed packages (their law is an entry point, their record lies
+beside the law) and from the local database, where they can be changed while the core runs.
+"""
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
+from pydantic import Field, ValidationError, model_validator
 
-from fullswarm.config.parameter import Parameter
-from fullswarm.core.centralised import LAWS as CENTRALISED_LAWS
-from fullswarm.core.schema import Record, build
-from fullswarm.core.shapes import shape
+from fullswarm import registry
+from fullswarm.config import Section
+from fullswarm.config.limits import EXPIRES_S
+from fullswarm.config.parameter import Parameter, Raw
+from fullswarm.core.centralised.laws import CENTRALISED
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
 from fullswarm.messages import ParamEntry, Value
 from fullswarm.reasons import Code
 from fullswarm.store import Store, Stored
+from fullswarm.words import ROBOT_ID
 
 PREFIX = "behaviour/"
 BEHAVIOURS = Path(__file__).with_name("behaviours.toml")
 
+SEE = "see core/behaviours.toml"
+
 FILTER_STATIC = {"safety_margin_m": "agent/safety_margin_m", "barrier_gain_per_s": "agent/barrier_gain_per_s"}
 """What the main controller appends to every filtered request, from the local database (paper II.C.1)."""
 
-Raw = dict[str, Any]
+Table = dict[str, Any]
 Lookup = Callable[[str], Stored]
 
+FORMATION = ("targets", "shape", "centre", "spacing_m")
+"""Parameters that a record with `formation` must declare; they become a target per robot."""
 
-def load_records(path: Path = BEHAVIOURS) -> dict[str, Raw]:
+
+class Record(Section):
+    """A behaviour that can be asked for by name."""
+
+    name: str
+    summary: str
+    law: str = ""  # module of the law; empty: nothing runs, the robot stands
+    centralised: bool = False
+    filtered: bool = False  # behind the safety filter (`_bc`)
+    survives_core: bool = False
+    team: Literal["request", "swarm"] = "request"  # which robots the law counts as neighbours
+    expires_s: float = Field(0.0, ge=EXPIRES_S[0], le=EXPIRES_S[1])  # > 0: an intent, to be repeated
+    formation: Literal["", "each", "assigned"] = ""  # a target per robot, or all targets to the centralised node
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+    static: dict[str, Raw] = Field(default_factory=dict)
+    static_from: dict[str, str] = Field(default_factory=dict)  # parameter → key of the local database
+
+    @model_validator(mode="after")
+    def _agree(self) -> Record:
+        if not ROBOT_ID.match(self.name):
+            raise ValueError(f"'{self.name}' cannot name a behaviour: use letters, digits, '-' and '_', 64 at most")
+        for name, value in self.static.items():
+            if not _travels(value):
+                raise ValueError(f"static {name} is no flag, number, word, point or list of points")
+        twice = sorted(set(self.parameters) & {*self.static, *self.static_from})
+        if twice:
+            raise ValueError(f"both static and a parameter: {', '.join(twice)}")
+        missing = [name for name in FORMATION if name not in self.parameters] if self.formation else []
+        if missing:
+            raise ValueError(f"a formation needs the parameters {', '.join(missing)}")
+        if self.centralised and not self.law:
+            raise ValueError("a centralised behaviour needs a law")
+        if (self.formation == "assigned") != (self.centralised and bool(self.formation)):
+            raise ValueError('formation = "assigned" goes with centralised = true, "each" without')
+        return self
+
+
+def _travels(value: object) -> bool:
+    """Tell whether a message can carry the value."""
+    try:
+        msgspec.convert(value, Value)
+        msgspec.msgpack.encode(value)
+    except (msgspec.ValidationError, OverflowError):
+        return False
+    return True
+
+
+def _problem(error: Any) -> str:
+    key = ".".join(str(part) for part in error["loc"])
+    text = str(error["msg"]).removeprefix("Value error, ")
+    if error["type"] == "extra_forbidden":
+        text = "no such key"
+    return f"{key}: {text}" if key else text
+
+
+# ------------------------------------------------------------ reading the files
+def load_records(path: Path = BEHAVIOURS) -> dict[str, Table]:
     """Return the tables of a behaviours file by name, all of them checked.
 
     Raises
@@ -36,43 +104,76 @@ def load_records(path: Path = BEHAVIOURS) -> dict[str, Raw]:
     ConfigError
         Every error of the file at once, each with behaviour and key.
     """
-    try:
-        tables: dict[str, Raw] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(error), where=str(path), hint="mend the file") from error
-    problems = []
-    for name in tables:
-        try:
-            make_record(name, tables)
-        except ConfigError as error:
-            problems.append(f"{error.where}: {error.what}")
-    if problems:
-        raise ConfigError("\n".join(problems), where=str(path))
+    tables = _read(path, "correct the file")
+    _check_all(tables, tables, path)
     return tables
 
 
-def make_record(name: str, tables: Mapping[str, Any]) -> Record:
-    """Return the record `name` with everything that `like` lends it.
+def all_records() -> dict[str, Table]:
+    """Return the records of the package and of all others that are installed, each checked.
 
     Raises
     ------
     ConfigError
-        All that is wrong with it.
+        A record is broken, or has a name that is taken; says in which file.
     """
-    record = build(name, _inherit(name, tables, ()))
-    if record.centralised and record.law not in CENTRALISED_LAWS:
-        raise ConfigError(
-            f"law: no centralised law '{record.law}'",
-            where=f"behaviour '{name}'",
-            hint=did_you_mean(record.law, CENTRALISED_LAWS),
-        )
+    tables = load_records()
+    owner: dict[str, Path] = {}
+    for file in registry.record_files():
+        found = _read(file, "correct it, or uninstall its package")
+        for name in found:
+            if name in tables:
+                taken = f"by {owner[name]}" if name in owner else "by fullswarm itself"
+                raise ConfigError(f"'{name}' is taken {taken}", where=str(file), hint="give the behaviour another name")
+        tables |= found
+        owner |= dict.fromkeys(found, file)
+        _check_all(found, tables, file)
+    return tables
+
+
+def _read(path: Path, hint: str) -> dict[str, Table]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(error), where=str(path), hint=hint) from error
+
+
+def _check_all(names: Iterable[str], tables: Mapping[str, Any], path: Path) -> None:
+    errors = []
+    for name in names:
+        try:
+            make_record(name, tables)
+        except ConfigError as error:
+            errors.append(error)
+    if errors:
+        hint = errors[0].hint if len(errors) == 1 else ""
+        raise ConfigError("\n".join(f"{each.where}: {each.what}" for each in errors), where=str(path), hint=hint)
+
+
+def make_record(name: str, tables: Mapping[str, Any]) -> Record:
+    """Return the record `name` with everything that it takes from the one named in `like`.
+
+    Raises
+    ------
+    ConfigError
+        All that is wrong with it at once, each with its key.
+    """
+    where, raw = f"behaviour '{name}'", _inherit(name, tables, ())
+    try:
+        record = Record.model_validate({**raw, "name": name})
+    except ValidationError as error:
+        problems = [_problem(each) for each in error.errors()]
+        raise ConfigError("; ".join(problems), where=where, hint=SEE) from None
+    if record.centralised and record.law not in CENTRALISED:
+        hint = did_you_mean(record.law, CENTRALISED)
+        raise ConfigError(f"law: no centralised law '{record.law}'", where=where, hint=hint)
     return record
 
 
-def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Raw:
+def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Table:
     raw = tables[name]
     if not isinstance(raw, dict):
-        raise ConfigError(f"{raw!r} is not a table", where=f"behaviour '{name}'", hint="see core/behaviours.toml")
+        raise ConfigError(f"{raw!r} is not a table", where=f"behaviour '{name}'", hint=SEE)
     own = dict(raw)
     base_name = own.pop("like", None)
     if base_name is None:
@@ -92,6 +193,7 @@ def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Ra
     return merged
 
 
+# ------------------------------------------------------------ using the records
 class Library:
     """The records in the local database, checked when they are first used, again when they change."""
 
@@ -227,8 +329,8 @@ def _targets(
     record: Record, complete: dict[str, Value], robots: Sequence[str], problems: list[str]
 ) -> dict[str, dict[str, Value]]:
     """Turn `targets`, or the shape, into one `target` per robot, or `targets` for the centralised node."""
-    left = {name: value for name, value in complete.items() if name not in ("targets", "shape", "centre", "spacing_m")}
-    given, name, centre, spacing = (complete.get(key) for key in ("targets", "shape", "centre", "spacing_m"))
+    left = {name: value for name, value in complete.items() if name not in FORMATION}
+    given, name, centre, spacing = (complete.get(key) for key in FORMATION)
     if (given is None) == (name is None):
         problems.append("give either targets or shape" + (", not both" if given is not None else ""))
         return {}
@@ -251,3 +353,28 @@ def _targets(
 
 def _count(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def shape(name: str, count: int, centre: tuple[float, float], spacing_m: float) -> list[list[float]]:
+    """Return `count` targets around `centre`, neighbours `spacing_m` apart.
+
+    Parameters
+    ----------
+    name
+        ``circle`` (from the east, counter-clockwise), ``line`` (west to east) or ``grid`` (from the south west).
+    """
+    x, y = centre
+    if name == "circle":
+        # Neighbours on the circle are a chord of 2 r sin(π/n) apart; one robot stands in the middle.
+        radius = spacing_m / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
+        angles = [math.tau * k / count for k in range(count)]
+        return [[x + radius * math.cos(angle), y + radius * math.sin(angle)] for angle in angles]
+    columns = count if name == "line" else math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    return [
+        [
+            x + (k % columns - (columns - 1) / 2.0) * spacing_m,
+            y + (k // columns - (rows - 1) / 2.0) * spacing_m,
+        ]
+        for k in range(count)
+    ]
