@@ -23,7 +23,6 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import load_fleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_of
@@ -40,6 +39,8 @@ from fullswarm.launch.typed import Typed
 from fullswarm.messages import PoseFix
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Runtime
+from fullswarm.simulation.starts import start_problems
+from fullswarm.simulation.world import World
 
 RUNNER = "fleet"
 LOOK_S = 0.2
@@ -72,7 +73,7 @@ def run_fleet(
     SafetyStop
         A robot is held by an e-stop: nothing goes on by itself. The trial is kept as a failed one.
     """
-    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True)
+    config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True, check=start_problems)
     fits, left_out = choose(trials, config)
     tell_left_out(left_out)
     if not fits:

@@ -13,7 +13,6 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
@@ -31,6 +30,7 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime, Timer
+from fullswarm.simulation.world import World
 
 START_S = 60.0
 """A dozen interpreters start at once on a machine that may have other work."""

@@ -18,7 +18,6 @@ from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
-from fullswarm.drivers.sim.world import World
 from fullswarm.evaluate.swarm import Numbers, finite
 from fullswarm.evaluate.trial_folder import GRAIN_M, Contacts
 from fullswarm.kernels import Array, Index, kernel
@@ -26,6 +25,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
+from fullswarm.simulation.world import World
 
 
 @kernel

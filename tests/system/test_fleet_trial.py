@@ -16,7 +16,6 @@ from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, SafetyStop
@@ -31,6 +30,7 @@ from fullswarm.launch.latching import STATE, latch_folder
 from fullswarm.launch.ports import on_free_ports
 from fullswarm.messages import EStop, PoseFix
 from fullswarm.runtime import Mailbox
+from fullswarm.simulation.bodies import FreeBody
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
 

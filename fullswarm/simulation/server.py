@@ -16,8 +16,8 @@ import numpy as np
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.sim import protocol
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError, MessageError
+from fullswarm.simulation.world import World
 
 Address = tuple[str, int]
 

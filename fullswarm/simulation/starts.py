@@ -1,4 +1,4 @@
-"""Where bodies stand at first: a spaced grid for those that do not say, and a check for all."""
+"""Gives bodies their start poses: a spaced grid for those without one, and a check of all."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim.contact_kernels import obstacle_gap
-from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
+from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SPACINGS_RADII = (3.5, 2.6)  # 0.6 m for a Create; tighter only when the arena asks for it
 JITTER = 0.1  # of the gap between neighbours: breaks the symmetry that deadlocks a swarm
@@ -90,13 +89,13 @@ def fill_starts(
     filled = default_starts(config, len(ids) - len(taken), taken)
     rest = iter(filled.tolist())
     poses = np.array([next(rest) if one is None else one for one in given], dtype=float).reshape(-1, 3)
-    wrong = [what for _, what in complaints(config, ids, poses)]
+    wrong = [what for _, what in pose_errors(config, ids, poses)]
     if wrong:
         raise ConfigError("; ".join(wrong), where="start poses", hint=f"robots are discs of {config.radius_m} m radius")
     return poses
 
 
-def complaints(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterator[tuple[str, str]]:
+def pose_errors(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterator[tuple[str, str]]:
     """Yield (robot, what is wrong with its start pose): not finite, outside, in an obstacle or in another robot."""
     x_min, y_min, x_max, y_max = config.bounds_m
     obstacles = with_trigonometry(static_obstacles(config))
@@ -114,3 +113,11 @@ def complaints(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterato
         apart = np.hypot(poses[i + 1 :, 0] - x, poses[i + 1 :, 1] - y)
         for j in np.flatnonzero(apart < 2 * config.radius_m - SLACK_M):
             yield ids[i], f"{ids[i]} and {ids[i + 1 + int(j)]} overlap, {apart[j]:.2f} m apart"
+
+
+def start_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
+    """Yield (robot, key, what is wrong) for the start poses that a fleet file gives to simulated robots."""
+    placed = [(each.id, each.pose) for each in config.robot if each.simulated and each.pose is not None]
+    poses = np.array([pose for _, pose in placed], float).reshape(-1, 3)
+    for robot, what in pose_errors(config.world_or_default, [robot for robot, _ in placed], poses):
+        yield robot, "pose", what

@@ -6,9 +6,9 @@ import math
 from typing import Protocol
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim.contacts import ContactReferee
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.kernels import Array
+from fullswarm.simulation.contacts import ContactReferee
 
 
 class Engine(Protocol):
@@ -54,15 +54,15 @@ def make_engine(config: WorldConfig, starts: Array) -> Engine:
     """
     check_config(config)
     if config.engine == "kinematic":
-        from fullswarm.drivers.sim.kinematic import KinematicEngine
+        from fullswarm.simulation.kinematic import KinematicEngine
 
         return KinematicEngine(config, starts)
     try:
         if config.engine == "pybullet":
-            from fullswarm.drivers.sim.pybullet_engine import PyBulletEngine
+            from fullswarm.simulation.pybullet_engine import PyBulletEngine
 
             return PyBulletEngine(config, starts)
-        from fullswarm.drivers.sim.pybullet_wheels import WheelsEngine
+        from fullswarm.simulation.pybullet_wheels import WheelsEngine
 
         return WheelsEngine(config, starts)
     except ModuleNotFoundError as error:

@@ -1,4 +1,7 @@
-"""The loops of the kinematic engine (see :func:`advance`).
+"""The kinematic engine: unicycles on exact arcs, solid discs, boxes and walls; no masses, no friction.
+
+A list of pairs that may meet soon (`candidates`) is kept until bodies have moved far enough to change it; each
+substep moves all bodies along their arcs, then pushes overlapping ones apart (see :func:`advance`).
 
 Scratch columns of a body: 0, 1 cos and sin of its heading; 2, 3 those of half a substep's turn; 4 chord of one
 substep (m); 5, 6 sum of the pushes it got in this step (m); 7 the last pass that pushed it. A candidate is (row,
@@ -9,25 +12,76 @@ from __future__ import annotations
 
 import math
 
-from fullswarm.drivers.sim.contact_kernels import (
-    BRUTE_FORCE_BODIES,
-    SKIN_RADII,
-    near_bodies,
-    near_bodies_grid,
-    near_obstacles,
-    obstacle_gap,
-    sweep,
-)
+import numpy as np
+
+import fullswarm
+from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Index, kernel
+from fullswarm.simulation.contacts import SKIN_RADII, ContactReferee, list_near, sweep
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SCRATCH_COLUMNS = 8
 SETTLED_M = 1e-5  # an overlap that need not be pushed out within the same substep
 PASSES = 12.0  # of pushing per substep; a free pair needs one, a pile more
 
 
+class KinematicEngine:
+    """An :class:`~fullswarm.simulation.engine.Engine` over arrays."""
+
+    def __init__(self, config: WorldConfig, starts: Array) -> None:
+        n = len(starts)
+        self.firmware = f"kinematic {fullswarm.__version__}"
+        self.pose = np.array(starts, dtype=float).reshape(n, 3)
+        self.twist = np.zeros((n, 2))
+        self._obstacles = with_trigonometry(static_obstacles(config))
+        self._substeps = int(config.substeps)
+        self._dt_s = 1.0 / config.rate_hz
+        # Each substep has two parts: bodies move, then they are pushed apart at once.
+        part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
+        self.referee = ContactReferee(config, self._obstacles, n, part_s)
+        self._scratch = np.zeros((n, SCRATCH_COLUMNS))
+        self._state = np.array([0.0, -1.0])  # metres moved since the list was made, its skin (m); -1: no list
+        self._counts = np.zeros(1, np.int64)
+        self._grid = np.zeros(8 * n + 64, np.int64)
+
+    def step(self, twists: Array) -> None:
+        """Advance one world step."""
+        while not self._advance(twists):
+            # Nothing was changed yet: the list of candidates did not fit.
+            self.referee.allocate(2 * len(self.referee.candidates))
+        self.referee.publish()
+
+    def _advance(self, twists: Array) -> bool:
+        referee = self.referee
+        return advance.run(
+            self.pose,
+            twists,
+            self.twist,
+            self._obstacles,
+            self._scratch,
+            referee.candidates,
+            self._grid,
+            self._state,
+            self._counts,
+            referee.radius_m,
+            self._dt_s,
+            self._substeps,
+            referee.touch_m,
+            referee.path,
+            referee.near_room,
+            referee.gap_room,
+            referee.pair_room,
+            referee.contacts,
+            referee.found,
+        )
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to release."""
+
+
 @kernel
 def shift(pose: Array, scratch: Array, i: int, dx: float, dy: float, turn: float) -> None:
-    """Move body `i` aside, book the push, and note in which pass (`turn`) it moved."""
+    """Move body `i`, add up the push, and note in which pass (`turn`) it moved."""
     pose[i, 0] += dx
     pose[i, 1] += dy
     scratch[i, 5] += dx
@@ -87,7 +141,7 @@ def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Index, clos
         turn += 1.0
         moved = False
         for at in range(close):
-            # To and fro, so that a push travels along a chain of bodies in either direction.
+            # Back and forth, so that a push travels along a chain of bodies in either direction.
             c = candidates[close - 1 - at if turn % 2.0 == 0.0 else at, 3]
             i, j = candidates[c, 0], candidates[c, 1]
             if scratch[i, 7] < turn - 1.0 and (j < 0 or scratch[j, 7] < turn - 1.0):
@@ -168,11 +222,7 @@ def advance(
     ahead = 2.0 * fastest * dt + 1e-3
     if 2.0 * (state[0] + ahead) > state[1]:
         skin = max(SKIN_RADII * radius, 2.5 * ahead)
-        listed = near_obstacles(pose, obstacles, radius + skin, candidates, 0)
-        if n > BRUTE_FORCE_BODIES:
-            listed = near_bodies_grid(pose, 2.0 * radius + skin, candidates, grid, listed)
-        else:
-            listed = near_bodies(pose, 2.0 * radius + skin, candidates, listed)
+        listed = list_near(pose, obstacles, radius, skin, candidates, grid)
         if listed > candidates.shape[0]:
             state[1] = -1.0
             return False

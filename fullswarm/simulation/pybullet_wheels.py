@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim.bullet import BulletClient
-from fullswarm.drivers.sim.contacts import ContactReferee
-from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
 from fullswarm.kernels import Array
+from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
+from fullswarm.simulation.pybullet_engine import BulletClient
 
 WHEEL_BASE_M = 0.235  # Create 2 Open Interface specification
 WHEEL_RADIUS_M = 0.036
@@ -31,7 +31,7 @@ CREATE_RADIUS_M = 0.17
 
 
 class WheelsEngine:
-    """An :class:`~fullswarm.drivers.sim.engine.Engine` of differential-drive bodies.
+    """An :class:`~fullswarm.simulation.engine.Engine` of differential-drive bodies.
 
     A robot of another radius has its wheel base scaled with it.
     """

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fullswarm.config import DEFAULT_WORLD, WorldConfig
-from fullswarm.drivers.base import Description
+from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.sim.protocol import parse_address
-from fullswarm.drivers.sim.world import describe
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.words import ROBOT_ID
 
@@ -68,6 +67,25 @@ def _positive(text: str, key: str, url: str) -> float:
     if not (value > 0 and math.isfinite(value)):
         raise ConfigError(f"{key} = '{text}' is not a positive number", where=url)
     return value
+
+
+def describe(config: WorldConfig) -> Description:
+    """Return what the driver of a robot in this world offers."""
+    return Description(
+        make="sim",
+        model=config.engine,
+        radius_m=config.radius_m,
+        limits=Limits(
+            speed_m_s=config.speed_limit_m_s,
+            turn_rad_s=config.turn_limit_rad_s,
+            accel_m_s2=config.accel_limit_m_s2,
+            turn_accel_rad_s2=config.turn_accel_limit_rad_s2,
+        ),
+        senses_pose=True,
+        senses_obstacles=True,
+        senses_bumps=True,
+        watchdog_s=config.watchdog_s,
+    )
 
 
 def url_for(config: WorldConfig, robot: str, sensing_m: float = SENSING_M) -> str:

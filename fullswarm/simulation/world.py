@@ -1,7 +1,8 @@
 """The simulated world: an engine, and what every robot has whatever the physics.
 
 Limits, acceleration ramps, the device's watchdog, odometry, noisy poses, bumpers, sensed obstacles. Time is the
-world's own: it advances by ``1 / rate_hz`` per step, however long the step takes.
+world's own: it advances by ``1 / rate_hz`` per step, however long the step takes. Rows of obstacles in kernels are
+those of :func:`fullswarm.simulation.obstacles.with_trigonometry`.
 """
 
 from __future__ import annotations
@@ -13,32 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Description, Limits
-from fullswarm.drivers.sim.engine import make_engine
-from fullswarm.drivers.sim.obstacles import static_obstacles, with_trigonometry
-from fullswarm.drivers.sim.starts import fill_starts
-from fullswarm.drivers.sim.world_kernels import dead_reckon, front_bumps, ramp, sense
+from fullswarm.drivers.base import Hazard, Limits
+from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.kernels import Array
+from fullswarm.kernels import Array, kernel
+from fullswarm.simulation.engine import make_engine
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
+from fullswarm.simulation.starts import fill_starts
 
-
-def describe(config: WorldConfig) -> Description:
-    """Return what a robot of this world is."""
-    return Description(
-        make="sim",
-        model=config.engine,
-        radius_m=config.radius_m,
-        limits=Limits(
-            speed_m_s=config.speed_limit_m_s,
-            turn_rad_s=config.turn_limit_rad_s,
-            accel_m_s2=config.accel_limit_m_s2,
-            turn_accel_rad_s2=config.turn_accel_limit_rad_s2,
-        ),
-        senses_pose=True,
-        senses_obstacles=True,
-        senses_bumps=True,
-        watchdog_s=config.watchdog_s,
-    )
+BUMP_BIT = int(Hazard.BUMP)  # as a number that a compiled kernel can hold
 
 
 class World:
@@ -51,10 +35,10 @@ class World:
     twist : (n, 2) measured, m/s and rad/s
     contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
     hazards : (n,) ``Hazard`` bits
-    target, drive : (n, 2) set-points as asked, and after limits and ramps
+    target, drive : (n, 2) set-points as requested, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
-    watchers : called after each step: who must not miss one adds itself
+    watchers : called after each step
 
     Raises
     ------
@@ -171,9 +155,76 @@ class World:
         return self.obstacles[seen]
 
     def close(self) -> None:
-        """Let go of the physics. Closing twice is fine."""
+        """Release the physics. Closing twice is fine."""
         self.engine.close()
 
 
 def _perfect(config: WorldConfig) -> bool:
     return config.noise.position_m == 0.0 and config.noise.heading_rad == 0.0
+
+
+@kernel
+def ramp(
+    target: Array, commanded_s: Array, limits: Array, drive: Array, now_s: float, watchdog_s: float, dt: float
+) -> None:
+    """Move `drive` (n, 2) towards `target` within `limits` (n, 4: m/s, rad/s, m/s², rad/s²).
+
+    A body that got no command for `watchdog_s` gets the target zero.
+    """
+    for i in range(target.shape[0]):
+        if now_s - commanded_s[i] > watchdog_s + 1e-9:
+            target[i, 0] = 0.0
+            target[i, 1] = 0.0
+        for axis in range(2):
+            cap, most = limits[i, axis], limits[i, axis + 2] * dt
+            goal = max(-cap, min(cap, target[i, axis]))
+            drive[i, axis] += max(-most, min(most, goal - drive[i, axis]))
+
+
+@kernel
+def dead_reckon(odometry: Array, twist: Array, dt: float) -> None:
+    """Advance `odometry` (n, 3) along the arcs of the measured `twist` (n, 2)."""
+    for i in range(odometry.shape[0]):
+        half = 0.5 * twist[i, 1] * dt
+        ratio = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6.0
+        middle, chord = odometry[i, 2] + half, twist[i, 0] * dt * ratio
+        odometry[i, 0] += chord * math.cos(middle)
+        odometry[i, 1] += chord * math.sin(middle)
+        heading = middle + half
+        if heading > math.pi or heading < -math.pi:
+            heading = math.atan2(math.sin(heading), math.cos(heading))
+        odometry[i, 2] = heading
+
+
+@kernel
+def front_bumps(pose: Array, pairs: NDArray[np.int64], obstacles: Array, hazards: NDArray[np.uint8]) -> None:
+    """Set `hazards` (n,) to BUMP where a touching pair lies in the front half of a body, else to none."""
+    hazards[:] = 0
+    for p in range(pairs.shape[0]):
+        i, j = pairs[p, 0], pairs[p, 1]
+        if j >= 0:
+            nx, ny = pose[i, 0] - pose[j, 0], pose[i, 1] - pose[j, 1]
+            if nx * math.cos(pose[j, 2]) + ny * math.sin(pose[j, 2]) > 0.0:
+                hazards[j] = BUMP_BIT
+        else:
+            _, nx, ny = obstacle_gap(pose[i, 0], pose[i, 1], obstacles, -1 - j)
+        if nx * math.cos(pose[i, 2]) + ny * math.sin(pose[i, 2]) < 0.0:
+            hazards[i] = BUMP_BIT
+
+
+@kernel
+def sense(pose: Array, obstacles: Array, radius: float, seen: NDArray[np.bool_]) -> int:
+    """Mark in `seen` (k,) the obstacles whose surface is within `radius` of any pose; return how many changed."""
+    changed = 0
+    for k in range(obstacles.shape[0]):
+        near = False
+        far = obstacles[k, 7] + radius
+        for i in range(pose.shape[0]):
+            dx, dy = pose[i, 0] - obstacles[k, 0], pose[i, 1] - obstacles[k, 1]
+            if dx * dx + dy * dy <= far * far and obstacle_gap(pose[i, 0], pose[i, 1], obstacles, k)[0] <= radius:
+                near = True
+                break
+        if near != seen[k]:
+            seen[k] = near
+            changed += 1
+    return changed

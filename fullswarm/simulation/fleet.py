@@ -1,20 +1,52 @@
-"""Robots of a world in the same process: what agents see and drive in lockstep."""
+"""Presents the robots of a world in the same process as a fleet: what agents read and drive in lockstep."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.drivers.base import FleetReading, Lifecycle, Pose
-from fullswarm.drivers.sim.world import World
-from fullswarm.drivers.sim.world_kernels import admit, sense
-from fullswarm.kernels import Array
+from fullswarm.kernels import Array, kernel
+from fullswarm.simulation.world import World, sense
+
+
+@kernel
+def admit(
+    twists: Array,
+    active: NDArray[np.bool_],
+    limits: Array,
+    target: Array,
+    commanded_s: Array,
+    applied: Array,
+    now_s: float,
+) -> int:
+    """Take set-points (n, 2) clipped to `limits` for the rows in `active`, zero for the others.
+
+    Returns
+    -------
+    int
+        The last row whose twist is not finite (it gets zero), or -1.
+    """
+    bad = -1
+    for i in range(twists.shape[0]):
+        v, w = twists[i, 0], twists[i, 1]
+        if not (math.isfinite(v) and math.isfinite(w)):
+            bad = i
+            v, w = 0.0, 0.0
+        if not active[i]:
+            v, w = 0.0, 0.0
+        applied[i, 0] = max(-limits[i, 0], min(limits[i, 0], v))
+        applied[i, 1] = max(-limits[i, 1], min(limits[i, 1], w))
+        target[i, 0], target[i, 1] = applied[i, 0], applied[i, 1]
+        commanded_s[i] = now_s
+    return bad
 
 
 class SimFleet:
-    """A :class:`~fullswarm.drivers.base.Fleet` over a world's arrays. Whoever made the world steps and closes it.
+    """A :class:`~fullswarm.drivers.base.Fleet` over a world's arrays. The owner of the world steps and closes it.
 
     Parameters
     ----------

@@ -1,8 +1,12 @@
-"""Which bodies touch: exact geometry along the paths of a world step, the same loops for every engine.
+"""Decides which bodies of a world touched during a step, in the same way for every engine.
+
+Two bodies, or a body and an obstacle, touch when their rims come within `touch_m` of each other anywhere on the paths
+that they took, substep by substep. The engine supplies only the paths: its own contacts are not used, because a solver
+pushes fast bodies apart before they meet and drops short contacts within a step.
 
 A path has one point per body at the start of the step and one after each physics substep (the kinematic engine adds
 one before it pushes); between two points bodies move straight. A pair is (row, other row), or (row, -1-k) for
-obstacle k, whose columns are those of :func:`fullswarm.drivers.sim.kinematic.with_trigonometry`.
+obstacle k, whose columns are those of :func:`fullswarm.simulation.obstacles.with_trigonometry`.
 """
 
 from __future__ import annotations
@@ -12,34 +16,99 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Index, kernel
+from fullswarm.simulation.obstacles import obstacle_gap
 
+TOUCH_M = 0.002
+"""Bodies of 0.17 m that meet at 4 + 4 m/s are pushed by Bullet at a gap of up to 1.5 mm, see `touch_m`."""
+PUSHED = 3.0
+"""The gap of two bodies shrinks by at most this many times the way of the fastest one: it and one that others push."""
 BRUTE_FORCE_BODIES = 40
 SKIN_RADII = 1.5  # how far apart two bodies may be, in radii, to stay on the list
 HALVINGS = 40  # of an interval in which a distance has one minimum
 
 
-@kernel
-def obstacle_gap(x: float, y: float, obstacles: Array, k: int) -> tuple[float, float, float]:
-    """Return the distance of a point to obstacle `k` (< 0 inside) and the outward normal there (x, y)."""
-    dx, dy = x - obstacles[k, 0], y - obstacles[k, 1]
-    c, s = obstacles[k, 4], obstacles[k, 5]
-    local_x, local_y = c * dx + s * dy, c * dy - s * dx
-    half_x, half_y, corner = obstacles[k, 2], obstacles[k, 3], obstacles[k, 6]
-    off_x = local_x - max(-half_x, min(half_x, local_x))
-    off_y = local_y - max(-half_y, min(half_y, local_y))
-    gap = math.sqrt(off_x * off_x + off_y * off_y)
-    if gap > 0.0:
-        nx, ny = off_x / gap, off_y / gap
-    else:  # inside: out through the nearest side
-        deep_x, deep_y = half_x - abs(local_x), half_y - abs(local_y)
-        gap = -min(deep_x, deep_y)
-        nx, ny = 0.0, 0.0
-        if deep_x < deep_y:
-            nx = 1.0 if local_x >= 0.0 else -1.0
-        else:
-            ny = 1.0 if local_y >= 0.0 else -1.0
-    return gap - corner, c * nx - s * ny, s * nx + c * ny
+def touch_m(config: WorldConfig) -> float:
+    """Return the gap at or below which two bodies of a world touch.
+
+    Bullet keeps two bodies of radius r apart along the line through their centres at the start of a substep. When they
+    also move past each other by s in it, as in a graze, a gap of hypot(2 r, s) - 2 r stays.
+    """
+    substep_s = 1.0 / (config.rate_hz * config.substeps)
+    both_m = 2.0 * config.radius_m
+    return max(TOUCH_M, 1e-4 + math.hypot(both_m, 2.0 * config.speed_limit_m_s * substep_s) - both_m)
+
+
+class ContactReferee:
+    """Judges the paths of n bodies, step by step.
+
+    Attributes
+    ----------
+    part_s : (p,) when the parts of a step end, since its start
+    path : (p + 1, n, 2) m, written by the engine: centres at the start of a step and after each part of it
+    contacts : (n,) bodies and obstacles that each body touched during the last step; the same array at all times
+    pairs : (m, 2) which touched; the second is -1-k for obstacle k
+    near, near_gap_m : (m, 2), (m,) pairs that were so close that they might have touched, and their smallest gaps
+    """
+
+    def __init__(self, config: WorldConfig, obstacles: Array, count: int, part_s: Array) -> None:
+        self.radius_m, self.touch_m = float(config.radius_m), touch_m(config)
+        self.obstacles = obstacles
+        self.part_s, self.path = part_s, np.zeros((len(part_s) + 1, count, 2))
+        self.contacts = np.zeros(count, np.int64)
+        self.found = np.zeros(2, np.int64)
+        self._anchor, self._state = np.full((count, 2), math.inf), np.array([-1.0])
+        self._counts, self._grid = np.zeros(1, np.int64), np.zeros(8 * count + 64, np.int64)
+        self._marked = np.zeros(count, np.bool_)
+        self._listed = 0
+        self.allocate(16 * count + 64)
+        self._sweep()  # compiles it, where kernels are: not when the first two robots meet
+
+    def allocate(self, capacity: int) -> None:
+        """Make room for so many candidates."""
+        self.candidates = np.zeros((capacity, 4), np.int64)
+        self.near_room, self.gap_room = np.zeros((capacity, 2), np.int64), np.zeros(capacity)
+        self.pair_room = np.zeros((capacity, 2), np.int64)
+
+    def reach_m(self, furthest_m: float) -> float:
+        """Return the gap from which bodies can touch in a step in which the fastest one drives `furthest_m`."""
+        return PUSHED * furthest_m + self.touch_m
+
+    def look_ahead(self, pose: Array, furthest_m: float) -> list[int]:
+        """Return the rows of the bodies that may touch something in the next step, in which none drives further."""
+        listed = self._look(pose, furthest_m)
+        while listed < 0:
+            self.allocate(2 * len(self.candidates))
+            listed = self._look(pose, furthest_m)
+        self._listed = listed
+        rows: list[int] = np.flatnonzero(self._marked).tolist() if listed else []
+        return rows
+
+    def _look(self, pose: Array, furthest_m: float) -> int:
+        return may_touch.run(
+            pose, self.obstacles, self.radius_m, self.reach_m(furthest_m), self._anchor, self._state, self._counts,
+            self.candidates, self._grid, self.near_room, self._marked,
+        )  # fmt: skip
+
+    def judge(self) -> None:
+        """Find the contacts on the paths of the bodies that `look_ahead` has listed."""
+        if self._listed or len(self.near):
+            self._sweep()
+
+    def _sweep(self) -> None:
+        sweep.run(
+            self.path, self.obstacles, self.radius_m, self.touch_m, math.inf, self.near_room, self._listed,
+            self.near_room, self.gap_room, self.pair_room, self.contacts, self.found,
+        )  # fmt: skip
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish what the kernel has found."""
+        listed, touching = self.found.tolist()
+        self.near: NDArray[np.int64] = self.near_room[:listed]
+        self.near_gap_m: Array = self.gap_room[:listed]
+        self.pairs: NDArray[np.int64] = self.pair_room[:touching]
 
 
 @kernel
@@ -73,7 +142,7 @@ def near_bodies(pose: Array, reach: float, candidates: Index, count: int) -> int
 
 @kernel
 def near_bodies_grid(pose: Array, reach: float, candidates: Index, grid: Index, count: int) -> int:
-    """Do the same with a cell grid (counting sort); `grid` holds at least 8 n + 64 numbers."""
+    """Do the same as `near_bodies` with a cell grid (counting sort); `grid` holds at least 8 n + 64 numbers."""
     n = pose.shape[0]
     x_min, x_max, y_min, y_max = pose[0, 0], pose[0, 0], pose[0, 1], pose[0, 1]
     for i in range(1, n):
@@ -111,6 +180,15 @@ def near_bodies_grid(pose: Array, reach: float, candidates: Index, grid: Index, 
                         candidates[count, 0], candidates[count, 1] = i, j
                     count += 1
     return count
+
+
+@kernel
+def list_near(pose: Array, obstacles: Array, radius: float, skin: float, candidates: Index, grid: Index) -> int:
+    """List all pairs whose rims are within `skin`; return how many, which may exceed the room in `candidates`."""
+    listed = near_obstacles(pose, obstacles, radius + skin, candidates, 0)
+    if pose.shape[0] > BRUTE_FORCE_BODIES:
+        return near_bodies_grid(pose, 2.0 * radius + skin, candidates, grid, listed)
+    return near_bodies(pose, 2.0 * radius + skin, candidates, listed)
 
 
 @kernel
@@ -180,11 +258,7 @@ def may_touch(
         marked[i] = False
     if 2.0 * math.sqrt(moved) + reach > state[0]:
         skin = max(SKIN_RADII * radius, 2.0 * reach)
-        found = near_obstacles(pose, obstacles, radius + skin, candidates, 0)
-        if n > BRUTE_FORCE_BODIES:
-            found = near_bodies_grid(pose, 2.0 * radius + skin, candidates, grid, found)
-        else:
-            found = near_bodies(pose, 2.0 * radius + skin, candidates, found)
+        found = list_near(pose, obstacles, radius, skin, candidates, grid)
         if found > candidates.shape[0]:
             state[0] = -1.0
             return -1
@@ -213,7 +287,7 @@ def sweep(
     path: Array, obstacles: Array, radius: float, touch: float, reach: float, candidates: Index, count: int,
     near: Index, gaps: Array, pairs: Index, contacts: Index, found: Index,
 ) -> None:  # fmt: skip
-    """Tell which of the first `count` candidates touch on the path: rims within `touch` of each other.
+    """Find which of the first `count` candidates touch on the path: rims within `touch` of each other.
 
     Parameters
     ----------

@@ -1,11 +1,13 @@
-"""The world's boxes and walls as rows of numbers, for the engines and for whoever looks for a free place."""
+"""Represents the boxes and walls of a world as rows of numbers, and measures the distance of a point to one."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from fullswarm.config import WorldConfig
-from fullswarm.kernels import Array
+from fullswarm.kernels import Array, kernel
 
 WALL_HALF_M = 0.5
 """Half thickness of an arena wall; its inner face lies on the bound."""
@@ -32,3 +34,26 @@ def with_trigonometry(obstacles: Array) -> Array:
     x, y, half_x, half_y, yaw, corner = obstacles.T
     reach = np.hypot(half_x, half_y) + corner
     return np.ascontiguousarray(np.stack([x, y, half_x, half_y, np.cos(yaw), np.sin(yaw), corner, reach], axis=1))
+
+
+@kernel
+def obstacle_gap(x: float, y: float, obstacles: Array, k: int) -> tuple[float, float, float]:
+    """Return the distance of a point to obstacle `k` (< 0 inside) and the outward normal there (x, y)."""
+    dx, dy = x - obstacles[k, 0], y - obstacles[k, 1]
+    c, s = obstacles[k, 4], obstacles[k, 5]
+    local_x, local_y = c * dx + s * dy, c * dy - s * dx
+    half_x, half_y, corner = obstacles[k, 2], obstacles[k, 3], obstacles[k, 6]
+    off_x = local_x - max(-half_x, min(half_x, local_x))
+    off_y = local_y - max(-half_y, min(half_y, local_y))
+    gap = math.sqrt(off_x * off_x + off_y * off_y)
+    if gap > 0.0:
+        nx, ny = off_x / gap, off_y / gap
+    else:  # inside: out through the nearest side
+        deep_x, deep_y = half_x - abs(local_x), half_y - abs(local_y)
+        gap = -min(deep_x, deep_y)
+        nx, ny = 0.0, 0.0
+        if deep_x < deep_y:
+            nx = 1.0 if local_x >= 0.0 else -1.0
+        else:
+            ny = 1.0 if local_y >= 0.0 else -1.0
+    return gap - corner, c * nx - s * ny, s * nx + c * ny
