@@ -29,9 +29,9 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_o
 from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.evaluate.scenarios import Scenario, distance_to_box, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
-from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms
+from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms, world_witness
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness, in_safe_set
+from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
@@ -168,7 +168,7 @@ class FleetRunner:
     def _run(self, trial: Trial) -> Measurement:
         scenario = scenario_of(trial)
         config, goals = fit(trial, scenario, self._fleet)
-        config, limit_s, limit_reason = terms(trial, scenario, config)
+        config, limit = terms(trial, scenario, config)
         spare = [each.id for each in self._fleet.robot[len(config.robot) :] if not each.simulated]
         output.progress(instructions(config, scenario, goals, spare))
         simulated = all(each.simulated for each in config.robot)
@@ -180,13 +180,13 @@ class FleetRunner:
             with ends_all():
                 swarm.start()
             config = swarm.config
-            request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), _safe(config))
-            heard = HeardWitness(swarm.bus, config)
+            request = request_of(trial, scenario, goals, config, limit, _safe(config))
+            heard = ReportedWitness(swarm.bus, config)
             try:
                 swarm.until(lambda: not np.isnan(heard.pose).any(), HEARD_S)
                 self._check_places(config, heard)
                 with ends_all():
-                    self._confirm(swarm, limit_s)
+                    self._confirm(swarm, limit[0])
                 return self._drive(swarm, request, self._witness(swarm, request, heard, simulated))
             finally:
                 heard.close()
@@ -202,14 +202,13 @@ class FleetRunner:
                     raise KeyboardInterrupt from error
                 raise
 
-    def _witness(self, swarm: LiveSwarm, request: TrialRequest, heard: HeardWitness, simulated: bool) -> Witness:
+    def _witness(self, swarm: LiveSwarm, request: TrialRequest, heard: ReportedWitness, simulated: bool) -> Witness:
         if swarm.world is None or not simulated:
             return heard
         emulated = any(each.emulate for each in swarm.config.robot)
-        cell_m = swarm.config.performance.coverage_cell_m
-        return WorldWitness(swarm.world.world, request.goals, request.scenario.goal.radius_m, cell_m, emulated)
+        return world_witness(swarm.world.world, request, swarm.config, emulated)
 
-    def _check_places(self, config: SwarmConfig, heard: HeardWitness) -> None:
+    def _check_places(self, config: SwarmConfig, heard: ReportedWitness) -> None:
         wrong = off(config.robots, heard.pose, starts_of(config))
         if wrong:
             raise TrialFailed("; ".join(wrong), hint="put them there and run it again")

@@ -16,9 +16,8 @@ from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
-from fullswarm.evaluate.trial import configure, drive, request_of, terms
+from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_network
 from fullswarm.launch.nodes import process_id
@@ -224,13 +223,12 @@ class LiveSwarm:
         """Return what was measured, when summaries of what was measured until the stop have come."""
         self.until(lambda: self.summaries.later_than(self._ended_s + MEASURED_S), SUMMARY_S)
         onboard = self.summaries.onboard()
-        draws, aside_s = (onboard.get(f"deadlocks.{name}", 0.0) for name in ("draws", "aside_s"))
         return Report(
             onboard=onboard,
             per_robot=self.summaries.per_robot(),
             coverage=self.summaries.coverage(),
-            deadlocks=int(draws),
-            deadlock_s=round(aside_s, 3),
+            deadlocks=int(onboard.get("deadlocks.deadlock_count", 0.0)),
+            deadlock_s=round(onboard.get("deadlocks.sidestep_s", 0.0), 3),
         )
 
     def _check(self) -> None:
@@ -370,15 +368,11 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
     config = on_free_ports(with_make(config, trial, emulate), wished=False)
-    config, limit_s, limit_reason = terms(trial, scenario, config)
+    config, limit = terms(trial, scenario, config)
     kernels.compile_all()
     with LiveSwarm(config) as swarm:
         swarm.start()
-        world = swarm.bodies
-        safe = in_safe_set(world, config.agent.safety_margin_m)
-        request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
-        cell_m = config.performance.coverage_cell_m
-        return drive(swarm, request, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
+        return drive_in_world(swarm, swarm.bodies, trial, scenario, goals, limit, emulate is not None)
 
 
 def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmConfig:

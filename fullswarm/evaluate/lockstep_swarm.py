@@ -12,9 +12,8 @@ from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import LOOK_S, Report, Summaries, TrialFailed
-from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive, request_of, result_of
+from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive_in_world, result_of
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
@@ -154,10 +153,7 @@ def measure(trial: Trial) -> Measurement:
     config, goals = configure(trial, scenario)
     swarm = LockstepSwarm(config)
     try:
-        safe = in_safe_set(swarm.world, config.agent.safety_margin_m)
         limit = trial.time_limit_s or scenario.time_limit_s, TIME_LIMIT
-        request = request_of(trial, scenario, goals, config, limit, safe)
-        cell_m = config.performance.coverage_cell_m
-        return drive(swarm, request, WorldWitness(swarm.world, goals, scenario.goal.radius_m, cell_m))
+        return drive_in_world(swarm, swarm.world, trial, scenario, goals, limit)
     finally:
         swarm.close()

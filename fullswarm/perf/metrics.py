@@ -51,8 +51,8 @@ COLUMNS = {
     "gap_m": Column("m", "smallest gap to a neighbour so far: between centres, less both radii", "least"),
     "distance_m": Column("m", "distance travelled", "add"),
     "events": Column("", "contacts begun; two robots that meet count one each", "add"),
-    "draws": Column("", "how often it was found blocked and stepped aside", "add"),
-    "aside_s": Column("s", "time spent on stepping aside", "add"),
+    "deadlock_count": Column("", "how often it was found blocked and stepped aside", "add"),
+    "sidestep_s": Column("s", "time spent on stepping aside", "add"),
     "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
     "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
@@ -104,7 +104,9 @@ METRICS = {
     ),
     "separation": Metric("Smallest gap between two robots", {"min_m": ("min", "gap_m")}, "gap_m"),
     "deadlocks": Metric(
-        "Robots that blocked each other", {"draws": ("sum", "draws"), "aside_s": ("sum", "aside_s")}, "draws"
+        "Robots that blocked each other",
+        {"deadlock_count": ("sum", "deadlock_count"), "sidestep_s": ("sum", "sidestep_s")},
+        "deadlock_count",
     ),
     "filter": Metric(
         "How much the safety filter changed",

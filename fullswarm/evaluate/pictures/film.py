@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, FullswarmError, MissingExtra
-from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene, palette, whole_file
+from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene, palette
 from fullswarm.evaluate.pictures.timeline import Timeline
-from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory, whole_file
 
 if TYPE_CHECKING:
     from PIL import Image as Images
