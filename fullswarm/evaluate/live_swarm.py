@@ -15,7 +15,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.swarm import CHECK_PERIOD_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.keys import Keys
@@ -127,8 +127,8 @@ class LiveSwarm:
         """The simulated world's bodies; `TrialFailed` before `start`, and where all robots are real."""
         if self.world is None:
             raise TrialFailed(
-                "no robot is simulated: nobody can watch the bodies", where=self.config.swarm,
-                hint="start the swarm first; one of real robots is watched by what they tell",
+                "no robot is simulated: there are no bodies to watch", where=self.config.swarm,
+                hint="start the swarm first; real robots are watched by what they report",
             )  # fmt: skip
         return self.world.world
 
@@ -136,7 +136,7 @@ class LiveSwarm:
         """Wait until every robot has been ready for a while.
 
         It has to be asked again before a trial: the world stands still while this process is busy with something
-        else, and a robot that hears nothing of its body for half a second is not ready.
+        else, and a robot that receives nothing of its body for half a second is not ready.
 
         Raises
         ------
@@ -185,7 +185,7 @@ class LiveSwarm:
             self.world.world.watchers.append(look)
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
-        """Serve for `LOOK_S`, or until `stopped`.
+        """Serve for `CHECK_PERIOD_S`, or until `stopped`.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class LiveSwarm:
         TrialHeld
             A robot is held by an e-stop.
         """
-        if self.until(stopped, LOOK_S):
+        if self.until(stopped, CHECK_PERIOD_S):
             return True
         self._check()
         return False
@@ -209,7 +209,7 @@ class LiveSwarm:
         self._ended_s = began_s
 
         def at_standstill() -> bool:
-            dead = self.dead()  # whose last word may be that it moves
+            dead = self.dead()  # its last report may be that it moves
             if dead and self.runtime.now_s() - began_s < ALONE_S:
                 return False
             rows = [row for row in self.view.snapshot().robots if row.robot not in dead]
@@ -274,7 +274,7 @@ class LiveSwarm:
             if process is not None and process.poll() == USAGE:
                 raise ConfigError(self.supervisor.log_tail(name).removeprefix("error: "), where=name)
         if dead:
-            raise TrialFailed(self._obituary(dead), hint=f"their logs are in {self.supervisor.folder}")
+            raise TrialFailed(self._ended_text(dead), hint=f"their logs are in {self.supervisor.folder}")
         return held
 
     def serve(self, condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -299,7 +299,7 @@ class LiveSwarm:
         return tuple(name for name, each in children.items() if each.process and not self.supervisor.alive(name))
 
     def row(self, robot: str) -> RobotRow | None:
-        """Return a robot as last heard."""
+        """Return a robot's newest state."""
         return next((row for row in self.view.snapshot().robots if row.robot == robot), None)
 
     def held(self) -> tuple[str, ...]:
@@ -311,7 +311,7 @@ class LiveSwarm:
         snapshot = self.view.snapshot()
         rows = {row.robot: row for row in snapshot.robots}
         nodes = {node.node for node in snapshot.nodes if node.age_s < FRESH_S}
-        found = [f"no {node} heard" for node in ("core", "centralised") if node not in nodes]
+        found = [f"nothing received from {node}" for node in ("core", "centralised") if node not in nodes]
         for robot in self.config.robots:
             row = rows.get(robot)
             if row is None or row.health is None or row.age_s > FRESH_S:
@@ -334,7 +334,7 @@ class LiveSwarm:
             if not self.kept:
                 shutil.rmtree(self.supervisor.folder, ignore_errors=True)
 
-    def _obituary(self, dead: tuple[str, ...]) -> str:
+    def _ended_text(self, dead: tuple[str, ...]) -> str:
         """Say which processes ended, with their last output."""
         words = []
         for name in dead:

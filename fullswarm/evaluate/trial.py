@@ -108,7 +108,7 @@ def drive(
     TrialHeld
         A robot is held by an e-stop.
     TrialStopped
-        `stopped` said so.
+        `stopped` returned true.
     """
     swarm.settle()
     track = Track(swarm, request, witness)

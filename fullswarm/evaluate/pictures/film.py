@@ -194,7 +194,7 @@ def _write_mp4(path: Path, frames: Iterator[Frame], scene: Scene, count: int, fp
 
 
 def _check_mp4(path: Path, count: int) -> None:
-    """Raise `FullswarmError` unless all frames can be read again: the writer does not tell how ffmpeg ended."""
+    """Raise `FullswarmError` unless all frames can be read again: the writer does not report how ffmpeg ended."""
     import imageio_ffmpeg
 
     try:

@@ -15,8 +15,8 @@ from fullswarm.evaluate.trial_folder import (
     read_trajectory,
 )
 
-TELL_S = 2.0
-"""How often progress is told."""
+PROGRESS_S = 2.0
+"""How often progress is printed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,20 +62,20 @@ def replay(wanted: Replay, clock: Clock | None = None) -> int:
             until_s=settings.until_s,
         )
     else:
-        write_film(trajectory, wanted.to, settings, _Teller(clock or MonotonicClock()))
+        write_film(trajectory, wanted.to, settings, _FrameProgress(clock or MonotonicClock()))
     output.data(str(wanted.to))
     return 0
 
 
-class _Teller:
-    """Tells on stderr how many frames there are."""
+class _FrameProgress:
+    """Prints on stderr how many frames are done."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._told_s = clock.now_s()
+        self._printed_s = clock.now_s()
 
     def __call__(self, done: int, of: int) -> None:
         now_s = self._clock.now_s()
-        if now_s - self._told_s >= TELL_S or done == of:
-            self._told_s = now_s
+        if now_s - self._printed_s >= PROGRESS_S or done == of:
+            self._printed_s = now_s
             output.progress(f"{done} of {of} frames")

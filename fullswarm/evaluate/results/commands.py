@@ -192,7 +192,7 @@ def report(folder: Path, open_it: bool, plots: Path | None) -> int:
 
     path = write_report(folder)
     output.data(str(path))
-    _tell(read_folder(folder))
+    _print_problems(read_folder(folder))
     if plots is not None:
         for each in write_plots(folder, plots):
             output.data(str(each))
@@ -209,7 +209,7 @@ def index(folder: Path, as_json: bool) -> int:
         output.data_json({"index": str(folder / INDEX_FILE), "trials": len(read.trials), "problems": problems})
     else:
         output.data(f"{folder / INDEX_FILE}: {len(read.trials)} trials, {len(read.failed)} of them failed")
-        _tell(read)
+        _print_problems(read)
     return 1 if read.problems else 0
 
 
@@ -264,9 +264,9 @@ def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
 
 # ---------------------------------------------------------------------------------------------------- helpers
 def _read(folder: Path) -> Folder:
-    """Return the trials; tell on stderr what cannot be read."""
+    """Return the trials; print on stderr what cannot be read."""
     read = read_folder(folder)
-    _tell(read)
+    _print_problems(read)
     return read
 
 
@@ -274,7 +274,7 @@ def _trials(folder: Path) -> list[StoredTrial]:
     return _read(folder).trials
 
 
-def _tell(read: Folder) -> None:
+def _print_problems(read: Folder) -> None:
     for each in read.problems:
         output.progress(f"unreadable: {each.path}: {each.reason}")
     if read.older:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito 2008: told apart by colour-blind readers too."""
+"""Okabe and Ito 2008: distinct for colour-blind readers too."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 INK, GRID, SOLID, PAPER = "#1f2328", "#d0d4d9", "#9aa1a9", "#fefefe"
 """Text and lines, grid, obstacles, background."""
@@ -360,7 +360,7 @@ def coverage_plot(condition: Condition, scenario: str, name: str) -> Plot | None
 
 
 def chosen_size(condition: Condition, scenario: str) -> int:
-    """Return the largest number of robots whose ways can still be told apart."""
+    """Return the largest number of robots whose ways can still be distinguished."""
     sizes = condition.sizes(scenario)
     return max((each for each in sizes if each <= READABLE_ROBOTS), default=sizes[0])
 

@@ -64,7 +64,7 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def configuration_of(experiment: Experiment) -> str:
-    """Return what tells one version of an experiment from another: its file, and those of its scenarios."""
+    """Return a digest that differs between versions of an experiment: its file, and those of its scenarios."""
     digest = hashlib.sha256(experiment.model_dump_json().encode())
     for name in sorted({name for group in experiment.groups for name in group.scenarios}):
         digest.update(f"{name}\n{_arena(name)}\n".encode())
@@ -258,7 +258,7 @@ def _listed(paths: list[Path], names: Iterable[str]) -> list[Path]:
 
 
 def older_text(count: int) -> str:
-    """Return what is to be said of trials that no figure counts."""
+    """Return the note on trials that no figure counts."""
     are = "1 trial of older settings is" if count == 1 else f"{count} trials of older settings are"
     return f"{are} in no figure; another --out keeps them apart"
 

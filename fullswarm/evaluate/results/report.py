@@ -283,7 +283,7 @@ NONE = "–"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A field of a table; `tone` is "bad" or "good" where that can be said."""
+    """A field of a table; `tone` is "bad" or "good" where it has one."""
 
     text: str
     href: str = ""
@@ -400,8 +400,8 @@ def agreement_grid(condition: Condition) -> Grid | None:
             for each in values
             if {("truth", name), ("onboard", name)} <= each.keys()
         ]
-        result = paired([true for true, _ in both], [told for _, told in both])
-        largest = max(abs(told - true) for true, told in both)
+        result = paired([true for true, _ in both], [onboard for _, onboard in both])
+        largest = max(abs(onboard - true) for true, onboard in both)
         rows.append(
             [
                 Entry(name),
