@@ -1,4 +1,4 @@
-"""Tracks e-stops and stops of all operators: which robots confirmed, are at standstill or silent."""
+"""Tracks the e-stops and stops of all operators: which robots have confirmed, are at standstill or silent."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ REMEMBERED = 256
 
 
 def by_operator(order: EStop | StopRequest) -> bool:
-    """Tell whether a person gave the order: robots tell of stops that still hold, and a core repeats latches."""
+    """Return whether an operator sent the order: robots repeat stops that still hold, and a core repeats latches."""
     return order.robots != (order.source,) and not order.source.startswith("core-")
 
 
 @dataclass(slots=True)
-class EStopBoard:
+class EStopTracker:
     """The newest e-stop order and its receipts.
 
     Parameters
     ----------
     known
-        All robots that are there: an order to all is theirs.
+        All robots that are present: an order to all concerns them.
     name_of
-        Who a source is, for people.
+        The name of a source for people.
     """
 
     known: Callable[[], Iterable[str]]
@@ -38,10 +38,10 @@ class EStopBoard:
     began_s: float = 0.0
     receipts: dict[str, tuple[EStopReceipt, float]] = field(default_factory=dict)
     _seen: OrderedDict[tuple[str, bool], None] = field(default_factory=OrderedDict)
-    _told: dict[str, Any] | None = None
+    _sent: dict[str, Any] | None = None
 
-    def ordered(self, order: EStop, now_s: float) -> bool:
-        """Take an order; True when it is a new one of a person. Copies of an older one change nothing."""
+    def add_order(self, order: EStop, now_s: float) -> bool:
+        """Process an order; return whether it is a new one of an operator. Copies of an older one change nothing."""
         key = (order.id, order.engaged)
         if key in self._seen or not by_operator(order):
             return False
@@ -52,8 +52,8 @@ class EStopBoard:
         self.receipts = {}
         return True
 
-    def confirmed(self, receipt: EStopReceipt, now_s: float) -> None:
-        """Take a receipt; those of other orders are left to their operators."""
+    def add_receipt(self, receipt: EStopReceipt, now_s: float) -> None:
+        """Process a receipt; those of other orders are ignored."""
         if self.order is None or receipt.id != self.order.id or receipt.engaged != self.order.engaged:
             return
         before = self.receipts.get(receipt.robot)
@@ -61,12 +61,12 @@ class EStopBoard:
             return
         self.receipts[receipt.robot] = receipt, now_s - self.began_s
 
-    def news(self, now_s: float) -> dict[str, Any] | None:
+    def changed_frame(self, now_s: float) -> dict[str, Any] | None:
         """Return the frame ``estop`` if it has changed."""
         frame = self.shown(now_s)
-        if frame == self._told:
+        if frame == self._sent:
             return None
-        self._told = frame
+        self._sent = frame
         return frame
 
     def shown(self, now_s: float) -> dict[str, Any] | None:
@@ -104,25 +104,25 @@ class EStopBoard:
 
 
 @dataclass(slots=True)
-class StopWatch:
-    """Which robots stand since the newest plain stop. A stop is not acknowledged: health reports tell."""
+class StopTracker:
+    """Which robots are at standstill since the newest stop. A stop is not acknowledged: health reports show it."""
 
     order: StopRequest | None = None
     began_s: float = 0.0
-    _told: dict[str, Any] | None = None
+    _sent: dict[str, Any] | None = None
     _seen: OrderedDict[str, None] = field(default_factory=OrderedDict)
 
-    def ordered(self, order: StopRequest, now_s: float) -> bool:
-        """Take an order; True when it is a new one of a person."""
+    def add_order(self, order: StopRequest, now_s: float) -> bool:
+        """Process an order; return whether it is a new one of an operator."""
         if order.id in self._seen or not by_operator(order):
             return False
         self._seen[order.id] = None
         while len(self._seen) > REMEMBERED:
             self._seen.popitem(last=False)
-        self.order, self.began_s, self._told = order, now_s, None
+        self.order, self.began_s, self._sent = order, now_s, None
         return True
 
-    def news(self, seen: Snapshot, now_s: float) -> dict[str, Any] | None:
+    def changed_frame(self, seen: Snapshot, now_s: float) -> dict[str, Any] | None:
         """Return the frame ``stop`` if it has changed and is not over. A robot that is silent may move on."""
         order = self.order
         if order is None:
@@ -145,9 +145,9 @@ class StopWatch:
         }
         if done or now_s - self.began_s > STOP_WATCH_S:
             self.order = None
-        if frame == self._told:
+        if frame == self._sent:
             return None
-        self._told = frame
+        self._sent = frame
         return frame
 
 

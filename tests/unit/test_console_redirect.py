@@ -6,7 +6,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from fullswarm.operator.console.door import Door
+from fullswarm.operator.console.serve import RedirectPage
 
 ADDRESS = "http://127.0.0.1:8807/#token=a-secret-of-24-letters</script>"
 
@@ -26,8 +26,8 @@ def opened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
 
 
 def test_the_command_line_has_no_token_and_the_file_is_this_users_alone(opened: list[str], tmp_path: Path) -> None:
-    door = Door(ADDRESS)
-    assert door.open()
+    redirect = RedirectPage(ADDRESS)
+    assert redirect.open()
     (shown,) = opened
     assert "secret" not in shown
     file = Path(unquote(urlsplit(shown).path))
@@ -36,8 +36,8 @@ def test_the_command_line_has_no_token_and_the_file_is_this_users_alone(opened: 
     page = file.read_text()
     assert 'location.replace("http://127.0.0.1:8807/#token=a-secret-of-24-letters\\u003c/script>")' in page
     assert page.count("</script>") == 1, "the address cannot end the script"
-    door.close()
-    door.close()
+    redirect.close()
+    redirect.close()
     assert not file.exists()
 
 
@@ -47,15 +47,15 @@ def test_a_home_that_cannot_be_written_is_not_needed(
     (tmp_path / "scratch").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path / "gone"))
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "scratch"))
-    door = Door(ADDRESS)
-    assert door.open()
+    redirect = RedirectPage(ADDRESS)
+    assert redirect.open()
     assert [each.suffix for each in (tmp_path / "scratch").iterdir()] == [".html"]
-    door.close()
+    redirect.close()
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
 def test_nowhere_to_write_is_no_browser(opened: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path / "gone"))
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "gone too"))
-    assert not Door(ADDRESS).open()
+    assert not RedirectPage(ADDRESS).open()
     assert opened == []

@@ -1,22 +1,26 @@
-"""The fleet as the page's table shows it, and the states as its map does."""
+"""The page's table of robots, its chart of metrics, and the states that its map draws."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass, field
 from typing import Any
 
-from fullswarm.messages import RobotHealth
-from fullswarm.operator.console.advice import advise
-from fullswarm.operator.render import row_state
+from fullswarm.messages import RobotHealth, Summary
+from fullswarm.operator.robot_state import advise, row_state
 from fullswarm.operator.view import RobotRow, Snapshot
 
 CORE = "core"
+CHART_S, CHART_RATE_HZ = 600.0, 2.0
+CHART_NAMES = ("work_m", "coverage", "collisions")
+_CHARTED = (("work", "total_m"), ("coverage", "fraction"), ("collisions", "events"))
 UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
-"""A robot of which only the place is received."""
+"""A robot of which only the position is received."""
 
 
 def states(seen: Snapshot) -> list[list[Any]]:
-    """Return ``[id, x, y, heading, speed, age_s]`` per robot; invisible digits are left off."""
+    """Return ``[id, x, y, heading, speed, age_s]`` per robot; rounded to what can be seen."""
     return [
         [
             row.robot,
@@ -32,7 +36,7 @@ def states(seen: Snapshot) -> list[list[Any]]:
 
 
 def core_age_s(seen: Snapshot) -> float | None:
-    """Return how long the core has been silent; None: it was never heard."""
+    """Return how long the core has been silent; None: it was never received."""
     return next((node.age_s for node in seen.nodes if node.node == CORE), None)
 
 
@@ -90,3 +94,20 @@ def _robot(row: RobotRow) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
+
+
+@dataclass(slots=True)
+class Charts:
+    """Rows ``[at_s, work_m, coverage, collisions]``; None where it is not known."""
+
+    rows: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=int(CHART_S * CHART_RATE_HZ)))
+
+    def add(self, summaries: tuple[Summary, ...], now_s: float) -> list[float | None] | None:
+        """Return the new row; None while there is nothing to draw."""
+        by_name = {each.metric: each.values for each in summaries}
+        values = [by_name.get(metric, {}).get(key) for metric, key in _CHARTED]
+        if all(value is None for value in values):
+            return None
+        row = [round(now_s, 2), *(None if value is None else round(value, 4) for value in values)]
+        self.rows.append(row)
+        return row

@@ -1,4 +1,4 @@
-"""``key=value`` from a command line → typed parameters."""
+"""Parses ``key=value`` and values of a command line."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 import math
 import tomllib
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from fullswarm.errors import ConfigError
-from fullswarm.messages import Value
+
+if TYPE_CHECKING:
+    from fullswarm.messages import Value
 
 
 def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
@@ -46,7 +48,7 @@ def parse_value(raw: str, where: str = "") -> Value:
             raise ConfigError(f"'{raw}' is not a list of numbers or points", where=where, hint="e.g. [1, 2.5]")
     elif not isinstance(value, bool | int | float | str):
         raise ConfigError(f"'{raw}' cannot be a parameter", where=where, hint="flag, number, word, point or list")
-    return cast(Value, value)
+    return cast("Value", value)
 
 
 def parse_stored(raw: str, where: str = "") -> Any:

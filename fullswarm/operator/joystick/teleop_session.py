@@ -1,4 +1,4 @@
-"""The robots in hand: their leases, the stream of intents, and the zeros at its end."""
+"""Drives the selected robots: their leases, the stream of intents, and the zeros at its end."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Callable, Mapping
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, Lease, RequestStatus, StopRequest, Value
-from fullswarm.operator.client import Asked, Operator
+from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.joystick.selection import Roster, Selection
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.teleop import Teleop
 from fullswarm.runtime import Scheduler
 
 TAKE_OVER_S = 2.0
-"""How long the core may take to hand robots over."""
+"""Time limit for the core to grant leases that are taken over."""
 
 
-class Reins:
-    """Drives one selection at a time, as long as it may.
+class TeleopSession:
+    """Drives one selection at a time, while leases, hub and core permit.
 
     Parameters
     ----------
     on_lost
-        Called with the reason when the robots were let go because they may be driven no longer.
+        Called with the reason when the robots were released because they may be driven no longer.
     on_note
-        Called with what is worth telling: an answer of the core.
+        Called with an answer of the core.
     """
 
     def __init__(
@@ -48,22 +48,22 @@ class Reins:
         ]
         self._teleops: dict[tuple[str, ...], Teleop] = {}
         self._stream: Teleop | None = None
-        self._asked: tuple[str, dict[str, float]] = "", {}
+        self._intent: tuple[str, dict[str, float]] = "", {}
         self._fixed: Mapping[str, Value] = {}
-        self._order: Asked | None = None
+        self._pending: PendingRequest | None = None
         self._taking_s: float | None = None
         self.selection: Selection | None = None
 
-    # ------------------------------------------------------------------ looking
+    # ------------------------------------------------------------------ state
     @property
     def behaviour(self) -> str:
-        """What is streamed; empty: nothing."""
-        return self._asked[0] if self._stream is not None else ""
+        """The behaviour that is streamed; empty: none."""
+        return self._intent[0] if self._stream is not None else ""
 
     @property
     def values(self) -> Mapping[str, float]:
-        """The sticks' parameters that are streamed."""
-        return self._asked[1] if self._stream is not None else {}
+        """The parameters that are streamed."""
+        return self._intent[1] if self._stream is not None else {}
 
     @property
     def ready(self) -> bool:
@@ -79,15 +79,15 @@ class Reins:
         """Return robot → operator for those that another operator holds."""
         return self._leases.held_by_others(selection.robots)
 
-    # ------------------------------------------------------------------ doing
+    # ------------------------------------------------------------------ commands
     def take_up(self, selection: Selection, *, take: bool = False) -> str:
-        """Take robots in hand; return why that is not possible, empty if it is.
+        """Hold a selection; return why that is not possible, empty if it is.
 
-        With `take` also from another operator; they are ready as soon as the core has handed them over.
+        With `take` also robots that another operator holds; they are ready as soon as the core has granted them.
         """
         problem = self._unreachable()
         if problem or not selection.robots:
-            return problem or f"{selection.label}: no robot of it has been heard"
+            return problem or f"{selection.label}: no robot of it has been received"
         others = self.holders(selection)
         if others and not take:
             return held_by(others)
@@ -97,31 +97,33 @@ class Reins:
         return ""
 
     def hold(self, behaviour: str, values: Mapping[str, float], fixed: Mapping[str, Value]) -> None:
-        """Stream an intent to the robots in hand; the first call begins it."""
+        """Stream an intent to the robots that are held; the first call starts the stream."""
         if not self.ready or self.selection is None:
             return
         if self._stream is None:
             addressed = self.selection.addressed
             if addressed not in self._teleops:
-                self._teleops[addressed] = Teleop(self._operator, self._scheduler, addressed, on_status=self._heard)
+                self._teleops[addressed] = Teleop(
+                    self._operator, self._scheduler, addressed, on_status=self._on_intent_status
+                )
             self._stream = self._teleops[addressed]
-        self._asked, self._fixed = (behaviour, dict(values)), fixed
+        self._intent, self._fixed = (behaviour, dict(values)), fixed
         self._stream.hold(behaviour, values, fixed)
 
     def centre(self) -> None:
         """Stream zeros, if anything is streamed."""
         if self._stream is not None:
-            self.hold(self._asked[0], dict.fromkeys(self._asked[1], 0.0), self._fixed)
+            self.hold(self._intent[0], dict.fromkeys(self._intent[1], 0.0), self._fixed)
 
-    def let_go(self, on_done: Callable[[], None] | None = None) -> None:
-        """Zero at once, and give the robots back after the last zero."""
+    def release(self, on_done: Callable[[], None] | None = None) -> None:
+        """Send zero at once, and release the robots after the last zero."""
         selection, self.selection, self._taking_s = self.selection, None, None
         stream, self._stream = self._stream, None
-        order, self._order = self._order, None
-        if order is not None and order.status is None:
-            self._operator.forget(order)  # it must not start robots that are no longer in hand
+        pending, self._pending = self._pending, None
+        if pending is not None and pending.status is None:
+            self._operator.forget(pending)  # it must not start robots that are no longer held
 
-        def give_back() -> None:
+        def release_leases() -> None:
             if selection is not None:
                 kept = self.selection.robots if self.selection is not None else ()
                 self._leases.release([robot for robot in selection.robots if robot not in kept])
@@ -129,28 +131,30 @@ class Reins:
                 on_done()
 
         if stream is None:
-            give_back()
+            release_leases()
         else:
-            stream.release(give_back)
+            stream.release(release_leases)
 
-    def order(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
-        """End the stream and then ask for a behaviour that goes on by itself."""
+    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+        """End the stream and then request a behaviour that continues by itself."""
         selection, stream = self.selection, self._stream
         if not self.ready or selection is None:
             return
         self._stream = None
 
-        def ask() -> None:
+        def send() -> None:
             if self.selection is selection:
-                self._order = self._operator.request(behaviour, selection.addressed, parameters, self._answered)
+                self._pending = self._operator.request(
+                    behaviour, selection.addressed, parameters, self._on_request_status
+                )
 
         if stream is None:
-            ask()
+            send()
         else:
-            stream.release(ask)
+            stream.release(send)
 
     def check(self) -> None:
-        """Let go if hub or core are gone, or do not hand robots over."""
+        """Release the robots if the hub or the core is lost, or if the core does not grant them."""
         if self.selection is None:
             return
         problem = self._unreachable()
@@ -158,7 +162,7 @@ class Reins:
             others = self.holders(self.selection)
             if not others:
                 self._taking_s = None
-                self._leases.hold(self.selection.robots)  # whatever was received in between: keep them from now on
+                self._leases.hold(self.selection.robots)  # renew them whatever was received meanwhile
             elif self._scheduler.now_s() - self._taking_s > TAKE_OVER_S:
                 problem = held_by(others)
         if problem:
@@ -171,7 +175,7 @@ class Reins:
             self.selection = selection
 
     def close(self) -> None:
-        """Give everything back and unsubscribe."""
+        """Release all robots and unsubscribe."""
         for subscription in self._subscriptions:
             subscription.close()
         self._leases.close()
@@ -179,7 +183,7 @@ class Reins:
     # ------------------------------------------------------------------ answers
     def _unreachable(self) -> str:
         if not self._bus.connected():
-            return "no hub: robots that lost it stand"
+            return "no hub: robots that lost it stop"
         return "" if self._roster.core_alive else "no core answers"
 
     def _leases_changed(self, _leases: dict[str, Lease]) -> None:
@@ -193,7 +197,7 @@ class Reins:
 
     def _on_estop(self, order: EStop) -> None:
         # Also its release: a stick that is held at that moment must not start them.
-        act = "pressed" if order.engaged else "cleared"
+        act = "engaged" if order.engaged else "cleared"
         self._halted(order.robots, f"e-stop {act} by {order.source or 'an operator'}")
 
     def _halted(self, robots: tuple[str, ...], why: str) -> None:
@@ -203,18 +207,18 @@ class Reins:
             self._lose(why)
 
     def _lose(self, why: str) -> None:
-        self.let_go()
+        self.release()
         self._on_lost(why)
 
-    def _heard(self, status: RequestStatus) -> None:
+    def _on_intent_status(self, status: RequestStatus) -> None:
         if self._stream is None:
-            return  # what became of the zeros
+            return  # the answer to the final zeros
         if status.phase == "refused":
             self._lose(status.reason or "refused without a reason")
         elif status.refused_by:
             self._on_note(f"refused by {', '.join(status.refused_by)}: {status.reason or 'see `fullswarm status`'}")
 
-    def _answered(self, status: RequestStatus) -> None:
+    def _on_request_status(self, status: RequestStatus) -> None:
         why = f": {status.reason}" if status.reason else ""
         self._on_note(f"{status.behaviour} {status.phase}{why}")
 

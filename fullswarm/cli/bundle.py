@@ -1,4 +1,4 @@
-"""The shell commands ``bundle`` and ``keys``. Only typer is imported here, so that help stays quick."""
+"""`fullswarm bundle` and `fullswarm keys`: makes signed releases and the keys that sign them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fullswarm.deploy.release.keys import Keys
 
 FIT_ON_AIR = 6
-"""Compression of the size that is told: what a robot gets is gzipped as well as this."""
+"""Compression level of the size that is printed: what a robot gets is compressed with it."""
 
 
 @shell_command()
@@ -21,28 +21,37 @@ def bundle(
     target: Annotated[str, typer.Option("--target", metavar="NAME", help="rpi-arm64, jetson or x86_64.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", envvar="FULLSWARM_RELEASES", metavar="DIR", help="Where releases are kept; none: ours."),
+        typer.Option(
+            "--out",
+            envvar="FULLSWARM_RELEASES",
+            metavar="DIR",
+            help="Folder of the releases (default: the user's data folder).",
+        ),
     ] = None,
     python: Annotated[
-        str | None, typer.Option("--python", metavar="3.13", help="The Python of the robots; none: the target's usual.")
+        str | None,
+        typer.Option("--python", metavar="3.13", help="Python version of the robots (default: the target's)."),
     ] = None,
     extras: Annotated[
-        list[str] | None, typer.Option("--with", metavar="EXTRA", help="mavlink, can, estimation, core; by commas.")
+        list[str] | None,
+        typer.Option("--with", metavar="EXTRA", help="Extras, separated by commas: mavlink, can, estimation, core."),
     ] = None,
     packages: Annotated[
         list[Path] | None,
-        typer.Option("--package", metavar="WHEEL|FOLDER", help="Your own behaviours or drivers; repeat for more."),
+        typer.Option(
+            "--package", metavar="WHEEL|FOLDER", help="Add a package with behaviours or drivers; may be repeated."
+        ),
     ] = None,
     wheels: Annotated[
         Path | None, typer.Option("--wheels", metavar="DIR", help="Take all wheels from this folder: no internet.")
     ] = None,
     upgrade: Annotated[
-        bool, typer.Option("--upgrade", help="Newest packages; else those of the latest release stay.")
+        bool, typer.Option("--upgrade", help="Take the newest packages, not those of the latest release.")
     ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only tell what it would hold.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the contents, make nothing.")] = False,
     as_json: Json = False,
 ) -> int:
-    """Make a release: all that a robot runs, in one signed folder; the same input gives the same bytes.
+    """Make a release: all that a robot runs, in one signed folder. The same input gives the same bytes.
 
     64-bit systems only. Raspberry Pi OS Bookworm has Python 3.11, Trixie 3.13; JetPack 7 has 3.12, JetPack 6 needs
     `apt install python3.11`.
@@ -54,10 +63,10 @@ def bundle(
     names = tuple(name.strip() for each in extras or () for name in each.split(",") if name.strip())
     request = BundleRequest(targets.target(target, python), names, tuple(packages or ()), upgrade, wheels)
     store = Store.default() if out is None else Store(out)
-    return _tell_plan(request, store, as_json) if dry_run else _make(request, store, as_json)
+    return _print_plan(request, store, as_json) if dry_run else _make(request, store, as_json)
 
 
-def _tell_plan(request: Any, store: Any, as_json: bool) -> int:
+def _print_plan(request: Any, store: Any, as_json: bool) -> int:
     from fullswarm import output
     from fullswarm.deploy.release import bundle as maker
 
@@ -100,7 +109,7 @@ def _make(request: Any, store: Any, as_json: bool) -> int:
         output.data_json(facts)
         return 0
     if made == before:
-        output.progress("nothing changed: the release is the one that was there")
+        output.progress("nothing changed: this release exists already")
         output.data(str(made))
         return 0
     since = "a first install carries" if before is None else f"an update from {before.name} carries"
@@ -121,9 +130,9 @@ def _megabytes(size: Any) -> str:
 
 @shell_command()
 def keys(as_json: Json = False) -> int:
-    """Show this base's keys, and make those that are not there: one signs releases, one logs in to robots.
+    """Print this base's keys, and make those that are missing: one signs releases, one logs in to robots.
 
-    Robots take releases signed by this key only: keep a backup of the folder, and give it to nobody.
+    Robots take releases signed by this key only: keep a backup of the folder, and keep it secret.
     """
     from fullswarm import output
     from fullswarm.deploy.release.keys import Keys

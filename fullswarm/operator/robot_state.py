@@ -1,4 +1,4 @@
-"""What to do about a robot that needs attention: one short sentence, for people who stand beside it.
+"""States in a few words what a robot does, whether it needs attention, and what to do about that.
 
 Only a reason with a code gets advice of its own. For all others the driver's own words, which stand beside the advice,
 are all that is known.
@@ -6,10 +6,13 @@ are all that is known.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from fullswarm.messages import RobotHealth
 from fullswarm.operator.view import RobotRow
-from fullswarm.reasons import Code
+from fullswarm.reasons import DELIBERATE, Code
 
+STANDSTILL_M_S = 0.005
 LOW_BATTERY = 0.2
 UNKNOWN = "Do what its driver says; where that names no cause, the cause is unknown: see the robot's log."
 BARRED = "It is connected, but bars motion: mend what it says, then ask again."
@@ -33,6 +36,49 @@ _STOPS: dict[str, str] = _CAUSES | {
     Code.POSE: "See that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
     Code.FENCE: "Drive it back by hand, or give it a goal inside the arena.",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class RowState:
+    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
+
+    word: str
+    why: str = ""
+    attention: bool = False
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.word}: {self.why}" if self.why else self.word
+
+
+def row_state(row: RobotRow) -> RowState:
+    """Return what a robot is doing."""
+    health = row.health
+    if row.silent:
+        return RowState(f"SILENT for {row.age_s:.0f} s", attention=True)
+    if health is None:
+        return RowState("no health report", attention=True)
+    if health.fault or health.lifecycle == "FAULT":
+        latched = "E-STOP, " if health.estop else ""
+        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
+        word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
+        return RowState(latched + word, health.fault or "no reason given", attention=True)
+    if health.estop:
+        # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
+        rolls = health.moving and not abs(row.speed_m_s) < STANDSTILL_M_S
+        return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
+    alarm = health.behaviour or health.stop_code not in DELIBERATE
+    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
+        return RowState("STOPPED", health.stop_reason, attention=True)
+    doing = "moving" if health.moving else "standing"
+    if health.lifecycle not in ("READY", "ACTIVE"):
+        doing = f"{health.lifecycle.lower()}, not ready"
+    if health.contacts:
+        return RowState(f"{doing}, TOUCHING", attention=True)
+    if 0.0 <= health.battery < LOW_BATTERY:
+        return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
+    return RowState(doing)
 
 
 def advise(row: RobotRow) -> str:
