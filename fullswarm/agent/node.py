@@ -29,8 +29,7 @@ from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.state import Identity, Motion
 from fullswarm.agent.tasks import Tasks
 from fullswarm.agent.wishes import Wishes
-from fullswarm.bus.base import Bus
-from fullswarm.bus.counting import CountingBus
+from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array

@@ -7,11 +7,10 @@ node = SupervisorCalculator(bus, keys, scheduler, truth)
 from __future__ import annotations
 
 from fullswarm.bus.base import Bus
-from fullswarm.keys import Keys
+from fullswarm.keys import TRUTH, Keys
 from fullswarm.messages import RobotMeasurement
 from fullswarm.perf.truth import Truth
 from fullswarm.runtime import Scheduler
-from fullswarm.words import TRUTH
 
 PERIOD_S = 0.5
 

@@ -11,7 +11,7 @@ from fullswarm.drivers.base import Description
 from fullswarm.drivers.sim.protocol import parse_address
 from fullswarm.drivers.sim.world import describe
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.words import ROBOT_ID
+from fullswarm.keys import ROBOT_ID
 
 SENSING_M = 3.0
 

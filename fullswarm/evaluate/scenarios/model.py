@@ -12,8 +12,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, mode
 from pydantic_core import ErrorDetails
 
 from fullswarm.config import Point, Section
-from fullswarm.config.explain import dotted, explain
-from fullswarm.config.positions import line_numbers
+from fullswarm.config.toml_errors import dotted, explain, line_numbers
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.scenarios.files import package_names, read_named
 
