@@ -1,4 +1,4 @@
-"""The kit: what stands on a robot outside every release, as one tar that ``install.sh`` spreads.
+"""Packs the robot support package: what is on a robot outside every release, as one tar that ``install.sh`` installs.
 
 ::
 
@@ -6,8 +6,8 @@
     kit.sums              `sha256sum` lines of what follows, by destination: what is installed, and whether it is whole
     files/<destination>   opt/fullswarm/bin, etc/systemd/system, etc/udev/rules.d, etc/fullswarm …
 
-The same input gives the same bytes, so that a robot that has a kit already need not get it again: `kit_id` of the
-tar is what ``fullswarm-robot facts`` calls ``kit`` while all its files are there unchanged.
+The same input gives the same bytes, so that a robot that has a package already need not get it again: `package_id` of
+the tar is what ``fullswarm-robot facts`` calls ``kit`` while all its files are there unchanged.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 
-def kit(
+def support_package(
     robot: RobotConfig,
     config: SwarmConfig,
     signers: str,
@@ -100,7 +100,7 @@ def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
         raise ConfigError(f"{robot.id} cannot reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
 
 
-def kit_id(archive: bytes) -> str:
+def package_id(archive: bytes) -> str:
     """Return the name of a kit: what a robot answers under ``kit`` that has it installed, and unchanged."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         sums = tar.extractfile("kit.sums")

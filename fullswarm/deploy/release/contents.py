@@ -1,10 +1,20 @@
-"""Takes out of unpacked wheels what never runs on board: tests, stubs, headers, generators, dialects. Licences stay."""
+"""Selects the files that go on board: fullswarm's own (``app/fullswarm``, ``robot/``), and what stays of its wheels."""
 
 from __future__ import annotations
 
 import re
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
+import fullswarm
+
+OWN = Path(fullswarm.__file__).parent
+"""Where this fullswarm lies, in a checkout or an environment: a release takes the code that made it."""
+NOT_ON_BOARD = ("testing/", "emulators/", "operator/console/page/", "bringup/lab/")
+"""What no robot runs: checks for developers, emulated robots, the console's page, the lab of `fullswarm init`."""
+_LEFTOVERS = (".pyc", ".orig", ".rej", "~", ".md")
+"""The last: notes for readers of a checkout; an installed fullswarm, which must make the same bytes, has none."""
 _INSTALLER = (
     r"\.[^/]*",  # what the installer leaves at the top
     r"bin/.*",  # scripts with the first line of this machine
@@ -30,6 +40,39 @@ _OF_INSTALLER = re.compile("|".join(f"(?:{each})" for each in _INSTALLER))
 _LICENCE = re.compile(r"(.*/)?(licen[cs]es?|copying|notice|authors)(/.*|[^/]*)", re.IGNORECASE)
 
 
+def copy_app(place: Path) -> None:
+    """Copy the package to `place`, which becomes ``app/fullswarm``."""
+    for name in _plain_files(OWN):
+        beside = name.startswith("deploy/robot/") and not name.endswith(".py")  # in the layer ``robot/``
+        if not beside and not name.startswith(NOT_ON_BOARD):
+            _copy(OWN / name, place / name)
+
+
+def copy_robot_files(place: Path) -> None:
+    """Copy what stands on a robot outside every release to `place`, so that a release can install by itself."""
+    source = OWN / "deploy" / "robot"
+    for name in _plain_files(source):
+        if not name.endswith(".py"):
+            _copy(source / name, place / name)
+
+
+def _plain_files(folder: Path) -> Iterator[str]:
+    """Yield the paths of the files below a folder that people wrote; not what tools and editors leave."""
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder)
+        hidden = any(part.startswith(".") or part == "__pycache__" for part in name.parts)
+        if path.is_file() and not hidden and not path.name.endswith(_LEFTOVERS):
+            yield name.as_posix()
+
+
+def _copy(source: Path, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, place)
+    with source.open("rb") as file:
+        place.chmod(0o755 if file.read(2) == b"#!" else 0o644)
+
+
+# ---------------------------------------------------------------- what of the wheels stays
 def needed(path: str) -> bool:
     """Tell whether a file of unpacked wheels, by its path below them, is needed on board."""
     if _LICENCE.fullmatch(path) and "__pycache__" not in path:
