@@ -8,14 +8,10 @@ import statistics
 import time
 from pathlib import Path
 
-import pytest
-
 from fullswarm.deploy.release.store import head_archive
 from tests.fleet.fleet import WORDS, Fleet, results, row_of
 from tests.fleet.lab import when
 from tests.fleet.tools import until
-
-pytestmark = pytest.mark.system
 
 GUARD_S = 20
 START_S = 90.0

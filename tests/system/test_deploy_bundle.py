@@ -20,7 +20,6 @@ from fullswarm.deploy.release.packages import requirements, run_uv
 from fullswarm.deploy.release.targets import THIS_PYTHON
 from fullswarm.errors import Unreachable
 
-pytestmark = [pytest.mark.system, pytest.mark.untimed]
 MEGABYTE = 1_000_000
 NEVER = {"pybullet", "numba", "matplotlib"}
 

@@ -11,8 +11,9 @@ import fullswarm
 
 OWN = Path(fullswarm.__file__).parent
 """Where this fullswarm lies, in a checkout or an environment: a release takes the code that made it."""
-NOT_ON_BOARD = ("testing/", "emulators/", "operator/console/page/", "bringup/lab/")
-"""What no robot runs: checks for developers, emulated robots, the console's page, the lab of `fullswarm init`."""
+NOT_ON_BOARD = ("testing/", "emulators/", "simulation/", "operator/console/page/", "bringup/lab/")
+"""What no robot runs: checks for developers, emulated robots and their world, the console's
+page, the lab of `fullswarm init`."""
 _LEFTOVERS = (".pyc", ".orig", ".rej", "~", ".md")
 """The last: notes for readers of a checkout; an installed fullswarm, which must make the same bytes, has none."""
 _INSTALLER = (
