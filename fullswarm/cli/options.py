@@ -14,8 +14,8 @@ import typer
 
 from fullswarm.cli import completion
 from fullswarm.errors import ConfigError
+from fullswarm.keys import ROBOT_ID
 from fullswarm.launch.guard import run_guarded
-from fullswarm.words import ROBOT_ID
 
 if TYPE_CHECKING:
     from fullswarm.operator.session import Target as Target

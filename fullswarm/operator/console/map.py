@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MessageError
+from fullswarm.keys import TRUTH
 from fullswarm.messages import BehaviourRequest, CoverageMeasurement, Interventions, SeenObstacles
 from fullswarm.operator.view import Snapshot
 from fullswarm.perf.coverage import GridFrame, unpack_bits
-from fullswarm.words import TRUTH
 
 TRAIL_S, TRAIL_RATE_HZ = 60.0, 5.0
 STEP_M = 0.01
