@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from fullswarm.drivers.base import FleetReading
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +23,7 @@ class Identity:
 
 
 @dataclass(slots=True)
-class Motion:
+class AgentState:
     """The n robots of one agent.
 
     Attributes

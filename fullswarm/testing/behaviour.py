@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm import registry
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
 from fullswarm.messages import Value
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fullswarm.agent.behaviours import flocking, formation, move_to_goal, rendezvous, voronoi_coverage
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.geometry import wrap
 from fullswarm.messages import Value
 from fullswarm.perf import shape

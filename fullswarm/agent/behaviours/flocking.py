@@ -14,8 +14,7 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, Index, View
+from fullswarm.agent.view import Array, Index, Params, View
 from fullswarm.kernels import kernel
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import Array, Params, View
 
 
 def twist(view: View, params: Params) -> Array:

@@ -12,8 +12,7 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, Index, View
+from fullswarm.agent.view import Array, Index, Params, View
 from fullswarm.kernels import kernel
 
 MAX_CORNERS = 64

@@ -14,14 +14,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fullswarm.agent.state import Array, Index
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MAX_ROWS = 256
 """Half-planes per robot at most. Only things within braking distance count, and discs of one size leave room for
@@ -126,7 +121,7 @@ def half_planes(
     Parameters
     ----------
     clearance_m, unsure_m : radius plus margin; how far the robot may be from (x, y)
-    places, spread_m, blur_m : see :func:`fullswarm.agent.pairs.predict`
+    places, spread_m, blur_m : see :func:`fullswarm.agent.neighbours.estimates.predict`
     normal_x, normal_y, limits : out, ``normal[k]·u <= limits[k]``, limits >= 0
     blur : out, by how much the true direction may differ from the normal
     room : out, m that the robot may use up towards there, >= 0: inside the clearance it may stand or leave

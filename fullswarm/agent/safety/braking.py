@@ -12,13 +12,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fullswarm.agent.state import Array
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
 
 SLACK_M = 1e-7
 

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.state import Array
 from fullswarm.geometry import wrap
 from fullswarm.kernels import kernel
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 BLOCKED_S = 1.0

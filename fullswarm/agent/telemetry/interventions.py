@@ -6,22 +6,18 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.robot_controller import RobotController, StopReason
+from fullswarm.agent.motion.robot_controller import RobotController, StopReason
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
-from fullswarm.agent.state import Motion
-from fullswarm.agent.tasks import Tasks
+from fullswarm.agent.state import AgentState, Array, Index
 from fullswarm.bus.base import Bus
 from fullswarm.kernels import kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import Interventions
 from fullswarm.runtime import Scheduler
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PERIOD_S = 0.2
 LEAST_M_S = 0.02
@@ -91,12 +87,12 @@ def blame(
                 gap[k] = near
 
 
-class Reporter:
+class InterventionReporter:
     """Publishes the interventions of one agent's filter while there are any, then once that there are none."""
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: Motion, tasks: Tasks,
-        safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: AgentState,
+        tasks: Tasks, safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
     ) -> None:  # fmt: skip
         self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
         self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.agent.state import Array
 from fullswarm.config import SwarmConfig
 from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
 MOST = 1000
@@ -32,7 +31,7 @@ def notice(position: Array, obstacles: Array, count: int, reach_m: float, seen: 
     return new
 
 
-class Atlas:
+class ObstacleMap:
     """The obstacles that n robots know.
 
     Parameters

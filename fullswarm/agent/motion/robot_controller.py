@@ -14,13 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.state import Array, Flags
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import kernel
 from fullswarm.reasons import Code, Reason
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class StopReason(enum.IntEnum):

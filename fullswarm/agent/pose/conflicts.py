@@ -10,16 +10,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.state import Motion
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.state import AgentState, Array, Flags, Index
 from fullswarm.kernels import kernel
 from fullswarm.reasons import NONE, Code, Reason, reason
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Near = Callable[[float], tuple[Index, Index]]
 """Which robots are in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
 
@@ -46,7 +42,7 @@ def overlaps(
     Parameters
     ----------
     pose, radius : (n, 3), (n,) of the own robots
-    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.Neighbours`
+    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
     since_s, whom : (n,) in and out: since when, inf if not, and the row of the neighbour that overlaps most
     """
     for i in range(pose.shape[0]):
@@ -78,7 +74,7 @@ class PoseConflicts:
     frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot
     """
 
-    def __init__(self, own_frame: bool, state: Motion, neighbours: Neighbours, near: Near) -> None:
+    def __init__(self, own_frame: bool, state: AgentState, neighbours: Neighbours, near: Near) -> None:
         self._state, self._neighbours, self._near = state, neighbours, near
         count = len(state.radius)
         self.own_frame = own_frame
