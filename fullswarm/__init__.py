@@ -34,6 +34,7 @@ Further files:
 ``reasons.py``     Why robots stand and requests are refused: codes for programs, texts for people
 ``registry.py``    Drivers and behaviours by name: a table first, entry points only on a miss
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
+``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest
                    changes
 ``testing/``       Checks and stand-ins for the tests of laws, drivers and nodes, here and in outside packages

@@ -23,7 +23,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.state import AgentState, Array, Identity
+from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry import interventions
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
@@ -31,6 +31,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.bus.counting import CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators

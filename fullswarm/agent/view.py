@@ -12,13 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent.state import Array, Index
 from fullswarm.drivers.base import NO_OBSTACLES
 from fullswarm.errors import ConfigError
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import Value
-
-__all__ = ["Array", "Index", "Params", "View"]
 
 
 class Params:
@@ -81,7 +78,7 @@ class View:
     predicted : (m, 2) m, positions of all robots heard, moved on to now
     heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
     bounds_m : x_min, y_min, x_max, y_max of the arena
-    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `agent/obstacle_map.py`
+    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `neighbours/obstacle_map.py`
     """
 
     def __init__(

@@ -26,8 +26,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement, RobotMeasurement, Summary
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.metrics import METRICS, OFTEN_S, Metric
-from fullswarm.perf.robot_tally import RobotTally
-from fullswarm.perf.tallies import CoverageTally, M, Result, Results, Tally
+from fullswarm.perf.tallies import CoverageTally, M, Result, Results, RobotTally, Tally
 from fullswarm.perf.termination import Conditions, reason_to_stop
 from fullswarm.runtime import Scheduler, Timer
 from fullswarm.words import TRUTH

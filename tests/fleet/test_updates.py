@@ -8,14 +8,10 @@ import statistics
 import time
 from pathlib import Path
 
-import pytest
-
-from fullswarm.deploy.release import pack
+from fullswarm.deploy.release.store import head_archive
 from tests.fleet.fleet import WORDS, Fleet, results, row_of
 from tests.fleet.lab import when
 from tests.fleet.tools import until
-
-pytestmark = pytest.mark.system
 
 GUARD_S = 20
 START_S = 90.0
@@ -109,7 +105,7 @@ def test_a_stale_signature_is_refused_before_anything_is_written(fleet: Fleet, t
 def _refused_on_board(fleet: Fleet, release: Path) -> None:
     """A base that lies about the signature gets no further: the robot looks itself."""
     robot, head = fleet.lab.computers[fleet.lab.robots[-1]], fleet.lab.folder / "head.tar"
-    head.write_bytes(pack.head(release))
+    head.write_bytes(head_archive(release))
     want = f'/opt/fullswarm/bin/fullswarm-robot want {release.name} 2>&1 || echo "exit $?"'
     answer = robot.do("sh", "-c", want, feed=head)
     assert "exit 3" in answer

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from fullswarm import registry
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array
 from fullswarm.testing import check_behaviour
 
 PARAMETERS: dict[str, dict[str, Any]] = {

@@ -7,7 +7,8 @@ Along the tangent at the wished speed, plus a pull towards the circle: ``ṗ = v
 from __future__ import annotations
 
 import numpy as np
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array
 
 
 def velocity(view: View, params: Params) -> Array:

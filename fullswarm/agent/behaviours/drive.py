@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array
 
 
 def twist(view: View, params: Params) -> Array:

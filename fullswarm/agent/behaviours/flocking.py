@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.view import Array, Index, Params, View
-from fullswarm.kernels import kernel
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array, Index, kernel
 
 
 def velocity(view: View, params: Params) -> Array:

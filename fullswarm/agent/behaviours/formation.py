@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array
 
 
 def velocity(view: View, params: Params) -> Array:

@@ -5,7 +5,8 @@ The direction is fixed in the record, in the operator's map: left is west (-x), 
 
 from __future__ import annotations
 
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array
 
 
 def velocity(view: View, params: Params) -> Array:

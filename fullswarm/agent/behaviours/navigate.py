@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
-from fullswarm.agent.state import Index
-from fullswarm.agent.view import Array, Params, View
+from fullswarm.agent.view import Params, View
 from fullswarm.errors import MissingExtra
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 
 LOOK_M = 6.0
 SLACK_M = 0.12

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.view import Array, Index, Params, View
-from fullswarm.kernels import kernel
+from fullswarm.agent.view import Params, View
+from fullswarm.kernels import Array, Index, kernel
 
 MAX_CORNERS = 64
 

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.motion.robot_controller import RobotController, StopReason, explain_hazards
-from fullswarm.agent.state import Array, Flags
 from fullswarm.drivers.base import Description, Fleet, FleetReading, Hazard, Lifecycle
 from fullswarm.geometry import wrap
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Flags, kernel
 from fullswarm.reasons import Code, Reason, given, reason
 
 BATTERY_LOW = int(Hazard.BATTERY_LOW)

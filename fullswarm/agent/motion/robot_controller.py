@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.state import Array, Flags
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Flags, kernel
 from fullswarm.reasons import Code, Reason
 
 

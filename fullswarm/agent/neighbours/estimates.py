@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent.state import Array, Index
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
-from fullswarm.agent.state import Array
 from fullswarm.config import SwarmConfig
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
 MOST = 1000

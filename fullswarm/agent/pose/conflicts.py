@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fullswarm.agent.neighbours.estimates import Neighbours
-from fullswarm.agent.state import AgentState, Array, Flags, Index
-from fullswarm.kernels import kernel
+from fullswarm.agent.state import AgentState
+from fullswarm.kernels import Array, Flags, Index, kernel
 from fullswarm.reasons import NONE, Code, Reason, reason
 
 Near = Callable[[float], tuple[Index, Index]]

@@ -12,10 +12,10 @@ from typing import Protocol
 import numpy as np
 
 from fullswarm.agent.pose.pose_filter import UNSEEN_RAD, Fix, PoseEstimate, PoseFilter, Taken, breaks_of
-from fullswarm.agent.state import Array
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import POSE_SIGMA_M, Fleet, FleetReading
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
 
 USUAL_SIGMA = POSE_SIGMA_M
 """Standard deviation (m, rad) of the pose that a real driver senses, unless its reading states it."""

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fullswarm.agent.state import Array
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading, Pose
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 
 Row = list[float]
 

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 
-from fullswarm.agent.state import Array, Index
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 
 MAX_ROWS = 256
 """Half-planes per robot at most. Only things within braking distance count, and discs of one size leave room for

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import math
 
-from fullswarm.agent.state import Array
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
 SLACK_M = 1e-7
 

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.state import Array
 from fullswarm.geometry import wrap
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
 Counts = NDArray[np.int64]
 

@@ -12,10 +12,9 @@ import structlog
 
 from fullswarm.agent.safety.barrier import MAX_ROWS, half_planes, interval, project
 from fullswarm.agent.safety.braking import stoppable, towards
-from fullswarm.agent.state import Array, Flags, Index
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Flags, Index, kernel
 
 log = structlog.get_logger()
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from fullswarm import __version__
-from fullswarm.agent.state import Array
 from fullswarm.drivers.base import Lifecycle
+from fullswarm.kernels import Array
 from fullswarm.messages import RobotHealth
 
 PERIOD_S = 1.0

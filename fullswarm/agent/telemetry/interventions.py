@@ -12,9 +12,9 @@ from fullswarm.agent.neighbours.estimates import Neighbours
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
-from fullswarm.agent.state import AgentState, Array, Index
+from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import Interventions
 from fullswarm.runtime import Scheduler

@@ -15,9 +15,9 @@ from fullswarm.agent.neighbours.estimates import Neighbours
 from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.agent.pose.conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
-from fullswarm.agent.state import AgentState, Array, Identity, Index
+from fullswarm.agent.state import AgentState, Identity
 from fullswarm.bus.counting import CountingBus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats
 

@@ -15,9 +15,9 @@ from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.state import AgentState, Array, Identity
+from fullswarm.agent.state import AgentState, Identity
 from fullswarm.drivers.base import Fleet
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
