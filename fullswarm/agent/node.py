@@ -27,8 +27,7 @@ from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry import interventions
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
-from fullswarm.bus.base import Bus
-from fullswarm.bus.counting import CountingBus
+from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from fullswarm import registry
 from fullswarm.agent.view import Params, View, column_width
-from fullswarm.config.limits import EXPIRES_S, HEARING_M
+from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index

@@ -16,7 +16,7 @@ from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.agent.pose.conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.state import AgentState, Identity
-from fullswarm.bus.counting import CountingBus
+from fullswarm.bus.base import CountingBus
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats

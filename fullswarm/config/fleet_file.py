@@ -1,4 +1,4 @@
-"""Reads a fleet file: all errors at once, each with its file, line and key."""
+"""Reads and writes fleet files: all errors at once, each with its file, line and key."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import tomlkit
 from pydantic import BaseModel, Field, ValidationError
 
-from fullswarm.config.explain import dotted, explain
 from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
-from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
 from fullswarm.errors import ConfigError, did_you_mean
 
 Table = dict[str, Any]
@@ -65,6 +65,12 @@ def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | N
     for override in overrides:
         document.override(override)
     return document.check(check)
+
+
+def write_swarm(config: SwarmConfig, path: Path) -> None:
+    """Write all settings in force, defaults included, as a fleet file that `load_swarm` reads back equal."""
+    values = config.model_dump(mode="json", exclude_none=True)
+    path.write_text(tomlkit.dumps(values), encoding="utf-8")
 
 
 def _read(path: Path) -> str:
