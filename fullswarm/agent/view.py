@@ -78,7 +78,7 @@ class View:
     predicted : (m, 2) m, positions of all robots heard, moved on to now
     heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
     bounds_m : x_min, y_min, x_max, y_max of the arena
-    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `neighbours/obstacle_map.py`
+    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
     """
 
     def __init__(
