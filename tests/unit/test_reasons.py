@@ -17,7 +17,7 @@ import pytest
 
 import fullswarm
 from fullswarm import reasons
-from fullswarm.agent import robot_controller
+from fullswarm.agent.motion import robot_controller
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.cli.request import refusal
 from fullswarm.config import SwarmConfig

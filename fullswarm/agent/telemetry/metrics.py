@@ -1,4 +1,4 @@
-"""Gauges: what robots notice of themselves ten times a second, and the measurement that carries it (paper II.F.1).
+"""Samples what robots measure of themselves, ten times a second, and puts it into a message (paper II.F.1).
 
 Arrival and distance to the goal, the gap to the nearest neighbour, standing still, stepping aside. Beside them the
 measurement carries what others have counted anyway: the filter's deviation, energy, deadlines and messages.
@@ -11,11 +11,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.pose_conflicts import Near
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.pose.conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
-from fullswarm.agent.state import Identity, Motion
-from fullswarm.agent.tasks import Task, Tasks
+from fullswarm.agent.state import AgentState, Identity
 from fullswarm.bus.base import CountingBus
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import RobotMeasurement
@@ -44,7 +44,7 @@ def gauge(
     pose, radius : (n, 3), (n,) of the own robots
     goals : (n, 5) goal, its radius, when it was asked for; whether a task is on
     until_s : (n,) until when each steps aside
-    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.Neighbours`
+    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
     state : (n, 7) in and out
     """
     for i in range(pose.shape[0]):
@@ -73,7 +73,7 @@ def gauge(
                     state[i, GAP] = gap
 
 
-class Gauges:
+class MetricSampler:
     """The gauges of the robots of one agent.
 
     Parameters
@@ -83,7 +83,7 @@ class Gauges:
     """
 
     def __init__(
-        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: Motion, tasks: Tasks,
+        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: AgentState, tasks: Tasks,
         neighbours: Neighbours, near: Near, deadlocks: Deadlocks,
     ) -> None:  # fmt: skip
         self._ids, self._arrive_radius_m, self._motion, self._all_tasks = ids, arrive_radius_m, state, tasks

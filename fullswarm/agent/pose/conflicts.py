@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.state import Motion
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.state import AgentState
 from fullswarm.kernels import Array, Flags, Index, kernel
 from fullswarm.reasons import NONE, Code, Reason, reason
 
@@ -42,7 +42,7 @@ def overlaps(
     Parameters
     ----------
     pose, radius : (n, 3), (n,) of the own robots
-    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.Neighbours`
+    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
     since_s, whom : (n,) in and out: since when, inf if not, and the row of the neighbour that overlaps most
     """
     for i in range(pose.shape[0]):
@@ -74,7 +74,7 @@ class PoseConflicts:
     frame_conflict : this agent or a neighbour has a frame of its own, and there is more than one robot
     """
 
-    def __init__(self, own_frame: bool, state: Motion, neighbours: Neighbours, near: Near) -> None:
+    def __init__(self, own_frame: bool, state: AgentState, neighbours: Neighbours, near: Near) -> None:
         self._state, self._neighbours, self._near = state, neighbours, near
         count = len(state.radius)
         self.own_frame = own_frame

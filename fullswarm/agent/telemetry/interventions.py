@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.robot_controller import RobotController, StopReason
+from fullswarm.agent.motion.robot_controller import RobotController, StopReason
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
-from fullswarm.agent.state import Motion
-from fullswarm.agent.tasks import Tasks
+from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys
@@ -87,12 +87,12 @@ def blame(
                 gap[k] = near
 
 
-class Reporter:
+class InterventionReporter:
     """Publishes the interventions of one agent's filter while there are any, then once that there are none."""
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: Motion, tasks: Tasks,
-        safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: AgentState,
+        tasks: Tasks, safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
     ) -> None:  # fmt: skip
         self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
         self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours

@@ -30,7 +30,7 @@ def notice(position: Array, obstacles: Array, count: int, reach_m: float, seen: 
     return new
 
 
-class Atlas:
+class ObstacleMap:
     """The obstacles that n robots know.
 
     Parameters

@@ -9,13 +9,13 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from fullswarm.agent.atlas import Atlas
-from fullswarm.agent.neighbours import Neighbours
-from fullswarm.agent.robot_controller import RobotController
+from fullswarm.agent.motion.robot_controller import RobotController
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
+from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.state import Motion
-from fullswarm.agent.tasks import Group, Tasks
+from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
@@ -26,7 +26,7 @@ log = structlog.get_logger()
 Bounds = tuple[float, float, float, float]
 
 
-class Wishes:
+class DesiredMotion:
     """Puts the wishes of all laws that run before the controller, tick by tick.
 
     Attributes
@@ -35,11 +35,12 @@ class Wishes:
     """
 
     def __init__(
-        self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: Motion, tasks: Tasks,
-        neighbours: Neighbours, atlas: Atlas, deadlocks: Deadlocks, safety: SafetyFilter, controller: RobotController,
+        self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
+        neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
+        controller: RobotController,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
-        self._tasks, self._neighbours, self._atlas = tasks, neighbours, atlas
+        self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
         self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
@@ -73,7 +74,7 @@ class Wishes:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.heard, self._bounds, self._atlas.known,
+                neighbours.predicted, neighbours.heard, self._bounds, self._obstacle_map.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -84,7 +85,7 @@ class Wishes:
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self._sees_obstacles else self._atlas.given
+        obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         self._filter.apply(
             now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
             tasks.margin_m, near, neighbours.believed, obstacles, self._controller.wished,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.gauges import Gauges
+from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.messages import RobotMeasurement
 from fullswarm.perf.calculators import Calculators
 from tests.unit.agent_bench import Bench
@@ -110,7 +110,9 @@ def test_the_file_may_say_how_near_is_there() -> None:
     assert column(heard[-1], "arrived_s")[0] < 0.3
 
 
-@pytest.mark.parametrize(("owner", "method"), [(Calculators, "update"), (Gauges, "look"), (Gauges, "message")])
+@pytest.mark.parametrize(
+    ("owner", "method"), [(Calculators, "update"), (MetricSampler, "look"), (MetricSampler, "message")]
+)
 def test_a_measurement_that_fails_stops_no_robot(owner: type, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise OverflowError("math range error")

@@ -11,7 +11,7 @@ DRIFT = 1e-4
 """By so much two computers' clocks may go apart: after hours of silence that is more than a message takes."""
 
 
-class Freshness:
+class MessageDelay:
     """Measures how much longer than usual a sender's message took.
 
     A stamp is read off the sender's clock, whose origin is unknown; `arrival - stamp` is that offset plus the

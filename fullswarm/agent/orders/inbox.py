@@ -6,15 +6,13 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
-from fullswarm.agent.estops import EStops
-from fullswarm.agent.fence import Cores, Fence
-from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.pose_conflicts import PoseConflicts
-from fullswarm.agent.reflexes import Reflexes
-from fullswarm.agent.robot_controller import RobotController, explain_hazards
-from fullswarm.agent.standstill import Standstill
-from fullswarm.agent.state import Motion
-from fullswarm.agent.tasks import Task, Tasks
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.motion.reflexes import Reflexes, Standstill
+from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
+from fullswarm.agent.orders.estops import EStops
+from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.pose.conflicts import PoseConflicts
+from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Fleet, Hazard
@@ -44,7 +42,7 @@ class Inbox:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: Motion,
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: AgentState,
         tasks: Tasks, controller: RobotController, reflexes: Reflexes, conflicts: PoseConflicts,
         standstill: Standstill, wake: Callable[[], None],
     ) -> None:  # fmt: skip
@@ -55,11 +53,11 @@ class Inbox:
         self.ended = [NONE] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
-        self._fences = [Fence(self._cores) for _ in ids]
+        self._epochs = [CoreEpoch(self._cores) for _ in ids]
         self._newest: list[tuple[str, int]] = [("", 0)] * len(ids)
         self._answers: list[ControlAck | None] = [None] * len(ids)
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
-        self._freshness = [Freshness() for _ in ids]
+        self._delays = [MessageDelay() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
         self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller, standstill, wake)
         whose = ids[0] if len(ids) == 1 else "*"
@@ -90,11 +88,11 @@ class Inbox:
 
     def _tell_of_stops(self) -> None:
         """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
-        for row, fence in enumerate(self._fences):
-            if fence.halted:
+        for row, epoch in enumerate(self._epochs):
+            if epoch.halted:
                 robot = self._fleet.ids[row]
                 # An id of its own: the core carries out each stop once, and other robots may tell of the same one.
-                stop = StopRequest(id=f"{fence.halted}@{robot}", robots=(robot,), source=robot)
+                stop = StopRequest(id=f"{epoch.halted}@{robot}", robots=(robot,), source=robot)
                 self._remember(stop.id)  # it comes back here
                 self._bus.publish(self._keys.stop, stop)
 
@@ -103,7 +101,7 @@ class Inbox:
         row = self._row.get(request.robot)
         if row is None:
             return
-        if self._fences[row].replaced(request.core, self._scheduler.now_s()):
+        if self._epochs[row].replaced(request.core, self._scheduler.now_s()):
             answer = self._answer(row, request, reason(Code.OTHER_CORE))
             self._bus.publish(self._keys.ack(request.robot), answer)
             return
@@ -137,15 +135,15 @@ class Inbox:
 
     def _apply(self, row: int, request: ControlRequest) -> Reason:
         """Do what is asked; return why not, false if it is done."""
-        fence = self._fences[row]
+        epoch = self._epochs[row]
         if not request.enable:
             self._drop(row)
             return NONE
-        fence.see(request.request_id)
+        epoch.see(request.request_id)
         if self._controller.estop[row]:
             return reason(Code.ESTOP_LATCHED)
-        if request.request_id in fence.spent:
-            return spent(fence.spent[request.request_id])
+        if request.request_id in epoch.spent:
+            return spent(epoch.spent[request.request_id])
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
@@ -160,7 +158,7 @@ class Inbox:
             self._tasks.enable(row, Task(request, self._sent_s(row, request)))
         except FullswarmError as error:
             return given(str(error))
-        fence.accept()
+        epoch.accept()
         self._controller.law_failed[row] = False
         self.ended[row] = NONE
         if request.centralised:
@@ -172,14 +170,14 @@ class Inbox:
         now_s = self._scheduler.now_s()
         if request.expires_s <= 0.0 or request.stamp_s == 0.0:
             return now_s
-        return now_s - self._freshness[row].delay_s(request.core, request.stamp_s, now_s)
+        return now_s - self._delays[row].delay_s(request.core, request.stamp_s, now_s)
 
     def spend(self, row: int, why: Reason) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
         task = self._tasks.of[row]
         if task is None:
             return
-        self._fences[row].spent.note(task.request.request_id, why)
+        self._epochs[row].spent.note(task.request.request_id, why)
         self.ended[row] = why
         self._drop(row)
 
@@ -205,7 +203,7 @@ class Inbox:
         self._command_sequence[row] = (task.request.core, command.request_id, command.sequence)
         now_s = self._scheduler.now_s()
         ttl_s = min(command.ttl_s, self._config.command_ttl_s)
-        delay_s = self._freshness[row].delay_s(task.request.core, command.stamp_s, now_s)
+        delay_s = self._delays[row].delay_s(task.request.core, command.stamp_s, now_s)
         if delay_s >= ttl_s:
             return
         self._controller.submit(row, command.linear_m_s, command.angular_rad_s, now_s + ttl_s - delay_s)
@@ -241,7 +239,7 @@ class Inbox:
     def _halt(self, row: int, order_id: str, why: Reason) -> None:
         """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
         unheard = not self.core_alive(self._scheduler.now_s())
-        self._fences[row].halt(order_id if unheard else "", why)
+        self._epochs[row].halt(order_id if unheard else "", why)
         self.spend(row, why)
         self._drop(row)
 
@@ -257,3 +255,96 @@ class Inbox:
         """Stop listening."""
         for subscription in self._subscriptions:
             subscription.close()
+
+
+REMEMBERED = 64
+
+
+class Memory(OrderedDict[str, Reason]):
+    """The newest `REMEMBERED` names with a reason for each."""
+
+    def note(self, name: str, why: Reason = NONE) -> None:
+        """Remember `name`, forgetting the oldest when there are too many."""
+        self[name] = why
+        self.move_to_end(name)
+        while len(self) > REMEMBERED:
+            self.popitem(last=False)
+
+
+class Cores:
+    """Core processes by their heartbeats."""
+
+    def __init__(self, silence_s: float) -> None:
+        self._silence_s = silence_s
+        self._heard_s: OrderedDict[str, float] = OrderedDict()
+        self._newest_s = -math.inf
+
+    def hear(self, process: str, now_s: float) -> bool:
+        """Take a heartbeat; tell whether it is the first of its process."""
+        new = process not in self._heard_s
+        self._heard_s[process] = self._newest_s = now_s
+        while len(self._heard_s) > REMEMBERED:
+            self._heard_s.popitem(last=False)
+        return new
+
+    def alive(self, process: str, now_s: float) -> bool:
+        """Tell whether the process was heard within the configured silence."""
+        return now_s - self._heard_s.get(process, -math.inf) <= self._silence_s
+
+    def any_alive(self, now_s: float) -> bool:
+        """Tell whether any core was."""
+        return now_s - self._newest_s <= self._silence_s
+
+    def age_s(self, now_s: float) -> float:
+        """Return how long ago any core was heard, in seconds; infinity when none ever was."""
+        return now_s - self._newest_s
+
+
+class CoreEpoch:
+    """What one robot refuses.
+
+    Attributes
+    ----------
+    spent : request id → why it may not start again
+    halted : id of a stop that no core heard, since which nothing was accepted; empty: none
+    """
+
+    def __init__(self, cores: Cores) -> None:
+        self._cores = cores
+        self._core = ""
+        self._replaced = Memory()
+        self._seen = Memory()
+        self.spent = Memory()
+        self.halted = ""
+
+    def replaced(self, core: str, now_s: float) -> bool:
+        """Tell whether `core` has been replaced by another one, so that its messages are late; else follow it.
+
+        A replaced core is followed again when it alone lives: then the other one was started by mistake.
+        """
+        if core == self._core:
+            return False
+        if core in self._replaced and (self._cores.alive(self._core, now_s) or not self._cores.alive(core, now_s)):
+            return True
+        self._replaced.pop(core, None)
+        if self._core:
+            self._replaced.note(self._core)
+        self._core = core
+        return False
+
+    def see(self, request_id: str) -> None:
+        """Remember a request that was to start here."""
+        self._seen.note(request_id)
+
+    def accept(self) -> None:
+        """Something was started: no stop is in force any more."""
+        self.halted = ""
+
+    def halt(self, order_id: str, why: Reason) -> None:
+        """Spend every request seen so far: a stop overrules also those that are wanted but not running.
+
+        `order_id` is empty when a core was there to hear of it.
+        """
+        for request_id in self._seen:
+            self.spent.note(request_id, why)
+        self.halted = self.halted or order_id

@@ -7,16 +7,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fullswarm.agent.driver_watch import DriverWatch
-from fullswarm.agent.fixes import Fixes
-from fullswarm.agent.inbox import Inbox
-from fullswarm.agent.pose_conflicts import PoseConflicts
-from fullswarm.agent.robot_controller import CODES, RobotController, StopReason, explain_hazards
+from fullswarm.agent.motion.desired import DesiredMotion
+from fullswarm.agent.motion.reflexes import DriverWatch, Standstill
+from fullswarm.agent.motion.robot_controller import CODES, RobotController, StopReason, explain_hazards
+from fullswarm.agent.orders.inbox import Inbox
+from fullswarm.agent.orders.tasks import Tasks
+from fullswarm.agent.pose.conflicts import PoseConflicts
+from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.standstill import Standstill
-from fullswarm.agent.state import Identity, Motion
-from fullswarm.agent.tasks import Tasks
-from fullswarm.agent.wishes import Wishes
+from fullswarm.agent.state import AgentState, Identity
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys, cell_of
@@ -47,14 +46,14 @@ class Reports:
     """Makes the messages of one agent: states of its robots for the neighbours, health for the core and operators."""
 
     def __init__(
-        self, identity: Identity, fleet: Fleet, state: Motion, tasks: Tasks, controller: RobotController,
+        self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, controller: RobotController,
         drivers: DriverWatch, safety: SafetyFilter, calculators: Calculators, standstill: Standstill, fixes: Fixes,
-        conflicts: PoseConflicts, wishes: Wishes, inbox: Inbox,
+        conflicts: PoseConflicts, wishes: DesiredMotion, inbox: Inbox,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._controller, self._drivers, self._filter = controller, drivers, safety
         self._calculators, self._standstill, self._fixes = calculators, standstill, fixes
-        self._conflicts, self._wishes, self._inbox = conflicts, wishes, inbox
+        self._conflicts, self._desired_motion, self._inbox = conflicts, wishes, inbox
 
     def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
@@ -148,7 +147,7 @@ class Reports:
 
     def _why(self, row: int, number: int) -> Reason:
         if number == StopReason.LAW:
-            return self._wishes.law_error[row]
+            return self._desired_motion.law_error[row]
         if number == StopReason.HAZARD and self._state.reading is not None:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):

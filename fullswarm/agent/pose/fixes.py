@@ -2,7 +2,7 @@
 
 A robot follows one source (a process) at a time. Another one takes over when that has been silent for
 ``fix_timeout_s``; what is left on its way from the old one is then refused. How late a fix is, is known without
-synchronised clocks (:mod:`fullswarm.agent.freshness`).
+synchronised clocks (:mod:`fullswarm.agent.message_delay`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from fullswarm.agent.estimator import Estimator
-from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.state import Motion
-from fullswarm.agent.track import Fix, Verdict
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.pose.estimator import Estimator
+from fullswarm.agent.pose.pose_filter import Fix, Verdict
+from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Fleet, Pose
@@ -72,12 +72,12 @@ class Watched:
     refused: str = ""  # why the last one was not used
     jumped_s: float = -math.inf
     jump_m: float = 0.0
-    clocks: OrderedDict[str, Freshness] = field(default_factory=OrderedDict)
+    clocks: OrderedDict[str, MessageDelay] = field(default_factory=OrderedDict)
     told_s: dict[str, float] = field(default_factory=dict)
 
-    def clock(self, source: str) -> Freshness:
+    def clock(self, source: str) -> MessageDelay:
         """Return what is known of the clock of a source."""
-        clock = self.clocks.setdefault(source, Freshness())
+        clock = self.clocks.setdefault(source, MessageDelay())
         self.clocks.move_to_end(source)
         while len(self.clocks) > SOURCES:
             self.clocks.popitem(last=False)
@@ -99,7 +99,7 @@ class Fixes:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, estimator: Estimator, fleet: Fleet,
-        state: Motion, on_change: Callable[[], None],
+        state: AgentState, on_change: Callable[[], None],
     ) -> None:  # fmt: skip
         self._scheduler, self._config, self._estimator, self._on_change = scheduler, config, estimator, on_change
         self._fleet, self._state = fleet, state
