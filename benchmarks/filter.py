@@ -27,18 +27,15 @@ from typing import Any
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy import sparse
 
 from fullswarm import kernels
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.core.centralised import joint_filter
-from fullswarm.core.centralised.joint_filter import JointFilter
-from fullswarm.core.centralised.joint_layout import Arena
+from fullswarm.core.centralised.joint_filter import Arena, JointFilter
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array
 
 RADIUS_M, MARGIN_M, GAIN, SPEED, REACH_M = 0.17, 0.03, 2.0, 0.5, 3.0
 LIMITS = Limits(SPEED, 4.25, 2.0, 20.0)

@@ -25,7 +25,7 @@ from matplotlib.patches import Circle, Rectangle
 from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.demo.run import demo_config
 from fullswarm.demo.show import STOP_S, Act, Show
-from fullswarm.drivers.base import Array
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.operator.client import Operator

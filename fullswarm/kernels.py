@@ -13,7 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
+import numpy as np
 import platformdirs
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+"""The arrays of the whole package: what a kernel takes and a behaviour returns."""
 
 P = ParamSpec("P")
 R = TypeVar("R")

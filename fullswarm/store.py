@@ -12,12 +12,16 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import structlog
+
 from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ParamEntry, Value
 
 Stored = Value | dict[str, object] | None
 """What a key may hold; None: nothing (any more)."""
+
+log = structlog.get_logger()
 
 SEED = "seed"
 BUSY_S = 1.0
@@ -141,6 +145,18 @@ class Store:
             for watcher in tuple(self._watchers):
                 watcher(entry)
         return entries
+
+    def keep(self, values: Mapping[str, Stored], author: str) -> None:
+        """Write `values` for the next start; log a failure, because a full or locked disk must not end the process.
+
+        None takes a key away, where there is one.
+        """
+        try:
+            wanted = {key: value for key, value in values.items() if value is not None or self.get(key) is not None}
+            if wanted:
+                self.set_many(wanted, author)
+        except ConfigError as error:
+            log.error("not saved: the next start will not restore it", error=str(error), keys=sorted(values)[:5])
 
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
         """Write what the TOML files say, where nothing else was written since; return the keys that changed."""

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.config import SwarmConfig
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array, kernel
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
 MOST = 1000

@@ -9,11 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 
-Array = NDArray[np.float64]
 Row = list[float]
 
 CREEP_M = 0.005

@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.belief import Array, Belief
+from fullswarm.agent.belief import Belief
 from fullswarm.agent.track import Fix, Taken, Track, breaks_of
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
 
 
 class Corrector:

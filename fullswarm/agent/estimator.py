@@ -14,9 +14,9 @@ import numpy as np
 from fullswarm.agent.belief import UNSEEN_RAD, Belief
 from fullswarm.agent.ekf import EkfEstimator
 from fullswarm.agent.track import Fix, Taken, Track, breaks_of
-from fullswarm.agent.view import Array
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import POSE_SIGMA_M, Fleet, FleetReading
+from fullswarm.kernels import Array
 
 __all__ = ["DirectEstimator", "EkfEstimator", "Estimator", "estimator_for"]
 

@@ -10,20 +10,16 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours import Neighbours
 from fullswarm.agent.pose_conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.state import Identity, Motion
 from fullswarm.agent.tasks import Task, Tasks
-from fullswarm.bus.counting import CountingBus
-from fullswarm.kernels import kernel
+from fullswarm.bus.base import CountingBus
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PERIOD_S = 0.1
 ARRIVE_M = 0.1

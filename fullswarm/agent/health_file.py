@@ -12,13 +12,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.drivers.base import Lifecycle
+from fullswarm.kernels import Array
 from fullswarm.messages import RobotHealth
-
-Array = NDArray[np.float64]
 
 PERIOD_S = 1.0
 RATE_SHARE = 0.9

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours import Neighbours
 from fullswarm.agent.robot_controller import RobotController, StopReason
@@ -15,13 +14,10 @@ from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
 from fullswarm.agent.state import Motion
 from fullswarm.agent.tasks import Tasks
 from fullswarm.bus.base import Bus
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys
 from fullswarm.messages import Interventions
 from fullswarm.runtime import Scheduler
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PERIOD_S = 0.2
 LEAST_M_S = 0.02

@@ -6,15 +6,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent import pairs
 from fullswarm.bus.base import Bus, Subscription
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MANY_CELLS = 64
 

@@ -28,12 +28,11 @@ from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.state import Identity, Motion
 from fullswarm.agent.tasks import Tasks
-from fullswarm.agent.view import Array
 from fullswarm.agent.wishes import Wishes
-from fullswarm.bus.base import Bus
-from fullswarm.bus.counting import CountingBus
+from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotStates, SeenObstacles
 from fullswarm.perf.calculators import Calculators

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from fullswarm.kernels import Array, Index, kernel
 
 BRUTE_FORCE_BELOW = 3000
 """Products n x heard below which trying all pairs beats sorting into cells."""

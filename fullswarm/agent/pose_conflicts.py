@@ -10,16 +10,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours import Neighbours
 from fullswarm.agent.state import Motion
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Flags, Index, kernel
 from fullswarm.reasons import NONE, Code, Reason, reason
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Near = Callable[[float], tuple[Index, Index]]
 """Which robots are in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
 

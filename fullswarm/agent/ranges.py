@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from fullswarm import registry
-from fullswarm.config.limits import EXPIRES_S, HEARING_M
+from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.messages import ControlRequest, Value

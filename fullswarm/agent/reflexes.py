@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 
 from fullswarm.drivers.base import FleetReading, Hazard
 from fullswarm.geometry import wrap
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from fullswarm.kernels import Array, Flags, kernel
 
 BATTERY_LOW = int(Hazard.BATTERY_LOW)
 

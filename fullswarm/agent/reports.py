@@ -16,10 +16,9 @@ from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.standstill import Standstill
 from fullswarm.agent.state import Identity, Motion
 from fullswarm.agent.tasks import Tasks
-from fullswarm.agent.view import Array
 from fullswarm.agent.wishes import Wishes
 from fullswarm.drivers.base import Fleet
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators

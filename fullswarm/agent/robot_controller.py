@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Flags, kernel
 from fullswarm.reasons import Code, Reason
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class StopReason(enum.IntEnum):

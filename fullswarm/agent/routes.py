@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MissingExtra
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, Index, kernel
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Grid = NDArray[np.bool_]
 
 CELL_M = 0.2

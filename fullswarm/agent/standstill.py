@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from fullswarm.drivers.base import Description, FleetReading
 from fullswarm.geometry import wrap
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from fullswarm.kernels import Array, Flags, kernel
 
 # Columns of what is known of a make, and of a remembered reading.
 SPEED, TURN, WINDOW, WAY, ANGLE = range(5)

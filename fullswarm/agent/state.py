@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.drivers.base import FleetReading
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from fullswarm import registry
 from fullswarm.agent import ranges
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array, Index
 from fullswarm.messages import ControlRequest, Value
 
 if TYPE_CHECKING:
     from fullswarm.agent.view import View
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 CENTRALISED = ""
 """Law name of a task that has no law on board and obeys Command messages."""

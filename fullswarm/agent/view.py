@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent import pairs
 from fullswarm.drivers.base import NO_OBSTACLES
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from fullswarm.kernels import Array, Index
 
 
 def nothing_known(_row: int, _source: str) -> Array:

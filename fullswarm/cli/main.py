@@ -65,10 +65,10 @@ Network = Annotated[
 START, RUN = "Start", "Single processes"
 
 
-def _load(fleet: Path, overrides: list[str] | None, *, here: bool = False) -> SwarmConfig:
+def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
     from fullswarm.drivers.fleet_file import load_fleet
 
-    return load_fleet(fleet, tuple(overrides or ()), here=here)
+    return load_fleet(fleet, tuple(overrides or ()))
 
 
 @app.callback(invoke_without_command=True)
@@ -131,9 +131,12 @@ def up(
     insecure_network: Insecure = False,
 ) -> int:
     """Start all that a fleet file names on this machine: hub, core, world, one agent per robot."""
+    from fullswarm.drivers.fleet_file import load_fleet
     from fullswarm.launch.up import run
+    from fullswarm.simulation.starts import start_problems
 
-    return run(_load(fleet, overrides, here=True), insecure_network, network, console=console)
+    config = load_fleet(fleet, tuple(overrides or ()), here=True, check=start_problems)
+    return run(config, insecure_network, network, console=console)
 
 
 @app.command(rich_help_panel=START)

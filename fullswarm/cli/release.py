@@ -73,14 +73,15 @@ def _tell_plan(request: Any, store: Any, as_json: bool) -> int:
 def _make(request: Any, store: Any, as_json: bool) -> int:
     from fullswarm import output
     from fullswarm.deploy.release import bundle as maker
-    from fullswarm.deploy.release import pack, sums
+    from fullswarm.deploy.release import manifest
     from fullswarm.deploy.release.keys import Keys
     from fullswarm.deploy.release.manifest import Manifest
+    from fullswarm.deploy.release.store import HEAD, gzipped_archive
 
     before = store.latest(request.target.name, request.target.python)
-    old = {} if before is None else sums.read(before)
+    old = {} if before is None else manifest.read_sums(before)
     made = maker.make(request, store, Keys.default(), output.progress)
-    new = sums.read(made)
+    new = manifest.read_sums(made)
     changed = [path for path, digest in new.items() if old.get(path) != digest]
     facts = {
         "id": made.name,
@@ -93,7 +94,7 @@ def _make(request: Any, store: Any, as_json: bool) -> int:
         "since": None if before is None else before.name,
         "changed_files": len(changed),
         "changed_bytes_gzipped": sum(
-            len(block) for paths in (pack.HEAD, changed) for block in pack.gzipped(made, paths, FIT_ON_AIR)
+            len(block) for paths in (HEAD, changed) for block in gzipped_archive(made, paths, FIT_ON_AIR)
         ),
     }
     if as_json:

@@ -15,7 +15,6 @@ from collections import OrderedDict
 import msgspec
 
 from fullswarm.bus import Bus
-from fullswarm.core.keep import keep
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt
@@ -143,4 +142,4 @@ class Latches:
             LATCHED + robot: msgspec.to_builtins(self._latches[robot]) if robot in self._latches else None
             for robot in robots
         }
-        keep(self._store, values, f"core {self._process}")
+        self._store.keep(values, f"core {self._process}")

@@ -10,22 +10,29 @@ import zlib
 from collections.abc import Sequence
 
 from fullswarm.bus import Bus
+from fullswarm.core.behaviours import Library, Record
 from fullswarm.core.centralised import missing_packages
 from fullswarm.core.desired import Order
 from fullswarm.core.groups import Groups
 from fullswarm.core.leases import Authority
-from fullswarm.core.newest import Line, Newest
-from fullswarm.core.records import Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
+from fullswarm.core.request_order import Line, RequestOrder
+from fullswarm.core.request_status import StatusBoard
 from fullswarm.core.roster import Roster
-from fullswarm.core.schema import Record
-from fullswarm.core.status import StatusBoard
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, Phase, RequestStatus, StopRequest, Value
+from fullswarm.messages import (
+    STOP,
+    BehaviourRequest,
+    CentralisedRequest,
+    EStop,
+    Phase,
+    RequestStatus,
+    StopRequest,
+    Value,
+)
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
-from fullswarm.words import STOP
 
 UNNAMED = "somebody without a name"
 
@@ -44,9 +51,9 @@ class MainController:
         remapper: Remapper,
         groups: Groups,
         authority: Authority,
-        newest: Newest,
+        request_order: RequestOrder,
     ) -> None:
-        self._groups, self._authority, self._newest = groups, authority, newest
+        self._groups, self._authority, self._request_order = groups, authority, request_order
         self._library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
@@ -82,7 +89,7 @@ class MainController:
         """Record when a stop was sent, also one that arrived as `StopRequest` before."""
         known = self._roster.known()
         for robot in set(self._groups.expand(request.robots)).intersection(known) if request.robots else known:
-            self._newest.stop(robot, request.id, request.clock, request.stamp_s)
+            self._request_order.stop(robot, request.id, request.clock, request.stamp_s)
 
     def _accept(self, request: BehaviourRequest) -> None:
         if not request.id:
@@ -119,7 +126,7 @@ class MainController:
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[Reason, tuple[str, ...]]:
         """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""
         line = _line(request)
-        found = {robot: self._newest.note(robot, request.id, line, request.stamp_s) for robot in robots}
+        found = {robot: self._request_order.note(robot, request.id, line, request.stamp_s) for robot in robots}
         newer = {robot: request_id for robot, request_id in found.items() if request_id}
         if not newer:
             return NONE, robots

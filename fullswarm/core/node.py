@@ -7,18 +7,17 @@ from typing import Protocol
 
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.core.behaviours import PREFIX, Library
 from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
 from fullswarm.core.leases import Authority
 from fullswarm.core.main_controller import MainController, adopted_order
-from fullswarm.core.newest import Newest
-from fullswarm.core.params import ParamServer
-from fullswarm.core.records import PREFIX, Library
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
+from fullswarm.core.request_order import RequestOrder
+from fullswarm.core.request_status import StatusBoard
 from fullswarm.core.roster import Roster
-from fullswarm.core.settings import GROUP, Settings
-from fullswarm.core.status import StatusBoard
+from fullswarm.core.settings import GROUP, ParamServer, Settings
 from fullswarm.keys import Keys
 from fullswarm.messages import Heartbeat
 from fullswarm.runtime import Scheduler
@@ -64,7 +63,7 @@ class CoreNode:
         self.roster = Roster(bus, keys, scheduler, config.robots, silence_s=lambda: self.settings.presence_silence_s)
         self.remapper = Remapper(bus, keys, scheduler, store, process)
         latches = Latches(bus, keys, scheduler, store, self.roster, process)
-        board, newest = StatusBoard(bus, keys, scheduler), Newest()
+        board, request_order = StatusBoard(bus, keys, scheduler), RequestOrder()
         self.handler = RequestHandler(
             bus,
             keys,
@@ -76,13 +75,13 @@ class CoreNode:
             interval_s=lambda: self.settings.schedule_interval_s,
             command_ttl_s=config.agent.command_ttl_s,
             adopted=lambda request_id, behaviour: adopted_order(self.library, self.remapper, request_id, behaviour),
-            newest=newest,
+            request_order=request_order,
         )
         self.remapper.restore(self.handler.holders)
         groups, roster = Groups(store), self.roster
         authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
         controller = MainController(
-            bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, newest
+            bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order
         )
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}

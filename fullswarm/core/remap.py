@@ -13,7 +13,6 @@ from collections.abc import Callable
 import msgspec
 
 from fullswarm.bus import Bus
-from fullswarm.core.keep import keep
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedRequest, Heartbeat
 from fullswarm.runtime import Scheduler
@@ -115,7 +114,7 @@ class Remapper:
         kept = None if request is None else msgspec.to_builtins(request)
         if kept is None:
             self._kept.discard(request_id)
-        keep(self._store, {KEPT + request_id: kept}, f"core {self._process}")
+        self._store.keep({KEPT + request_id: kept}, f"core {self._process}")
 
     def _end(self, request_id: str, behaviour: str) -> None:
         self._keep(request_id)

@@ -17,11 +17,9 @@ import msgspec
 
 from fullswarm.bus import Bus
 from fullswarm.core.desired import Desired, Order
-from fullswarm.core.keep import keep
-from fullswarm.core.newest import Newest
-from fullswarm.core.progress import Progress
+from fullswarm.core.request_order import RequestOrder
+from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
-from fullswarm.core.status import StatusBoard
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus
 from fullswarm.reasons import NONE, Code, Reason, given, reason
@@ -47,8 +45,8 @@ class RequestHandler:
         How long a robot may follow one command of a centralised behaviour.
     adopted
         Makes the order for a (request id, behaviour) found running after a restart; None: leave it alone.
-    newest
-        Is told what had been asked for before a restart, as far as the database knows.
+    request_order
+        Gets what had been requested before a restart, as far as the database knows.
     """
 
     def __init__(
@@ -63,7 +61,7 @@ class RequestHandler:
         interval_s: Callable[[], float],
         command_ttl_s: float,
         adopted: Callable[[str, str], Order | None],
-        newest: Newest,
+        request_order: RequestOrder,
     ) -> None:
         self._bus, self._keys, self._scheduler, self._store = bus, keys, scheduler, store
         self._roster, self._board, self._process = roster, board, process
@@ -83,7 +81,7 @@ class RequestHandler:
             bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._hand_out),
         ]
         self._timer = scheduler.every(TICK_S, self._tick)
-        self._restore(newest)
+        self._restore(request_order)
 
     # ------------------------------------------------------------ asked by the main controller
     def submit(self, orders: Mapping[str, Order], why: Reason = NONE, *, at_once: bool = False) -> None:
@@ -321,15 +319,17 @@ class RequestHandler:
                 values[WANTED + robot] = None
                 self._kept.remove(robot)
         if values:
-            keep(self._store, values, f"core {self._process}")
+            self._store.keep(values, f"core {self._process}")
 
-    def _restore(self, newest: Newest) -> None:
+    def _restore(self, request_order: RequestOrder) -> None:
         """Want again what was wanted before a restart, and remember which requests were done by then."""
         for entry in self._store.history(WANTED + "*"):
             order = _order(entry)
             if order is None:
                 continue
-            newest.note(entry.key.removeprefix(WANTED), order.request_id, (order.operator, order.clock), order.stamp_s)
+            request_order.note(
+                entry.key.removeprefix(WANTED), order.request_id, (order.operator, order.clock), order.stamp_s
+            )
             reason = "before the core was started again"
             self._board.remember(
                 RequestStatus(request_id=order.request_id, behaviour=order.behaviour, phase="ended", reason=reason)

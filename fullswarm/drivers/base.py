@@ -20,7 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array
 
 NO_OBSTACLES: Array = np.zeros((0, 6))
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import (
     NO_OBSTACLES,
-    Array,
     Description,
     Driver,
     FleetReading,
@@ -22,6 +21,7 @@ from fullswarm.drivers.base import (
     Twist,
 )
 from fullswarm.errors import DriverError
+from fullswarm.kernels import Array
 
 log = structlog.get_logger()
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
+from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Scheduler, Timer
-from fullswarm.words import STOP
 
 RESEND_S = 0.2
 STOP_SENDS = 5

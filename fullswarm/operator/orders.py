@@ -8,6 +8,7 @@ import msgspec
 
 from fullswarm import output
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, SafetyStop, Unreachable
+from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import EStop, RequestStatus, StopRequest, Value
 from fullswarm.operator import session
 from fullswarm.operator.leases import GROUP, LeaseHolder
@@ -15,7 +16,6 @@ from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.session import Target
 from fullswarm.operator.teleop import BEHAVIOUR, Teleop
 from fullswarm.reasons import Code, holds
-from fullswarm.words import ROBOT_ID
 
 ANSWER_S = 2.0
 """For the robots to answer a request that the core accepted; they do within 0.1 s unless messages are lost."""

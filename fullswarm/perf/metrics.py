@@ -54,7 +54,7 @@ COLUMNS = {
     "draws": Column("", "how often it was found blocked and stepped aside", "add"),
     "aside_s": Column("s", "time spent on stepping aside", "add"),
     "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
-    "energy_j": Column("J", "what driving cost, see `perf/energy.py`", "add"),
+    "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
     "late": Column("", "of them later than 1 ms", "add", per_host=True),
     "missed": Column("", "whole periods skipped", "add", per_host=True),

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.perf.coverage import Bounds
-
-Array = NDArray[np.float64]
 
 SAMPLES = 24
 """Points per side at which Lloyd's cost is sampled: the middles of as many strips."""

@@ -8,16 +8,14 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm import registry
 from fullswarm.agent.tasks import Params
 from fullswarm.agent.view import View
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array, Index
 from fullswarm.messages import Value
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Bounds = tuple[float, float, float, float]
 Rows = list[dict[str, Value]]
 

@@ -5,14 +5,11 @@ This file comes first: the show that these tests look at ends with them.
 
 from __future__ import annotations
 
-import pytest
 from playwright.sync_api import expect
 
 from tests.browser.conftest import ROBOTS, Snap
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer, far
-
-pytestmark = pytest.mark.system
 
 MOVED_M = 0.15
 

@@ -14,8 +14,6 @@ from tests.browser.conftest import SIZE, Snap
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer
 
-pytestmark = pytest.mark.system
-
 FETCH = """([url, options]) => fetch(url, options).then(
   (answer) => ({ type: answer.type, status: answer.status }), (error) => ({ error: String(error) }))"""
 SOCKET = """([url, frames]) => new Promise((resolve) => {

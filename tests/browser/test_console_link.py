@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import signal
 
-import pytest
 from playwright.sync_api import expect
 
 from tests.browser.conftest import Snap
 from tests.browser.console import Console
 from tests.browser.swarm import START_S, Demo, Observer
-
-pytestmark = pytest.mark.system
 
 TOLD_MS = 1500.0
 

@@ -12,8 +12,6 @@ from tests.browser.conftest import SIZE, Snap
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer
 
-pytestmark = pytest.mark.system
-
 TABLET: ViewportSize = {"width": 1024, "height": 768}
 PHONE: ViewportSize = {"width": 390, "height": 844}
 LEAST_MAP_PX = 200

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 
-import pytest
 from playwright.sync_api import expect
 
 from tests.browser.conftest import ROBOTS, Snap
 from tests.browser.console import Console, Point, outer_threes
 from tests.browser.swarm import OTHER, Demo, Observer, far
-
-pytestmark = pytest.mark.system
 
 MOVED_M = 0.15
 STOOD_M = 0.03

@@ -13,8 +13,6 @@ from tests.browser.conftest import ARGUMENTS, CHROMIUM, ROBOTS
 from tests.browser.console import Console
 from tests.browser.swarm import Demo, Observer
 
-pytestmark = pytest.mark.system
-
 LB, RB, B = 4, 5, 1
 PLUG = """
 window.pad = {

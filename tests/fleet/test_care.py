@@ -16,8 +16,6 @@ from tests.fleet.rootfs import ADMIN
 from tests.fleet.terminal import Terminal
 from tests.fleet.tools import until
 
-pytestmark = pytest.mark.system
-
 BACK_S = 120.0
 SOON_S = 30.0
 PASSWORD = "correct horse"

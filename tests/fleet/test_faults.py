@@ -17,8 +17,6 @@ from tests.fleet.faults import AT_A_MOMENT, PAST, Case, Fault, faults, strike
 from tests.fleet.fleet import Fleet
 from tests.fleet.tools import end, until
 
-pytestmark = pytest.mark.system
-
 GUARD_S = 15
 UPDATE_S = 240.0
 RECOVERED_S = 180.0

@@ -22,7 +22,7 @@ from tests.machines.debian import Recipe, root_filesystem
 from tests.machines.needs import require, which
 from tests.machines.watch import Watch
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 ROOT = Recipe("arm64-root", ("python3.11", "libstdc++6", "libgcc-s1"), architecture="arm64")
 NO_INDEX = 3
 Tell = Callable[[str], None]

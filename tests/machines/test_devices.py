@@ -13,7 +13,7 @@ from tests.machines.machine import booted
 from tests.machines.needs import require
 from tests.machines.packages import REPOSITORY
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 LIMIT_S = 900.0
 """One and a half minutes of a processor's time; a machine with other work takes longer."""
 INPUT = 104

@@ -20,7 +20,7 @@ from tests.machines.machine import booted
 from tests.machines.needs import require
 from tests.machines.watch import Watch
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 TUNNEL = Path(__file__).with_name("tunnel.py")
 LIMIT_S = 1800.0
 """From power-on: two minutes of a processor's time, on a machine that may have other work."""

@@ -14,8 +14,6 @@ import numpy as np
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.sim.emulator import WorldServer
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch.nodes import start_poses
 from fullswarm.launch.ports import on_free_ports
@@ -25,6 +23,8 @@ from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Asked, Operator
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.server import WorldServer
+from fullswarm.simulation.world import World
 
 START_S = 60.0
 """Generous: a dozen interpreters start at once on a machine that may have other work."""

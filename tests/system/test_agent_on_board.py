@@ -18,8 +18,6 @@ import pytest
 
 from tests.system.live import START_S
 
-pytestmark = pytest.mark.system
-
 WATCHDOG_S = 2.0
 
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 
 def test_under_faults_what_is_asked_happens_once_and_in_order_and_nothing_else_does() -> None:

@@ -16,8 +16,6 @@ import pytest
 
 from tests.system.live import LiveSwarm
 
-pytestmark = [pytest.mark.system, pytest.mark.untimed]
-
 FLEET = """
 swarm = "lab"
 [fleet]

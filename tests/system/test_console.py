@@ -21,8 +21,6 @@ from websockets.uri import parse_uri
 
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
-
 CONFIG = {
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]},
     "robot": [{"id": f"r{number}", "pose": [2.0 * number, 2.0, 0.0]} for number in (1, 2, 3)],

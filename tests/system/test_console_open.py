@@ -11,10 +11,6 @@ import time
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import pytest
-
-pytestmark = pytest.mark.system
-
 BROWSER = """#!/bin/sh
 # A browser that looks at its own command line, as anybody with `ps` can, and at the page that it was told to open.
 tr '\\000' ' ' < /proc/$$/cmdline > "$HOME/seen"

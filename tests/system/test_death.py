@@ -11,7 +11,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 PERIOD_S = 1 / 50
 TTL_S = 0.3

@@ -14,8 +14,6 @@ from urllib.request import urlopen
 import psutil
 import pytest
 
-pytestmark = pytest.mark.system
-
 ROBOTS = [f"r{number}" for number in range(1, 9)]
 ACTS = ["move_to_goal_bc", "flocking_bc", "rendezvous_bc"]
 
@@ -42,6 +40,7 @@ def check(document: dict[str, Any]) -> None:
     assert document["collisions"] == 0
 
 
+@pytest.mark.alone
 def test_the_live_demo_prints_one_document() -> None:
     done = fullswarm("demo", "--headless", "--seconds", "12", "--json")
     assert done.returncode == 0, done.stderr
@@ -55,6 +54,7 @@ MIXED = {"c1": "create", "c2": "create", "c3": "create", "m1": "mavlink", "m2": 
          "o1": "can+odrive", "o2": "can+vesc"}  # fmt: skip
 
 
+@pytest.mark.alone
 def test_three_makes_drive_in_one_world() -> None:
     done = fullswarm("demo", "--fleet", "mixed", "--headless", "--seconds", "30", "--json")
     assert done.returncode == 0, done.stderr
@@ -74,7 +74,6 @@ def test_three_makes_drive_in_one_world() -> None:
     assert 0.8 < document["real_time_factor"] < 1.2
 
 
-@pytest.mark.untimed
 def test_lockstep_repeats_to_the_byte() -> None:
     first, second = (fullswarm("demo", "--lockstep", "--seconds", "14", "--seed", "7", "--json") for _ in range(2))
     assert first.returncode == 0, first.stderr
@@ -85,7 +84,6 @@ def test_lockstep_repeats_to_the_byte() -> None:
     assert one.stdout != other.stdout, "the seed must matter where there is noise"
 
 
-@pytest.mark.untimed
 def test_the_table_and_the_summary_are_for_people() -> None:
     done = fullswarm("demo", "--lockstep", "--seconds", "12")
     assert done.returncode == 0
@@ -154,7 +152,6 @@ def test_a_demo_that_stays_prints_its_address_and_ends_in_order_with_ctrl_c() ->
         urlopen(address)
 
 
-@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -171,7 +168,6 @@ def test_bad_input_gets_a_clear_error(arguments: tuple[str, ...], complaint: str
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.untimed
 def test_help_imports_nothing_heavy() -> None:
     script = (
         "import sys\nfrom fullswarm.cli.main import app\n"

@@ -19,7 +19,7 @@ from fullswarm.deploy.release.store import Store
 from tests.system.live import LiveSwarm
 from tests.system.ssh_robots import SshRobot, fleet_file, make_release, make_robot, needs_sshd
 
-pytestmark = [pytest.mark.system, needs_sshd]
+pytestmark = needs_sshd
 
 CONFIG = {
     "swarm": "preflight",

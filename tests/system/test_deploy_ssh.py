@@ -28,7 +28,7 @@ from tests.system.ssh_robots import (
 )
 
 T = TypeVar("T")
-pytestmark = [pytest.mark.system, pytest.mark.untimed, needs_sshd]
+pytestmark = needs_sshd
 
 
 @pytest.fixture

@@ -18,7 +18,6 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 
-pytestmark = pytest.mark.system
 CLOCK = MonotonicClock()
 # Whoever runs these tests under `nohup` passes on that a closed terminal is nothing.
 COMMAND = ["env", "--default-signal=HUP", sys.executable, "-m", "fullswarm"]

@@ -11,7 +11,7 @@ import pytest
 from fullswarm.operator.estop import EStopOrder
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 COUNT = 20
 RECEIPT_S = 1.0

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.untimed]
-
 UNFILTERED = """
 name = "unfiltered"
 seeds = "0"
@@ -38,7 +36,6 @@ def experiment(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.sim
 def test_json_of_a_small_run() -> None:
     done = experiment("safety", "--small", "--json", "--cells", "robots=8,limits=create,group=[ps]*", "--seeds", "4")
     assert done.returncode == 0, done.stderr

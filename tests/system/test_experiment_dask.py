@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, TRIALS
 from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, TRIALS
 from tests.unit.experiment_work import Trouble
 
 pytest.importorskip("distributed")
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 CELL = "robots=4,empty,move_to_goal_bc"
 

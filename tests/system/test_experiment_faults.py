@@ -19,11 +19,9 @@ import pytest
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import load_experiment, plan
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS, Record, trial_id
 from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS, Record, trial_id
 from tests.unit.experiment_work import Trouble, answer
-
-pytestmark = [pytest.mark.system, pytest.mark.untimed]
 
 CELL = "robots=4,empty,move_to_goal_bc"
 PROGRAM = """
@@ -210,7 +208,7 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
 # That kinematic trials repeat, test_shards_together_are_the_whole shows as well.
 @pytest.mark.parametrize(
     "engine",
-    [pytest.param("kinematic", marks=pytest.mark.slow), pytest.param("pybullet", marks=pytest.mark.sim)],
+    [pytest.param("kinematic", marks=pytest.mark.slow), "pybullet"],
 )
 def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path, engine: str) -> None:
     assert run(options(tmp_path / "out", "3", engine=engine, cells=("robots=8,uniform,move_to_goal_bc",))) == 0

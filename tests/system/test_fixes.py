@@ -15,8 +15,6 @@ import pytest
 from fullswarm.messages import RobotHealth
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
-
 
 @pytest.fixture
 def swarm() -> Iterator[LiveSwarm]:

@@ -17,8 +17,6 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.messages import Heartbeat
 from fullswarm.runtime import Mailbox
 
-pytestmark = pytest.mark.system
-
 DEADLINE_S = 5.0
 EXIT_S = 3.0  # the promise is 1 s; a noisy machine gets more
 

@@ -14,7 +14,7 @@ import pytest
 from fullswarm.messages import Leases
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 COUNT = 3
 EXPIRES_S = 0.3

@@ -12,8 +12,6 @@ from fullswarm.messages import Leases
 from fullswarm.operator.leases import LeaseHolder
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
-
 CONFIG = {
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]},
     "robot": [{"id": f"r{number}", "pose": [2.0 * number, 2.0, 0.0]} for number in (1, 2)],

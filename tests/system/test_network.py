@@ -14,7 +14,7 @@ import pytest
 
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 PERIOD_S = 1 / 50
 CORE_SILENCE_S = 1.0

@@ -15,7 +15,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.launch.ports import on_free_ports
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 RING_M, ARRIVED_M = 2.5, 0.3
 LIMIT_S = 120.0  # 13 s on an idle machine; what is judged is whether they touch, not when they arrive

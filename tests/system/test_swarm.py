@@ -9,8 +9,6 @@ import pytest
 from fullswarm.messages import Value
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
-
 CONFIG = {
     "world": {"engine": "pybullet", "bounds_m": [0, 0, 10, 10], "boxes": [[5.0, 2.0, 1.0, 1.0, 0.3]]},
     "robot": [{"id": f"r{number}"} for number in range(1, 9)],

@@ -13,8 +13,6 @@ import pytest
 
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.system
-
 CONFIG = {
     "swarm": "unplug",
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 60, 60]},

@@ -9,6 +9,7 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import (
+    STOP,
     BehaviourRequest,
     HealthReport,
     Heartbeat,
@@ -27,7 +28,6 @@ from fullswarm.operator.console import frames
 from fullswarm.operator.console.desk import Desk
 from fullswarm.operator.console.gateway import Gateway, Identity
 from fullswarm.runtime import Runtime
-from fullswarm.words import STOP
 
 KEYS = Keys("lab")
 DATABASE: dict[str, Any] = {

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fullswarm.agent import ranges
 from fullswarm.agent.behaviours import move_to_goal
 from fullswarm.bus import LocalBus
-from fullswarm.core.records import load_records, make_record
+from fullswarm.core.behaviours import load_records, make_record
 from fullswarm.drivers.base import Hazard
 from fullswarm.errors import ConfigError
 from fullswarm.messages import Command, ControlRequest

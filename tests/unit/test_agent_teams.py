@@ -13,7 +13,7 @@ from fullswarm.agent import pairs
 from fullswarm.agent.neighbours import Neighbours
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.config import SwarmConfig
-from fullswarm.core.records import load_records, make_record
+from fullswarm.core.behaviours import load_records, make_record
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep

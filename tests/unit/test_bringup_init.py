@@ -12,7 +12,7 @@ from fullswarm import registry
 from fullswarm.bringup.init import lab_files
 from fullswarm.cli.main import app
 from fullswarm.config import load_swarm
-from fullswarm.core.outside import all_records
+from fullswarm.core.behaviours import all_records
 from fullswarm.errors import ConfigError
 from fullswarm.testing import check_behaviour
 

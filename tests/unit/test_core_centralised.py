@@ -13,11 +13,11 @@ from scipy.optimize import minimize
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
-from fullswarm.core.centralised import formation, teleop, voronoi
-from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
-from fullswarm.core.centralised.joint_layout import Arena
-from fullswarm.core.centralised.law import Array, Memory
+from fullswarm.core.centralised import laws
+from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
+from fullswarm.core.centralised.laws import Memory
 from fullswarm.core.centralised.node import CentralisedNode
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
 from fullswarm.runtime import Mailbox, Runtime
@@ -37,7 +37,7 @@ def arena(speed_m_s: float = 0.5) -> Arena:
 def test_the_assignment_is_the_best_of_all(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, targets = rng.uniform(0, 10, (count, 2)), rng.uniform(0, 10, (count, 2))
-    chosen = formation.assign(positions, targets, np.full(count, -1))
+    chosen = laws.assign(positions, targets, np.full(count, -1))
 
     def cost(order: tuple[int, ...]) -> float:
         return float(((positions - targets[list(order)]) ** 2).sum())
@@ -48,17 +48,17 @@ def test_the_assignment_is_the_best_of_all(count: int, seed: int) -> None:
 def test_an_assignment_changes_only_when_it_is_clearly_better() -> None:
     targets = np.array([[0.0, 0.0], [1.0, 0.0]])
     kept = np.array([0, 1])
-    assert formation.assign(np.array([[0.52, 1.0], [0.48, 1.0]]), targets, kept).tolist() == [0, 1]
-    assert formation.assign(np.array([[0.9, 0.0], [0.1, 0.0]]), targets, kept).tolist() == [1, 0]
+    assert laws.assign(np.array([[0.52, 1.0], [0.48, 1.0]]), targets, kept).tolist() == [0, 1]
+    assert laws.assign(np.array([[0.9, 0.0], [0.1, 0.0]]), targets, kept).tolist() == [1, 0]
 
 
 def test_formation_goes_on_with_those_who_are_left() -> None:
     memory: Memory = {}
     params = {"targets": [[0.0, 0.0], [5.0, 0.0], [9.0, 0.0]], "gain": 1.0}
     positions = np.array([[0.0, 1.0], [5.0, 1.0], [9.0, 1.0]])
-    everyone = formation.velocities(positions, np.zeros(3), params, memory, np.arange(3))  # type: ignore[arg-type]
+    everyone = laws.formation_assigned(positions, np.zeros(3), params, memory, np.arange(3))  # type: ignore[arg-type]
     assert everyone.tolist() == [[0.0, -1.0]] * 3
-    two = formation.velocities(positions[[0, 2]], np.zeros(2), params, memory, np.array([0, 2]))  # type: ignore[arg-type]
+    two = laws.formation_assigned(positions[[0, 2]], np.zeros(2), params, memory, np.array([0, 2]))  # type: ignore[arg-type]
     assert two.tolist() == [[0.0, -1.0]] * 2
 
 
@@ -80,17 +80,17 @@ def test_voronoi_centroids_are_those_of_the_exact_cells(count: int, seed: int) -
         scale = 50 / np.linalg.norm(away)
         half = [middle + (corner - middle) * scale for corner in half]
         cells[i] = cells[i].intersection(shapely.Polygon(half))
-    found = voronoi.centroids(points, low, high)
+    found = laws.centroids(points, low, high)
     assert found == pytest.approx(np.array([[cell.centroid.x, cell.centroid.y] for cell in cells]), abs=2e-3)
 
 
 def test_voronoi_bears_robots_on_one_spot_and_outside() -> None:
     low, high = np.array([0.0, 0.0]), np.array([4.0, 4.0])
-    found = voronoi.centroids(np.array([[2.0, 2.0], [2.0, 2.0], [9.0, -3.0], [4.0, 4.0]]), low, high)
+    found = laws.centroids(np.array([[2.0, 2.0], [2.0, 2.0], [9.0, -3.0], [4.0, 4.0]]), low, high)
     assert np.isfinite(found).all()
     assert (found >= low).all()
     assert (found <= high).all()
-    alone = voronoi.centroids(np.array([[0.5, 3.0]]), low, high)
+    alone = laws.centroids(np.array([[0.5, 3.0]]), low, high)
     assert alone == pytest.approx(np.array([[2.0, 2.0]]), abs=1e-3)
 
 
@@ -98,13 +98,13 @@ def test_the_centroid_follows_the_stick_and_the_places_are_kept() -> None:
     memory: Memory = {}
     params = {"vx": 1.0, "vy": 0.0, "speed_m_s": 0.4, "gain": 2.0}
     positions, rows = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 3.0]]), np.arange(3)
-    first = teleop.velocities(positions, np.zeros(3), params, memory, rows)
+    first = laws.teleop_centroid(positions, np.zeros(3), params, memory, rows)
     assert first == pytest.approx(np.array([[0.4, 0.0]] * 3))
     pushed = positions + np.array([[0.3, 0.0], [0.0, 0.0], [0.0, 0.0]])
-    then = teleop.velocities(pushed, np.zeros(3), params, memory, rows)
+    then = laws.teleop_centroid(pushed, np.zeros(3), params, memory, rows)
     assert then.mean(axis=0) == pytest.approx([0.4, 0.0])
     assert then[0, 0] < 0.4 < then[1, 0]
-    fewer = teleop.velocities(positions[1:], np.zeros(2), params, memory, rows[1:])
+    fewer = laws.teleop_centroid(positions[1:], np.zeros(2), params, memory, rows[1:])
     assert fewer == pytest.approx(np.array([[0.4, 0.0]] * 2))
 
 

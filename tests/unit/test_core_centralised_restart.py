@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
+from fullswarm.core.centralised.laws import CENTRALISED
 from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, ControlRequest, Heartbeat, RobotStates, Value
 from fullswarm.store import Store
@@ -114,13 +115,11 @@ def test_the_centralised_node_survives_what_it_does_not_know() -> None:
 
 
 def test_a_law_that_raises_anything_ends_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    from fullswarm.core.centralised import formation
-
     def broken(*_: object) -> None:
         raise TypeError("outside code")
 
     swarm = Swarm(count=1)
-    monkeypatch.setattr(formation, "velocities", broken)
+    monkeypatch.setitem(CENTRALISED, "formation_assigned", broken)
     swarm.core.close()
     node = CentralisedNode(swarm.bus, swarm.runtime, swarm.config, "n1")
     swarm.bus.publish(KEYS.centralised_request("x"), centralised_request("k", "formation_assigned", "r0"))

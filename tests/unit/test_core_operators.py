@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fullswarm.core.newest import REMEMBERED, Newest
+from fullswarm.core.request_order import REMEMBERED, RequestOrder
 from fullswarm.messages import BehaviourRequest, Message, RequestStatus, StopRequest
 from fullswarm.operator.client import Operator
 from fullswarm.operator.teleop import Teleop
@@ -227,7 +227,7 @@ def test_an_older_request_does_not_win_after_a_restart_of_the_core_either(tmp_pa
 
 
 def test_invented_operators_do_not_fill_the_memory() -> None:
-    newest = Newest()
+    newest = RequestOrder()
     for number in range(1000):
         newest.note("r0", f"q{number}", (f"operator-{number}", "boot-1"), 1.0)
     assert newest.note("r0", "old", ("operator-999", "boot-1"), 0.5) == "q999"

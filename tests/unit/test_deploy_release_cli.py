@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fullswarm.cli.deploy import deploy_app
-from fullswarm.deploy.release import layers
+from fullswarm.deploy.release import contents, packages
 from tests.unit import wheelhouse
 
 RUNNER = CliRunner()
@@ -19,7 +19,7 @@ RUNNER = CliRunner()
 def _base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FULLSWARM_KEYS", str(tmp_path / "keys"))
     monkeypatch.setenv("FULLSWARM_RELEASES", str(tmp_path / "releases"))
-    monkeypatch.setattr(layers, "OWN", wheelhouse.small_fullswarm(tmp_path / "fullswarm"))
+    monkeypatch.setattr(contents, "OWN", wheelhouse.small_fullswarm(tmp_path / "fullswarm"))
 
 
 def test_a_bundle_prints_its_folder_and_tells_what_an_update_carries(tmp_path: Path) -> None:
@@ -67,9 +67,8 @@ def test_mistakes_are_one_line_and_exit_2(words: list[str], reason: str) -> None
 
 
 def test_without_uv_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fullswarm.deploy.release import uv
 
-    monkeypatch.setattr(uv, "_HERE", tmp_path)
+    monkeypatch.setattr(packages, "_HERE", tmp_path)
     monkeypatch.setenv("PATH", "/nowhere")
     done = RUNNER.invoke(deploy_app, ["bundle", "--target", "rpi-arm64", "--dry-run"])
     assert done.exit_code == 2

@@ -9,16 +9,14 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from fullswarm.agent.behaviours import flocking, formation, move_to_goal, rendezvous, voronoi_coverage
 from fullswarm.agent.tasks import Params
 from fullswarm.agent.view import View
 from fullswarm.geometry import wrap
+from fullswarm.kernels import Array
 from fullswarm.messages import Value
 from fullswarm.perf import shape
-
-Array = NDArray[np.float64]
 
 BOUNDS = (0.0, 0.0, 10.0, 6.0)
 DT_S = 0.02

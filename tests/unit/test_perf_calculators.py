@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, MessageError
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf import calculators
@@ -23,7 +24,6 @@ from fullswarm.perf.coverage import GridFrame, count_bits, pack, unpack_bits
 from fullswarm.perf.metrics import COLUMNS
 from fullswarm.runtime import Runtime
 
-Array = NDArray[np.float64]
 DT_S = 0.02
 
 

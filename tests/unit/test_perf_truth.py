@@ -10,14 +10,11 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from fullswarm.kernels import Array
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import CoverageCalculator
-from fullswarm.perf.energy import GRAVITY_M_S2, ROLLING, WHEEL_RADII
+from fullswarm.perf.calculators import GRAVITY_M_S2, ROLLING, WHEEL_RADII, CoverageCalculator
 from fullswarm.perf.truth import Truth
-
-Array = NDArray[np.float64]
 
 ARENA = (0.0, 0.0, 8.0, 5.0)
 DT_S = 0.004

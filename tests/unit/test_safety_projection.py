@@ -9,12 +9,10 @@ import osqp
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import sparse
 
 from fullswarm.agent.safety import barrier
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array
 
 SHAPES = ("random", "tight", "parallel", "opposed", "repeated", "axes")
 

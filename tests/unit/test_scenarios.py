@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from fullswarm.config import NoiseConfig, WorldConfig
 from fullswarm.errors import ConfigError
@@ -26,11 +25,11 @@ from fullswarm.evaluate.scenarios import (
     spawn,
     world_config,
 )
+from fullswarm.kernels import Array
 
 SHAPELY = pytest.importorskip("shapely")
 RADIUS_M = 0.17
 SEEDS = st.integers(0, 2**32)
-Array = NDArray[np.float64]
 
 MINIMAL = """
 name = "mine"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.contacts import TOUCH_M, touch_m
-from fullswarm.drivers.sim.engine import Engine, make_engine
-from fullswarm.drivers.sim.kinematic import KinematicEngine
+from fullswarm.kernels import Array
+from fullswarm.simulation.contacts import TOUCH_M, touch_m
+from fullswarm.simulation.engine import Engine, make_engine
+from fullswarm.simulation.kinematic import KinematicEngine
 
 R = 0.17
 TRIES = 8
@@ -83,23 +83,21 @@ def graze_table(
     ]
 
 
-@pytest.mark.parametrize("name", ["kinematic", pytest.param("pybullet", marks=pytest.mark.sim)])
+@pytest.mark.parametrize("name", ["kinematic", "pybullet"])
 def test_every_graze_is_seen_and_nothing_that_is_none(name: str) -> None:
     assert graze_table(name, (-CLEAR_M, *OVERLAPS_M)) == [[0, TRIES, TRIES, TRIES, TRIES]] * 4
 
 
-@pytest.mark.sim
 def test_a_graze_of_wheels_is_seen() -> None:
     assert graze_table("pybullet-wheels", (-CLEAR_M, 0.005), (2.0,)) == [[0, TRIES]]
 
 
-@pytest.mark.sim
 @pytest.mark.slow
 def test_every_graze_of_wheels_is_seen_and_nothing_that_is_none() -> None:
     assert graze_table("pybullet-wheels", (-CLEAR_M, *OVERLAPS_M)) == [[0, TRIES, TRIES, TRIES, TRIES]] * 4
 
 
-@pytest.mark.parametrize("name", ["kinematic", pytest.param("pybullet", marks=pytest.mark.sim)])
+@pytest.mark.parametrize("name", ["kinematic", "pybullet"])
 @pytest.mark.parametrize(("overlap_m", "sees"), [(-CLEAR_M, False), (0.002, True), (0.05, True)])
 def test_a_corner_that_is_grazed_is_seen(name: str, overlap_m: float, sees: bool) -> None:
     """A robot passes the corner of a turned box: the nearest point of the box to its way."""
@@ -113,7 +111,6 @@ def test_a_corner_that_is_grazed_is_seen(name: str, overlap_m: float, sees: bool
             assert bool(seen) is sees, (speed_m_s, seed)
 
 
-@pytest.mark.sim
 def test_who_looks_closely_does_not_change_what_happens() -> None:
     """Bullet is asked after each substep only while bodies are near each other: the motion is the same to the bit."""
     starts = np.array([(1.0 + 0.5 * (i % 4), 1.0 + 0.5 * (i // 4), 0.9 * i) for i in range(12)])
@@ -130,7 +127,7 @@ def test_who_looks_closely_does_not_change_what_happens() -> None:
     far.close()
 
 
-@pytest.mark.parametrize("name", ["kinematic", pytest.param("pybullet", marks=pytest.mark.sim)])
+@pytest.mark.parametrize("name", ["kinematic", "pybullet"])
 def test_a_crowd_is_counted_as_by_all_pairs(name: str) -> None:
     """All pairs, all parts of all paths, finely sampled, against lists of neighbours and exact distances."""
     config = config_of(name, boxes=((3.0, 3.0, 0.7, 0.4, 0.5),))

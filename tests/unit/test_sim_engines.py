@@ -11,22 +11,17 @@ import numpy as np
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.base import Array
-from fullswarm.drivers.sim.engine import Engine, make_engine
-from fullswarm.drivers.sim.obstacles import static_obstacles
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
+from fullswarm.simulation.engine import Engine, make_engine
+from fullswarm.simulation.obstacles import static_obstacles
 
 R = 0.17
 # Metres of arc error per second of driving, and metres of penetration: wheels slip and rock on their casters.
 TOLERANCE = {"kinematic": (1e-9, 1e-3), "pybullet": (1e-6, 1e-3), "pybullet-wheels": (0.02, 1e-3)}
 
 
-def engines(*names: str) -> pytest.MarkDecorator:
-    marked = [pytest.param(name, marks=pytest.mark.sim) if "pybullet" in name else name for name in names]
-    return pytest.mark.parametrize("name", marked)
-
-
-ENGINES = engines(*TOLERANCE)
+ENGINES = pytest.mark.parametrize("name", TOLERANCE)
 
 
 def config_of(name: str, **more: object) -> WorldConfig:
@@ -127,7 +122,7 @@ def test_rotated_box_is_met_at_its_corner(name: str, rig: Rig) -> None:
     assert engine.referee.pairs.tolist() == [[0, -1]]
 
 
-@engines("kinematic", "pybullet")
+@pytest.mark.parametrize("name", ["kinematic", "pybullet"])
 @pytest.mark.parametrize("speed", [0.5, 4.0])
 def test_a_pile_stays_solid(name: str, speed: float, rig: Rig) -> None:
     starts = [(3.0 + 0.5 * (i % 4), 3.0 + 0.5 * (i // 4), 0.0) for i in range(16)]
@@ -156,12 +151,11 @@ def test_same_inputs_same_bytes(name: str, rig: Rig) -> None:
     assert not np.array_equal(engines[0].pose, np.array(starts))
 
 
-@pytest.mark.sim
 def test_nothing_is_printed_by_bullet() -> None:
     # In a process of its own: Bullet prints its banner at the first import only.
     program = (
         "from fullswarm.config import WorldConfig\n"
-        "from fullswarm.drivers.sim.world import World\n"
+        "from fullswarm.simulation.world import World\n"
         "world = World(WorldConfig(), ('a',)); world.step(); world.close()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, timeout=60)

@@ -11,8 +11,9 @@ import pytest
 
 from fullswarm import registry
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import View
 from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array
 from fullswarm.testing import check_behaviour
 
 PARAMETERS: dict[str, dict[str, Any]] = {

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
-from fullswarm.evaluate.trial import measure, run_trial
+from fullswarm.evaluate.lockstep_swarm import measure, run_trial
 
 WALL = ("robots=4,scenario=concave,engine=kinematic,behaviour=move_to_goal",)
 OPEN = ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal_bc",)
@@ -155,7 +155,7 @@ def recounted(path: Path) -> dict[str, Any]:
     [
         ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal", 8.0),
         ("robots=8,scenario=uniform,engine=kinematic,behaviour=move_to_goal", 6.0),
-        pytest.param("robots=16,scenario=empty,engine=pybullet,behaviour=move_to_goal", 8.0, marks=pytest.mark.sim),
+        ("robots=16,scenario=empty,engine=pybullet,behaviour=move_to_goal", 8.0),
     ],
 )
 def test_an_outsider_counts_the_same_contacts_from_what_is_stored(cell: str, limit_s: float, tmp_path: Path) -> None:

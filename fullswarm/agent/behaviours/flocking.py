@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, Index, View
-from fullswarm.kernels import kernel
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array, Index, kernel
 
 
 def velocity(view: View, params: Params) -> Array:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array
 
 
 def velocity(view: View, params: Params) -> Array:

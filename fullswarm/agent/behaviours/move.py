@@ -6,7 +6,8 @@ The direction is fixed in the record, in the operator's map: left is west (-x), 
 from __future__ import annotations
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array
 
 
 def velocity(view: View, params: Params) -> Array:

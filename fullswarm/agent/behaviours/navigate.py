@@ -15,8 +15,8 @@ import numpy as np
 from fullswarm.agent import routes
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
-from fullswarm.kernels import kernel
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array, kernel
 
 LOOK_M = 6.0
 SLACK_M = 0.12

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, View
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array
 
 
 def twist(view: View, params: Params) -> Array:

@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import Array, Index, View
-from fullswarm.kernels import kernel
+from fullswarm.agent.view import View
+from fullswarm.kernels import Array, Index, kernel
 
 MAX_CORNERS = 64
 

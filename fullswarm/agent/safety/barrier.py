@@ -14,14 +14,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from fullswarm.kernels import Array, Index, kernel
 
 MAX_ROWS = 256
 """Half-planes per robot at most. Only things within braking distance count, and discs of one size leave room for

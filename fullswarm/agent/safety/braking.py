@@ -12,13 +12,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fullswarm.geometry import clamp
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array, kernel
 
 SLACK_M = 1e-7
 

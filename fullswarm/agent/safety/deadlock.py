@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.geometry import wrap
-from fullswarm.kernels import kernel
+from fullswarm.kernels import Array, kernel
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 BLOCKED_S = 1.0

@@ -9,17 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import MAX_ROWS, half_planes, interval, project
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import kernel
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from fullswarm.kernels import Array, Flags, Index, kernel
 
 log = structlog.get_logger()
 

@@ -4,12 +4,8 @@ In: ``CentralisedRequest`` of the core, ``RobotStates`` of the agents.
 Out: ``CentralisedCommands``, which the request handler hands out, and a ``Heartbeat`` with the active ids.
 
 ``node.py``          the process: requests, states, 20 Hz tick
-``law.py``           what a centralised law is
-``formation.py``     targets by the Hungarian method
-``voronoi.py``       Lloyd's coverage on exact bounded cells
-``teleop.py``        the centroid on a stick
+``laws.py``          the laws: best assignment of a formation, coverage on exact cells, the centroid by a stick
 ``joint_filter.py``  barrier certificates of all robots in one sparse QP (`_bc`)
-``joint_layout.py``  the vectors that the solver reads, filled in place each tick
 """
 
 from __future__ import annotations
@@ -20,9 +16,6 @@ import importlib.util
 from typing import Any
 
 from fullswarm.errors import MissingExtra
-
-LAWS = ("formation_assigned", "voronoi_centralised", "teleop_centroid")
-"""Names of the centralised laws."""
 
 PACKAGES = ("osqp", "scipy", "shapely")
 

@@ -13,11 +13,11 @@ import structlog
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.config.parameter import FILTER
-from fullswarm.core.centralised.joint_filter import JointFilter, to_twists
-from fullswarm.core.centralised.joint_layout import Arena
-from fullswarm.core.centralised.law import Array, Index, Law, Memory, law, number
+from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
+from fullswarm.core.centralised.laws import CENTRALISED, Law, Memory, number
 from fullswarm.errors import FullswarmError
 from fullswarm.geometry import clamp, unicycle
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
 from fullswarm.runtime import Scheduler
@@ -116,7 +116,7 @@ class CentralisedNode:
             job.request = request
             return
         try:
-            job = Job(request, law(request.law), joint=JointFilter() if request.filtered else None)
+            job = Job(request, CENTRALISED[request.law], joint=JointFilter() if request.filtered else None)
         except (FullswarmError, KeyError) as error:
             self._complain(request, error)
             return

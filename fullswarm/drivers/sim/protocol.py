@@ -19,9 +19,9 @@ from urllib.parse import urlsplit
 import msgspec
 import numpy as np
 
-from fullswarm.drivers.base import Array
 from fullswarm.drivers.make import Claim
 from fullswarm.errors import ConfigError, MessageError
+from fullswarm.kernels import Array
 
 MAX_BYTES = 65507  # of a UDP datagram's payload
 HELLO_PERIOD_S = 0.2

@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.kernels import Array, Flags
 
 APART_S = 0.25
 """A new contact needs so long without one, as in `Outcome`; here as far as the samples tell."""
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.scenarios.model import MINIMUM_SPACING_M, Box, Scenario
-
-Array = NDArray[np.float64]
+from fullswarm.kernels import Array
 
 CLEARANCE_M = 0.1
 """Free space between a robot and a box or wall at the start."""

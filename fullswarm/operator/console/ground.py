@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import MessageError
+from fullswarm.keys import TRUTH
 from fullswarm.messages import CoverageMeasurement, Interventions, SeenObstacles
 from fullswarm.perf.coverage import GridFrame, unpack_bits
-from fullswarm.words import TRUTH
 
 MOST_CELLS = 250_000
 """A finer grid is made coarser for the page: it would be megabytes, and finer than a screen."""

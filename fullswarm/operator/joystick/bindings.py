@@ -12,13 +12,12 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from fullswarm.config.explain import dotted, explain
 from fullswarm.config.models import Section
-from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import Value
 from fullswarm.operator.joystick.state import AXES, BUTTONS, PadState, shaped
-from fullswarm.words import ROBOT_ID
 
 DEFAULT = Path(__file__).with_name("bindings.toml")
 SWITCH_AT = 1.2

@@ -1,0 +1,144 @@
+"""The status of each request: worked out from its robots, published at each change, kept for a repeated request."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import msgspec
+
+from fullswarm.bus import Bus
+from fullswarm.core.desired import Desired
+from fullswarm.keys import Keys
+from fullswarm.messages import Phase, RequestStatus
+from fullswarm.reasons import NONE, Reason, joined
+from fullswarm.runtime import Scheduler
+
+AGAIN_S, FRESH_S, MANY = 0.5, 3.0, 8
+"""A status is said again at this interval while it is so young, for the newest few: the first word may be lost."""
+
+
+@dataclass(slots=True)
+class Progress:
+    """A request that some robot still holds."""
+
+    request_id: str
+    behaviour: str
+    robots: tuple[str, ...]
+    ran: bool = False  # all robots present ran it at some time
+    reason: Reason = NONE
+    left: dict[str, Reason] = field(default_factory=dict)  # robot → why it does not hold the request any more
+    beaten: bool = False
+
+    def leave(self, robot: str, reason: Reason, *, beaten: bool) -> None:
+        """Note that `robot` does not hold the request any more; `beaten`: by another request."""
+        self.left[robot] = reason
+        self.reason, self.beaten = reason, beaten
+
+    def join(self, robot: str) -> None:
+        """Note that `robot` holds the request, perhaps again."""
+        self.left.pop(robot, None)
+        if robot not in self.robots:
+            self.robots = (*self.robots, robot)
+
+    def holders(self) -> tuple[str, ...]:
+        """Return the robots that still hold the request."""
+        return tuple(robot for robot in self.robots if robot not in self.left)
+
+    def status(self, desired: Mapping[str, Desired]) -> RequestStatus:
+        """Return what to tell the operator now."""
+        running: list[str] = []
+        missing: list[str] = []
+        refused: dict[str, Reason] = {}
+        waiting = unsettled = False
+        for robot in self.holders():
+            state = desired[robot]
+            held = state.order is not None and state.order.request_id == self.request_id
+            if held and state.refused:
+                refused[robot] = state.refused
+            elif not state.present:
+                missing.append(robot)
+            elif held and state.settled:
+                running.append(robot)
+            else:
+                waiting, unsettled = waiting or not held, True
+        if running and not unsettled:
+            self.ran = True
+        why = joined(refused) if refused else self.reason
+        return RequestStatus(
+            request_id=self.request_id,
+            behaviour=self.behaviour,
+            phase=self._phase(len(refused), waiting),
+            reason=why.text,
+            code=why.code,
+            parameters=dict(why.parameters),
+            robots=self.robots,
+            running=tuple(running),
+            missing=tuple(missing),
+            refused_by=tuple(refused),
+        )
+
+    def _phase(self, refused: int, waiting: bool) -> Phase:
+        if len(self.left) == len(self.robots):
+            return "superseded" if self.beaten and not self.ran else "ended"
+        if refused and refused + len(self.left) == len(self.robots):
+            return "refused"
+        if self.ran:
+            return "running"
+        return "scheduled" if waiting else "accepted"
+
+
+class StatusBoard:
+    """The newest status of the last `remember` requests.
+
+    Remembering is what makes a request happen once although it is sent until it is answered.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, remember: int = 8192) -> None:
+        self._bus, self._keys, self._scheduler, self._remember = bus, keys, scheduler, remember
+        self._newest: OrderedDict[str, RequestStatus] = OrderedDict()
+        self._said: OrderedDict[str, None] = OrderedDict()  # lately, not only remembered
+        self._timer = scheduler.every(AGAIN_S, self._again)
+
+    def close(self) -> None:
+        """Say nothing more."""
+        self._timer.cancel()
+
+    def _again(self) -> None:
+        since_s = self._scheduler.now_s() - FRESH_S
+        for request_id in tuple(self._said):
+            status = self._newest.get(request_id)
+            if status is not None and status.stamp_s >= since_s:
+                self._bus.publish(self._keys.behaviour_status, status)
+
+    def get(self, request_id: str) -> RequestStatus | None:
+        """Return the newest status of a request; None when it is unknown or forgotten."""
+        return self._newest.get(request_id)
+
+    def publish(self, status: RequestStatus) -> None:
+        """Send `status` with the present time, unless it says what the last one said."""
+        old = self._newest.get(status.request_id)
+        if old is not None and msgspec.structs.replace(status, stamp_s=old.stamp_s) == old:
+            return
+        self._said[status.request_id] = None
+        self._said.move_to_end(status.request_id)
+        while len(self._said) > MANY:
+            self._said.popitem(last=False)
+        self._bus.publish(self._keys.behaviour_status, self.remember(status))
+
+    def remember(self, status: RequestStatus) -> RequestStatus:
+        """Keep `status` without sending it; return it with the present time."""
+        stamped = msgspec.structs.replace(status, stamp_s=self._scheduler.now_s())
+        self._newest[status.request_id] = stamped
+        self._newest.move_to_end(status.request_id)
+        while len(self._newest) > self._remember:
+            self._newest.popitem(last=False)
+        return stamped
+
+    def repeat(self, request_id: str) -> bool:
+        """Send the newest status of a request again; False when there is none."""
+        status = self._newest.get(request_id)
+        if status is not None:
+            self._bus.publish(self._keys.behaviour_status, status)
+        return status is not None

@@ -1,0 +1,135 @@
+"""What the supervisor starts, on which ports, and when it starts a process again; no process, simulated time."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fullswarm.clock import SimClock
+from fullswarm.config import SwarmConfig, load_swarm
+from fullswarm.errors import ConfigError
+from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.supervisor import FIRST_BACKOFF_S, STEADY_S, Supervisor
+from fullswarm.runtime import Runtime
+
+
+def test_a_demo_moves_to_ports_that_are_free() -> None:
+    config = SwarmConfig.model_validate({"robot": [{"id": "r1"}]})
+    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        udp.bind(("127.0.0.1", 0))
+        ports = tcp.getsockname()[1], udp.getsockname()[1]
+        taken = config.model_copy(
+            update={
+                "hub": config.hub.model_copy(update={"endpoint": f"tcp/127.0.0.1:{ports[0]}"}),
+                "world": config.world_or_default.model_copy(update={"address": f"127.0.0.1:{ports[1]}"}),
+            }
+        )
+        moved = on_free_ports(taken)
+    assert moved.hub.endpoint != taken.hub.endpoint
+    assert moved.world_or_default.address != taken.world_or_default.address
+
+
+def test_swarms_side_by_side_do_not_wish_for_the_same_free_ports() -> None:
+    robots = [{"id": "r1"}, {"id": "m1", "emulate": "rover"}, {"id": "c1", "emulate": "create2"}]
+    config = SwarmConfig.model_validate({"robot": robots})
+    first, second = (on_free_ports(config, wished=False) for _ in range(2))
+    assert len({config.hub.endpoint, first.hub.endpoint, second.hub.endpoint}) == 3
+    assert len({each.world_or_default.address for each in (config, first, second)}) == 3
+    rovers = {each.robot[1].driver for each in (first, second)}
+    assert len(rovers) == 2
+    assert not any(":14550" in driver for driver in rovers)
+    assert [each.driver.partition(":")[0] for each in first.robot] == ["", "mavlink+udp", "create"]
+
+
+class Process:
+    """A process that ends when it is told, with `code`; `born` is the code of those that end as they are started."""
+
+    born: int | None = None
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.code = Process.born
+
+    def poll(self) -> int | None:
+        return self.code
+
+    def wait(self, _: float | None = None) -> int:
+        return 0
+
+    def terminate(self) -> None:
+        self.code = 0
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Runtime, Supervisor]]:
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    runtime = Runtime(SimClock())
+    made = Supervisor(SwarmConfig(), runtime)
+    made.start()
+    yield runtime, made
+    made.close()
+
+
+def test_no_agent_is_started_for_a_robot_with_a_computer_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    robots = [
+        {"id": "r1", "driver": "create:///dev/ttyUSB0", "host": "10.0.0.11"},
+        {"id": "r2", "driver": "create:///dev/ttyUSB0", "host": "127.0.0.1"},
+        {"id": "r3", "driver": "create:///dev/ttyUSB1"},
+        {"id": "r4", "host": "10.0.0.14"},
+    ]
+    made = Supervisor(SwarmConfig.model_validate({"robot": robots}), Runtime(SimClock()))
+    made.start()
+    made.close()
+    assert set(made.children) == {"hub", "core", "centralised", "world", "r2", "r3", "r4"}
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_core_that_is_started_again_knows_what_it_had_accepted(
+    named: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Without a database of its own it would answer for requests that it has forgotten."""
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    Process.born = None
+    mine = tmp_path / "mine.db"
+    made = Supervisor(SwarmConfig.model_validate({"core": {"store": mine} if named else {}}), Runtime(SimClock()))
+    made.start()
+    made.close()
+    assert load_swarm(made.folder / "fleet.toml").core.store == (mine if named else made.folder / "core.db")
+
+
+def end(supervisor: Supervisor, code: int) -> None:
+    process: Any = supervisor.children["hub"].process
+    process.code = code
+
+
+def test_a_process_that_ran_well_is_started_again_soon(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    for number in range(6):  # it dies once a day
+        runtime.run(STEADY_S + 1.0)
+        end(supervisor, 1)
+        runtime.run(FIRST_BACKOFF_S + 0.3)
+        assert supervisor.alive("hub")
+        assert supervisor.children["hub"].starts == number + 2
+
+
+def test_a_process_that_dies_at_once_is_started_ever_more_rarely(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    Process.born = 1
+    end(supervisor, 1)
+    runtime.run(60.0)
+    assert 10 <= supervisor.children["hub"].starts <= 20
+
+
+def test_wrong_settings_end_the_supervisor_with_the_code_for_that(watched: tuple[Runtime, Supervisor]) -> None:
+    runtime, supervisor = watched
+    end(supervisor, 2)
+    with pytest.raises(ConfigError, match="hub"):
+        runtime.run(1.0)
