@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink.driver import MavlinkDriver

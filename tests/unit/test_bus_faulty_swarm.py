@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.bus.base import NamedBus
 from fullswarm.bus.local import LocalBus
 from fullswarm.bus.network_faults import FaultyBus
