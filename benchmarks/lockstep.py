@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.sim.engine import make_engine
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
+from fullswarm.simulation.engine import make_engine
 
 TARGETS = {("pybullet", 32): 60, ("pybullet", 100): 15, ("pybullet", 1000): 1,
            ("kinematic", 32): 300, ("kinematic", 100): 150, ("kinematic", 1000): 20}  # fmt: skip

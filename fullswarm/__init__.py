@@ -34,11 +34,11 @@ Further files:
 ``reasons.py``     Why robots stand and requests are refused: codes for programs, texts for people
 ``registry.py``    Drivers and behaviours by name: a table first, entry points only on a miss
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
+``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest
                    changes
 ``testing/``       Checks and stand-ins for the tests of laws, drivers and nodes, here and in outside packages
 ``units.py``       Units by the end of a name: ``speed_m_s`` is in m/s
-``words.py``       Words that both ends of the wire must agree on: what an id may look like, how reasons begin
 """
 
 __version__ = "0.1.0"

@@ -17,12 +17,12 @@ from urllib.parse import quote
 from fullswarm import output
 from fullswarm.bringup import injected_faults
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.body import Body, FreeBody
-from fullswarm.drivers.faults import LinkFaults
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
+from fullswarm.emulators.faults import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.launch.typed import Typed
 from fullswarm.runtime import Runtime
+from fullswarm.simulation.bodies import Body, FreeBody
 
 LOOK_S, TELL_S, LISTEN_S = 0.1, 1.0, 0.05
 
@@ -57,8 +57,7 @@ def run(
     runtime.stop_on_signals()
     body = FreeBody()
     with _port_path(options) as path, _started(options, path, body) as emulator:
-        emulator.faults.drop, emulator.faults.corrupt = faults.drop, faults.corrupt
-        emulator.faults.delay_s = faults.delay_s
+        injected_faults.set_link(emulator, faults)
         for each in orders:
             injected_faults.obey(emulator, each)
         _announce(options, emulator.url, as_json=as_json)

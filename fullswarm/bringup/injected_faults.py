@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from fullswarm.drivers.body import FreeBody
-from fullswarm.drivers.faults import LinkFaults
+from fullswarm.emulators.faults import LinkFaults
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.simulation.bodies import FreeBody
 
 SWITCHES = {"on": True, "off": False, "1": True, "0": False, "yes": True, "no": False}
 
@@ -44,6 +44,12 @@ def number(text: str, low: float = -math.inf, high: float = math.inf) -> float:
         limits = f" from {low:g} to {high:g}" if math.isfinite(low) and math.isfinite(high) else ""
         raise ConfigError(f"'{text}' is not a number{limits}")
     return value
+
+
+def set_link(emulator: Any, faults: LinkFaults) -> None:
+    """Give an emulator's link these faults from now on."""
+    link: LinkFaults = emulator.faults
+    link.drop, link.corrupt, link.delay_s = faults.drop, faults.corrupt, faults.delay_s
 
 
 def _set_fault(name: str, high: float) -> Callable[[Any, str], None]:

@@ -16,6 +16,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.network import with_network
 from fullswarm.operator.client import Operator
 from fullswarm.output import progress
+from fullswarm.simulation.starts import start_problems
 
 DEMO_FILE = Path(__file__).with_name("demo.toml")
 NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
@@ -25,7 +26,7 @@ NAMED = {"mixed": Path(__file__).with_name("mixed.toml")}
 def demo_config(fleet: Path | None, overrides: tuple[str, ...], network: str | None = None) -> SwarmConfig:
     """Return the demo's settings, or those of the user's own fleet file, on a bad network if one is wanted."""
     named = NAMED.get(str(fleet)) if fleet is not None and not fleet.exists() else None
-    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True), network)
+    return with_network(load_fleet(named or fleet or DEMO_FILE, overrides, here=True, check=start_problems), network)
 
 
 def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) -> int:

@@ -1,21 +1,18 @@
 """Drivers: one contract (:mod:`fullswarm.drivers.base`), one folder per make. In: twists. Out: readings.
 
-Every folder has the same files: ``protocol.py`` (bytes only, pure), ``driver.py`` (owns the link) and
-``emulator.py`` (the other end of the wire). See ``fullswarm/drivers/README.md`` for units, frames and signs.
+Every folder has the same files: ``protocol.py`` (bytes only, pure) and ``driver.py`` (owns the link). Emulated robots
+are in :mod:`fullswarm.emulators`, the simulated world in :mod:`fullswarm.simulation`. See
+``fullswarm/drivers/README.md`` for units, frames and signs.
 
 Further files:
 
 ``base.py``              The HAL contract: what the agent may ask of any robot
-``body.py``              What an emulated robot's firmware stands on: one body, alone on an endless floor or in the
-                         simulated world
 ``can/``                 A differential base with one motor controller per wheel on a CAN bus: ODrive (CANSimple) or
                          VESC
 ``create_oi/``           The iRobot Create over serial (Open Interface)
-``emulated.py``          Robots that the simulated world emulates: ``emulate = "create2"`` in a fleet file
-``faults.py``            A bad link, on request: what an emulator says or hears is lost, mangled or late
 ``fleet.py``             One driver seen as a fleet of one, so that the agent has a single code path over arrays
-``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, and who would
-                         share a port
+``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, and which robots
+                         would share a port
 ``guardian.py``          Guardian processes: they stop a robot whose driver is silent or gone (decision 14)
 ``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or gone
 ``make.py``              The record of a make, and where all records are found

@@ -1,32 +1,41 @@
-"""Loads a fleet file and checks what only the drivers know: schemes of URLs, and who would share a port."""
+"""Loads a fleet file and checks what only the drivers know: schemes of URLs, and which robots would share a port."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
+from fullswarm.config.fleet_file import Check
 from fullswarm.drivers.make import Claim, emulated, make_of
 from fullswarm.errors import ConfigError, did_you_mean, nearest
 
 
-def load_fleet(path: Path | str, overrides: Iterable[str] = (), *, here: bool = False) -> SwarmConfig:
+def load_fleet(
+    path: Path | str, overrides: Iterable[str] = (), *, here: bool = False, check: Check | None = None
+) -> SwarmConfig:
     """Read and check a fleet file as `load_swarm` does, and its robots' drivers as well.
 
     Parameters
     ----------
     here : the agents will run on this computer, but for those with a `host` of their own: each of them needs a driver
-        that is installed here and a port of its own. Otherwise only a slip of the pen is refused.
+        that is installed here and a port of its own. Otherwise only a misspelt scheme is refused.
+    check : yields more that is wrong, as `problems` does; for start poses ``simulation.starts.start_problems``
 
     Raises
     ------
     ConfigError
         All that is wrong, one line each: ``file:line: key: what``.
     """
-    return load_swarm(path, overrides, partial(problems, here=here))
+
+    def all_problems(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
+        yield from problems(config, here=here)
+        if check is not None:
+            yield from check(config)
+
+    return load_swarm(path, overrides, all_problems)
 
 
 def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str]]:
@@ -42,8 +51,6 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
         schemes = schemes or registry.driver_schemes()
         if scheme not in schemes and (nearest(scheme, schemes) or (here and not robot.elsewhere)):
             yield robot.id, "driver", f"no driver for '{scheme or robot.url}', {did_you_mean(scheme, schemes)}"
-    if here:
-        yield from _starts(config)
     taken: dict[tuple[str, ...], RobotConfig] = {}
     for robot in config.robot:
         if not robot.driver or not (here or robot.elsewhere):
@@ -53,20 +60,6 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
             if other is not robot:
                 yield robot.id, "driver", f"{' '.join(claim.words)} is taken by {other.id}: {claim.advice}"
                 break
-
-
-def _starts(config: SwarmConfig) -> Iterator[tuple[str, str, str]]:
-    """Yield what is wrong with the start poses of simulated robots that have one."""
-    placed = [(each.id, each.pose) for each in config.robot if each.simulated and each.pose is not None]
-    if not placed:
-        return
-    import numpy as np
-
-    from fullswarm.drivers.sim.starts import complaints
-
-    poses = np.array([pose for _, pose in placed], float)
-    for robot, what in complaints(config.world_or_default, [robot for robot, _ in placed], poses):
-        yield robot, "pose", what
 
 
 def _claims(robot: RobotConfig) -> tuple[Claim, ...]:

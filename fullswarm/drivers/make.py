@@ -19,7 +19,6 @@ from fullswarm.errors import ConfigError, MissingExtra, did_you_mean
 
 if TYPE_CHECKING:
     from fullswarm.clock import Clock
-    from fullswarm.drivers.faults import LinkFaults
     from fullswarm.drivers.probe.found import Asked, Found
     from fullswarm.drivers.probe.line import Line, SerialPort
 
@@ -31,8 +30,6 @@ PROOFS: tuple[Proof, ...] = ("emulated", "recording", "real firmware", "hardware
 # ---------------------------------------------------------------- what a record names
 class Emulator(Protocol):
     """An emulated robot on a port; it may have more methods, see :mod:`fullswarm.bringup.injected_faults`."""
-
-    faults: LinkFaults
 
     @property
     def url(self) -> str:

@@ -13,7 +13,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
                     health file; ``notify.py``: the protocol of sd_notify
 ``latching.py``     where an agent of this machine keeps its latched e-stop
 ``network.py``      puts an emulated bad network between a process and its bus
-``ports.py``        free ports for a swarm that must not disturb another one
+``ports.py``        the ports of emulated robots, and free ports for a swarm that must not disturb another one
 ``guard.py``        turns an error of a command into one line and an exit code
 ``typed.py``        lines from the terminal or a pipe, polled by a timer
 """

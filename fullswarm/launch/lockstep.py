@@ -19,13 +19,13 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.node import CoreNode
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.launch.network import network_of, on_network
 from fullswarm.perf.summarizers import Summarizer
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.world import World
 
 
 @dataclass(slots=True)

@@ -82,7 +82,7 @@ def agent(
 
 def start_poses(config: SwarmConfig) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Return where the simulated robots stand at first, (n, 3); those the file does not place get a free place."""
-    from fullswarm.drivers.sim.starts import default_starts
+    from fullswarm.simulation.starts import default_starts
 
     world = config.world_or_default
     free = default_starts(world, len(config.robot))

@@ -1,17 +1,45 @@
-"""Ports of this machine for a swarm that must not disturb another one."""
+"""Chooses the ports of a swarm on this machine: those of emulated robots, and free ones beside another swarm."""
 
 from __future__ import annotations
 
+import os
 import socket
+import tempfile
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from fullswarm.bus.endpoint import host_of
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.drivers.frames import in_frame
+from fullswarm.drivers.make import emulated_as
+from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import Unreachable
 
 LOOPBACK = "127.0.0.1"
 ANY = 0
 """The system chooses a free one."""
+
+
+def port_folder(config: SwarmConfig) -> Path:
+    """Return where the ports of a swarm's emulated robots are; the same for the world and the agents of one user."""
+    world = config.world_or_default.address.rpartition(":")[2]
+    return Path(tempfile.gettempdir()) / f"fullswarm-{os.getuid()}" / f"{config.swarm}-{world}"
+
+
+def emulated_url(config: SwarmConfig, robot: RobotConfig) -> str:
+    """Return the URL with which an emulated robot's agent opens its driver; the fleet file's own `driver` wins.
+
+    Raises
+    ------
+    ConfigError
+        Its word is unknown, e.g. because its package is not installed here.
+    """
+    url = robot.driver
+    if not url:
+        _, model = emulated_as(robot.emulate or "")
+        alike = [each.id for each in config.robot if each.emulate == robot.emulate]
+        url = model.driver_url(port_folder(config) / robot.id, alike.index(robot.id))
+    return in_frame(url, config.origin_deg or SITL_ORIGIN_DEG)  # a simulated world always lies somewhere
 
 
 def on_free_ports(config: SwarmConfig, *, wished: bool = True) -> SwarmConfig:
@@ -58,12 +86,9 @@ def free_port(usual: int) -> int:
 
 def _on_free_port(config: SwarmConfig, robot: RobotConfig, wished: bool) -> RobotConfig:
     """Write the driver of an emulated robot down; its port, if it is one of the network, is free."""
-    from fullswarm.drivers import emulated
-    from fullswarm.drivers.make import emulated_as
-
     if not robot.emulate or robot.driver:
         return robot
-    url = emulated.driver_url(config, robot)
+    url = emulated_url(config, robot)
     port = urlsplit(url).port
     if port is not None:
         kind = socket.SOCK_STREAM if emulated_as(robot.emulate)[1].place == "tcp" else socket.SOCK_DGRAM

@@ -59,7 +59,7 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
 
 def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     """Serve as the agent of one robot."""
-    from fullswarm.agent.latch_folder import LatchFolder
+    from fullswarm.agent.orders.estops import LatchFolder
     from fullswarm.agent.state import Identity
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
@@ -99,13 +99,13 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
     """Return the URL of a robot's driver; a simulated one gets the world's address unless it names its own."""
     if robot.emulate:
-        from fullswarm.drivers import emulated
+        from fullswarm.launch.ports import emulated_url
 
-        return emulated.driver_url(config, robot)
+        return emulated_url(config, robot)
     url = urlsplit(robot.url)
     if url.scheme != "sim" or url.path.strip("/"):
         return in_frame(robot.url, config.origin_deg)
-    from fullswarm.drivers.sim.url import url_for
+    from fullswarm.drivers.sim.settings import url_for
 
     return url_for(config.world_or_default, url.netloc or robot.id, config.agent.sensing_radius_m)
 

@@ -1,29 +1,31 @@
 """The world's process: steps the simulated world in real time and serves all robots in it.
 
-Simulated robots have a UDP port (`WorldServer`), emulated ones a port of their make's (`drivers.emulated`). Like any
-supervisory process with cameras, the world also tells emulated robots where they are: `PoseFix` on the bus.
+Simulated robots have a UDP port (`WorldServer`), emulated ones (``emulate = "create2"``) a port of their make: their
+agents open it with the make's own driver. Like any supervisory process with cameras, the world also sends emulated
+robots their poses: `PoseFix` on the bus.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers import emulated
-from fullswarm.drivers.make import Emulator
-from fullswarm.drivers.sim.bodies import SKIN_RATE_HZ, SteppedBodies
-from fullswarm.drivers.sim.emulator import WorldServer
-from fullswarm.drivers.sim.world import World
+from fullswarm.drivers.make import Emulator, emulated_as, emulation_part
+from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
+from fullswarm.launch.ports import emulated_url, port_folder
 from fullswarm.messages import Heartbeat, PoseFix
 from fullswarm.perf.coverage import Bounds
-from fullswarm.perf.supervisor import SupervisorCalculator
-from fullswarm.perf.truth import Truth
+from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
+from fullswarm.simulation.bodies import SKIN_RATE_HZ, Body, SteppedBodies
+from fullswarm.simulation.server import WorldServer
+from fullswarm.simulation.world import World
 
 HEARTBEAT_S = 0.5
 FIX_HZ = 20.0
@@ -42,7 +44,7 @@ class WorldNode:
     Raises
     ------
     ConfigError
-        See :class:`~fullswarm.drivers.sim.world.World` and :class:`~fullswarm.drivers.sim.emulator.WorldServer`.
+        See :class:`~fullswarm.simulation.world.World` and :class:`~fullswarm.simulation.server.WorldServer`.
     DriverError
         The port of an emulated robot cannot be had.
     """
@@ -66,13 +68,13 @@ class WorldNode:
         try:
             for robot in skins:
                 if robot.emulate is not None:
-                    url = emulated.driver_url(config, robot)
-                    self.emulators[robot.id] = emulated.start(robot.emulate, url, self.bodies.of[robot.id])
+                    url = emulated_url(config, robot)
+                    self.emulators[robot.id] = start_emulator(robot.emulate, url, self.bodies.of[robot.id])
         except BaseException:
             self._end()
             raise
         self._truth: Truth | None = None
-        self._folder = emulated.port_folder(config) if skins else None
+        self._folder = port_folder(config) if skins else None
         self._steps = self._made = 0
         self._touched = self.world.contacts.copy()  # the most at once since the last fix, by row
         self._began_s = scheduler.now_s()
@@ -163,3 +165,23 @@ def _tidy(folder: Path) -> None:
         folder.rmdir()
     except OSError:
         return
+
+
+def start_emulator(word: str, url: str, body: Body) -> Emulator:
+    """Start the emulator that a word names on a body, at the other end of a driver's URL.
+
+    Raises
+    ------
+    ConfigError
+        The URL is not one of this make.
+    DriverError
+        Its port cannot be had.
+    MissingExtra
+        The make's library is not installed.
+    """
+    make, model = emulated_as(word)
+    fits, scheme = urlsplit(model.url).scheme, urlsplit(url).scheme
+    if make.emulation is None or scheme != fits:
+        raise ConfigError(f"an emulated {word} has no port of the kind '{scheme}'", where=url, hint=f"write {fits}://…")
+    emulator: Emulator = emulation_part(make, make.emulation.start)(url, body)
+    return emulator

@@ -14,19 +14,19 @@ import pytest
 
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Pose, Twist
-from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim.driver import SimDriver
-from fullswarm.drivers.sim.emulator import WorldServer
-from fullswarm.drivers.sim.world import World
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.simulation.bodies import Body, FreeBody
+from fullswarm.simulation.server import WorldServer
+from fullswarm.simulation.world import World
 from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
 from tests.emulated.rover_link import IN_THE_WORLD
 

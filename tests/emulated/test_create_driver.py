@@ -19,7 +19,6 @@ import pytest
 import serial
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
-from fullswarm.drivers.body import BodyState, FreeBody, wheels_rolled
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation, Mode
@@ -28,6 +27,7 @@ from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.link import SerialLink
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, DriverError
+from fullswarm.simulation.bodies import BodyState, FreeBody, wheels_rolled
 
 GO = Twist(0.3, 0.5)
 

@@ -12,11 +12,11 @@ import time
 import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
-from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.geometry import wrap
+from fullswarm.simulation.bodies import BodyState, FreeBody
 
 SPEED_M_S, TURN_RAD_S = 0.45, 1.5
 NEAR_THE_WRAP = (65000, 400)

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.simulation.bodies import FreeBody
 from tests.unit.rover_agent import FASTEST, RoverAgent
 
 CONFIRMED_S, TRIES = 1.0, 20

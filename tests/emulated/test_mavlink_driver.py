@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
-from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.errors import DriverError
+from fullswarm.simulation.bodies import Body, FreeBody
 from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, PAUSE, active, free_port, ready, until
 
 

@@ -17,12 +17,12 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Pose
-from fullswarm.drivers.body import FreeBody
-from fullswarm.drivers.faults import LinkFaults
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.emulators.faults import LinkFaults
 from fullswarm.emulators.mavlink.emulator import RoverEmulator, open_port
 from fullswarm.errors import ConfigError, DriverError
+from fullswarm.simulation.bodies import FreeBody
 from tests.emulated.rover_link import free_port
 
 CLOCK = MonotonicClock()

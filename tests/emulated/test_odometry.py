@@ -17,13 +17,14 @@ from typing import Any
 import pytest
 
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers import emulated
 from fullswarm.drivers.base import Driver, Lifecycle, Pose, Twist
 from fullswarm.drivers.make import emulated_as
-from fullswarm.drivers.sim.bodies import SteppedBodies, WorldBody
-from fullswarm.drivers.sim.world import World
 from fullswarm.geometry import wrap
+from fullswarm.launch.ports import emulated_url, port_folder
+from fullswarm.launch.world import start_emulator
 from fullswarm.registry import driver_class
+from fullswarm.simulation.bodies import SteppedBodies, WorldBody
+from fullswarm.simulation.world import World
 
 SIDE_M, SPEED_M_S, TURN_RAD_S = 2.0, 0.4, 1.2
 NEAR_M = 0.03
@@ -37,9 +38,9 @@ def rig(make: str, folder: Path) -> Iterator[tuple[Driver, WorldBody]]:
         {"swarm": "odometry", "world": {"bounds_m": [-9, -9, 9, 9], "rate_hz": 200.0, "substeps": 1},
          "robot": [{"id": "r1", "emulate": make, "pose": [0.5, -0.5, 0.7]}]}
     )  # fmt: skip
-    url = emulated.driver_url(config, config.robot[0])
+    url = emulated_url(config, config.robot[0])
     if ":///" in url:
-        url = url.replace(str(emulated.port_folder(config)), str(folder))
+        url = url.replace(str(port_folder(config)), str(folder))
     else:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
@@ -59,7 +60,7 @@ def rig(make: str, folder: Path) -> Iterator[tuple[Driver, WorldBody]]:
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    emulator = emulated.start(make, url, bodies.of["r1"])
+    emulator = start_emulator(make, url, bodies.of["r1"])
     driver: Driver = driver_class(url)(url)
     try:
         driver.open()

@@ -18,13 +18,13 @@ import pytest
 
 from fullswarm import registry
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers import emulated
 from fullswarm.drivers.base import Lifecycle, Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.ports import emulated_url, on_free_ports
+from fullswarm.launch.world import start_emulator
+from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver
 
 CLOCK = MonotonicClock()
@@ -109,8 +109,8 @@ def test_a_fleet_file_emulates_it(installed: Path, tmp_path: Path, monkeypatch: 
     fleet, body = tmp_path / "fleet.toml", FreeBody()
     fleet.write_text('[[robot]]\nid = "a1"\nemulate = "scout"\n', encoding="utf-8")
     config = on_free_ports(load_fleet(fleet), wished=False)
-    url = emulated.driver_url(config, config.robot[0])
-    robot = emulated.start("scout", url, body)
+    url = emulated_url(config, config.robot[0])
+    robot = start_emulator("scout", url, body)
     driver = guarded(registry.driver_class(url)(url))
     try:
         driver.open()

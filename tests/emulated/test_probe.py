@@ -11,7 +11,6 @@ import pytest
 import serial
 
 from fullswarm.clock import MonotonicClock
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.can import probe as can_bus
 from fullswarm.drivers.create_oi import probe as create
 from fullswarm.drivers.create_oi.driver import CreateDriver
@@ -35,6 +34,7 @@ from fullswarm.emulators.create_oi.emulator import CreateEmulator, Quirks
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
 from fullswarm.errors import ConfigError
+from fullswarm.simulation.bodies import BodyState
 
 CLOCK = MonotonicClock()
 BODY = "left=1&right=2&wheel_radius=0.05&base=0.3"

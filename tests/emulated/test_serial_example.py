@@ -12,8 +12,8 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.emulators.create_oi.pty_port import PtyPort
+from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to-add-a-driver.md"

@@ -15,13 +15,13 @@ from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.sim.driver import SimDriver
-from fullswarm.drivers.sim.emulator import WorldServer
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import PoseFix
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.server import WorldServer
+from fullswarm.simulation.world import World
 from fullswarm.testing.jumps import JumpClock
 
 CONFIG = WorldConfig(engine="kinematic", address="127.0.0.1:0", bounds_m=(0.0, 0.0, 8.0, 8.0), speed_limit_m_s=0.4)

@@ -17,11 +17,11 @@ from pathlib import Path
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
-from fullswarm.drivers.sim.emulator import WorldServer
+from fullswarm.config.fleet_file import write_swarm
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.server import WorldServer
 from tests.system.live import WatchedWorld
 
 HUB = "tcp/10.77.0.1:7447"

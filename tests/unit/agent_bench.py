@@ -14,8 +14,6 @@ from fullswarm.bus import LocalBus
 from fullswarm.bus.codec import decode, encode
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     Command,
@@ -28,6 +26,8 @@ from fullswarm.messages import (
     StopRequest,
 )
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.world import World
 
 TICK_S = 0.02
 

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
-from fullswarm.drivers.body import FreeBody, wheels_rolled
 from fullswarm.drivers.can.machine import BaseMachine
 from fullswarm.drivers.can.odrive_states import AxisState
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
 from fullswarm.emulators.can.emulator import Base
 from fullswarm.emulators.can.odrive import ODriveEmulator
+from fullswarm.simulation.bodies import FreeBody, wheels_rolled
 
 BASE_M, LIMIT_M_S = 0.3, 0.5
 TICK_S = 0.005

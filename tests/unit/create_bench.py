@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Reading, Twist
-from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.protocol import CREATE2, Generation, Mode
 from fullswarm.drivers.create_oi.session import Session
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.emulators.create_oi.firmware import Firmware, Quirks
+from fullswarm.simulation.bodies import BodyState, FreeBody
 
 GO = Twist(0.3, 0.5)
 

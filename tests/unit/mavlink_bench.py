@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Limits, Pose, Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.codec import StreamParser, decode, decoded_ids
 from fullswarm.drivers.mavlink.protocol import StatusText
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
 from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
+from fullswarm.simulation.bodies import FreeBody
 
 STEP_S = 0.01
 LIMITS = Limits(1.0, 2.0, 1.0, 2.0)

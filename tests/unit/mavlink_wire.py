@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from fullswarm.clock import SimClock
-from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.mavlink.codec import StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.emulators.mavlink.firmware import LOOP_S, Firmware
+from fullswarm.simulation.bodies import BodyState, FreeBody
 
 STATION, COMPANION, STRANGER = (255, 190), (1, 191), (42, 1)
 VELOCITY_TURN, BODY_NED = 0x5C7, 8

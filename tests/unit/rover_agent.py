@@ -7,14 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.node import AgentNode
-from fullswarm.agent.robot_controller import StopReason
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import Clock, SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Driver, Lifecycle, Reading, Twist
-from fullswarm.drivers.body import BodyState, FreeBody
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
@@ -23,6 +22,7 @@ from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest, EStop, EStopReceipt, HealthReport, Heartbeat, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.bodies import BodyState, FreeBody
 
 KEYS = Keys()
 STEP_S = 0.01

@@ -10,9 +10,9 @@ import pytest
 from fullswarm.bringup import injected_faults
 from fullswarm.bringup.emulate import EmulateOptions, _started, openings, run
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.drivers.body import FreeBody
-from fullswarm.drivers.faults import LinkFaults
+from fullswarm.emulators.faults import LinkFaults
 from fullswarm.errors import ConfigError, DriverError, FullswarmError
+from fullswarm.simulation.bodies import FreeBody
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from fullswarm.bringup.bench import Bench
 from fullswarm.bringup.robot_test_steps import Step, steps
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Limits, Pose, Reading, Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.launch.typed import Typed
 from fullswarm.runtime import Runtime
+from fullswarm.simulation.bodies import FreeBody
 
 TTL_S = 0.3
 PLAIN = Description("Acme", "A1", 0.2, Limits(0.5, 4.0, 1.0, 8.0))

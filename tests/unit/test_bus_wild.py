@@ -14,8 +14,6 @@ from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.messages import EStop, Message
@@ -24,6 +22,8 @@ from fullswarm.operator.console.gateway import Gateway
 from fullswarm.operator.console.gateway import Identity as Console
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.world import World
 from tests.unit.wild import Wild
 
 KEYS = Keys()

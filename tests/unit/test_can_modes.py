@@ -8,13 +8,13 @@ from collections.abc import Callable
 import pytest
 
 from fullswarm.clock import SimClock
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.can import odrive, vesc
 from fullswarm.drivers.can.odrive_states import AxisState
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
 from fullswarm.emulators.can.emulator import Base
 from fullswarm.emulators.can.spin import FRICTION_M_S2, STEP_S
+from fullswarm.simulation.bodies import FreeBody
 from tests.unit.can_rig import OPTIONS, URL, Wire
 
 METRES_PER_MOTOR_TURN = 2.0 * math.pi * 0.05 / 10.0  # the rig's wheel radius and gear

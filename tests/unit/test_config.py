@@ -8,10 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig, load_swarm
-from fullswarm.config.positions import KeyPath, line_numbers
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
+from fullswarm.config.toml_errors import KeyPath, line_numbers
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
+from fullswarm.simulation.starts import start_problems
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -320,7 +321,7 @@ def robots(*drivers: str) -> str:
 def fleet_complaints(tmp_path: Path, text: str, *, here: bool = True) -> list[str]:
     (tmp_path / "fleet.toml").write_text(text)
     with pytest.raises(ConfigError) as caught:
-        load_fleet(tmp_path / "fleet.toml", here=here)
+        load_fleet(tmp_path / "fleet.toml", here=here, check=start_problems if here else None)
     return [line.removeprefix(f"{tmp_path}/") for line in str(caught.value).splitlines()]
 
 

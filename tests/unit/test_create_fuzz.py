@@ -13,12 +13,12 @@ import random
 
 import pytest
 
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.create_oi import packets
 from fullswarm.drivers.create_oi.packets import HEADER, Sensors, StreamParser
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, CommandParser, Generation, Mode, Op
 from fullswarm.drivers.create_oi.senses import stream_ids
 from fullswarm.emulators.create_oi.firmware import Firmware
+from fullswarm.simulation.bodies import FreeBody
 
 COUNT = 1_000_000
 IDS = stream_ids(CREATE2, CREATE2.baud)

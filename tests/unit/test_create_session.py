@@ -8,13 +8,13 @@ import random
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.create_oi import packets, protocol
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, ROOMBA500, Generation, Mode, Op
 from fullswarm.drivers.create_oi.senses import stream_ids, wheel_speeds
 from fullswarm.drivers.create_oi.session import CALM_S, REPEAT_S, Session
 from fullswarm.drivers.create_oi.settings import Settings
 from fullswarm.emulators.create_oi.firmware import BOOT_S, Quirks
+from fullswarm.simulation.bodies import BodyState
 from tests.unit.create_bench import GO, Bench, Held
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.drivers.base import Pose
-from fullswarm.drivers.body import FreeBody, drive_wheels, wheels_rolled
-from fullswarm.drivers.faults import BadLink, LinkFaults
+from fullswarm.emulators.faults import BadLink, LinkFaults
+from fullswarm.simulation.bodies import FreeBody, drive_wheels, wheels_rolled
 from fullswarm.testing import FakeClock
 
 SPEED = st.floats(-2.0, 2.0)

@@ -14,20 +14,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent.latch_folder import LatchFolder
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.agent.state import Identity
 from fullswarm.bus import Subscription
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.node import CoreNode
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, HealthReport, Message, Value
 from fullswarm.operator.client import Operator
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Runtime
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.world import World
 from fullswarm.store import Store
 from fullswarm.testing.bus import LoopbackBus
 

@@ -10,11 +10,11 @@ import pytest
 
 from fullswarm.bus.local import LocalBus
 from fullswarm.config import SwarmConfig, WorldConfig
-from fullswarm.drivers.sim.world import World
 from fullswarm.evaluate.witness import HeardWitness, WorldWitness
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.runtime import Mailbox
+from fullswarm.simulation.world import World
 
 ROBOTS = ("a", "b", "c")
 

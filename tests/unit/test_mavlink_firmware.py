@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Pose
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.emulators.mavlink.firmware import REAL_BOOT_S, Firmware
+from fullswarm.simulation.bodies import FreeBody
 from tests.unit.mavlink_wire import COMPANION, STATION, STRANGER, Wire
 
 WITHIN = 0.15

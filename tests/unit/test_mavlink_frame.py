@@ -8,7 +8,6 @@ import pytest
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Pose
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StreamParser, dialect
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
@@ -18,6 +17,7 @@ from fullswarm.drivers.mavlink.settings import Options
 from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
 from fullswarm.emulators.mavlink.rover.chart import Chart
+from fullswarm.simulation.bodies import FreeBody
 from tests.unit.mavlink_bench import LIMITS, STEP_S
 
 BERLIN = (52.5163, 13.3777)

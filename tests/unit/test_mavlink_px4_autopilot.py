@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Pose, Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, StationEncoder, StreamParser, decode, dialect
@@ -20,6 +19,7 @@ from fullswarm.drivers.mavlink.px4 import AUTOPILOTS, HOLD, MANUAL, OFFBOARD, Px
 from fullswarm.drivers.mavlink.settings import LIMITS, read_settings
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
 from fullswarm.errors import ConfigError
+from fullswarm.simulation.bodies import FreeBody
 from tests.unit.mavlink_bench import Px4Bench
 
 PX4 = AUTOPILOTS[12]

@@ -7,9 +7,8 @@ import math
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.body import wheels_rolled
-from fullswarm.drivers.sim.bodies import SteppedBodies
-from fullswarm.drivers.sim.world import World
+from fullswarm.simulation.bodies import SteppedBodies, wheels_rolled
+from fullswarm.simulation.world import World
 
 BOX = (3.0, 0.0, 1.0, 1.0, 0.0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim.contacts import TOUCH_M, touch_m
-from fullswarm.drivers.sim.engine import Engine, make_engine
-from fullswarm.drivers.sim.kinematic import KinematicEngine
 from fullswarm.kernels import Array
+from fullswarm.simulation.contacts import TOUCH_M, touch_m
+from fullswarm.simulation.engine import Engine, make_engine
+from fullswarm.simulation.kinematic import KinematicEngine
 
 R = 0.17
 TRIES = 8

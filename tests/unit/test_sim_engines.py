@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim.engine import Engine, make_engine
-from fullswarm.drivers.sim.obstacles import static_obstacles
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.kernels import Array
+from fullswarm.simulation.engine import Engine, make_engine
+from fullswarm.simulation.obstacles import static_obstacles
 
 R = 0.17
 # Metres of arc error per second of driving, and metres of penetration: wheels slip and rock on their casters.
@@ -155,7 +155,7 @@ def test_nothing_is_printed_by_bullet() -> None:
     # In a process of its own: Bullet prints its banner at the first import only.
     program = (
         "from fullswarm.config import WorldConfig\n"
-        "from fullswarm.drivers.sim.world import World\n"
+        "from fullswarm.simulation.world import World\n"
         "world = World(WorldConfig(), ('a',)); world.step(); world.close()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, timeout=60)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.config import WorldConfig
-from fullswarm.drivers.sim import contact_kernels, kinematic_kernels, world_kernels
-from fullswarm.drivers.sim.kinematic import KinematicEngine
-from fullswarm.drivers.sim.obstacles import with_trigonometry
 from fullswarm.kernels import Array, Kernel
+from fullswarm.simulation import contacts, fleet, kinematic, obstacles, world
+from fullswarm.simulation.kinematic import KinematicEngine
+from fullswarm.simulation.obstacles import with_trigonometry
 
 R = 0.17
 
@@ -45,7 +45,7 @@ def run(n: int, steps: int) -> tuple[Array, Array, int]:
 def test_compiled_equals_plain(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = [
         each
-        for module in (contact_kernels, kinematic_kernels, world_kernels)
+        for module in (contacts, fleet, kinematic, obstacles, world)
         for each in vars(module).values()
         if isinstance(each, Kernel)
     ]
@@ -69,10 +69,10 @@ def test_the_grid_finds_the_same_pairs_as_brute_force(n: int, spread: float, see
     for which in ("brute", "grid"):
         candidates = np.zeros((n * n + 1, 4), np.int64)
         if which == "brute":
-            count = contact_kernels.near_bodies(pose, reach, candidates, 0)
+            count = contacts.near_bodies(pose, reach, candidates, 0)
         else:
             grid = np.zeros(8 * n + 64, np.int64)
-            count = contact_kernels.near_bodies_grid(pose, reach, candidates, grid, 0)
+            count = contacts.near_bodies_grid(pose, reach, candidates, grid, 0)
         found.append(sorted(map(tuple, candidates[:count, :2].tolist())))
     assert found[0] == found[1]
 
@@ -85,7 +85,7 @@ def test_a_point_moved_back_along_the_normal_lies_on_the_box(
     x: float, y: float, yaw: float, half: tuple[float, float]
 ) -> None:
     box = with_trigonometry(np.array([[0.4, -0.2, *half, yaw, 0.0]]))
-    gap, nx, ny = contact_kernels.obstacle_gap(x, y, box, 0)
+    gap, nx, ny = obstacles.obstacle_gap(x, y, box, 0)
     assert math.hypot(nx, ny) == pytest.approx(1.0)
     on_x, on_y = x - gap * nx - 0.4, y - gap * ny + 0.2
     local = abs(on_x * math.cos(yaw) + on_y * math.sin(yaw)), abs(on_y * math.cos(yaw) - on_x * math.sin(yaw))

@@ -15,7 +15,7 @@ from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import STAND, Driver, Twist
 from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim import protocol
-from fullswarm.drivers.sim.url import parse_url, url_for
+from fullswarm.drivers.sim.settings import parse_url, url_for
 from fullswarm.errors import ConfigError, MessageError
 
 real = st.floats(allow_nan=False, width=64)

@@ -11,10 +11,10 @@ import pytest
 from fullswarm.clock import SimClock
 from fullswarm.config import NoiseConfig, WorldConfig
 from fullswarm.drivers.base import Fleet, Hazard, Lifecycle, Limits
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.starts import default_starts
-from fullswarm.drivers.sim.world import World
 from fullswarm.errors import ConfigError
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.starts import default_starts
+from fullswarm.simulation.world import World
 
 KINEMATIC = WorldConfig(engine="kinematic")
 

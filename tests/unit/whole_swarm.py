@@ -15,8 +15,6 @@ from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.core.node import CoreNode
-from fullswarm.drivers.sim.fleet import SimFleet
-from fullswarm.drivers.sim.world import World
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     BehaviourRequest,
@@ -35,6 +33,8 @@ from fullswarm.messages import (
 )
 from fullswarm.operator.client import Operator
 from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.simulation.fleet import SimFleet
+from fullswarm.simulation.world import World
 from fullswarm.store import Store
 
 KEYS = Keys()

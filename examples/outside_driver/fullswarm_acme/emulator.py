@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Pose, Twist
-from fullswarm.drivers.body import Body, FreeBody
-from fullswarm.drivers.faults import BadLink, LinkFaults
+from fullswarm.emulators.faults import BadLink, LinkFaults
+from fullswarm.simulation.bodies import Body, FreeBody
 
 from fullswarm_acme.protocol import WATCHDOG_S, LineParser, State, line, parse_drive, state
 from fullswarm_acme.session import LIMITS

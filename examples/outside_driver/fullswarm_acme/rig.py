@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from fullswarm.drivers.base import Pose, Twist
-from fullswarm.drivers.body import FreeBody
+from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig
 
 from fullswarm_acme.driver import AcmeDriver

@@ -7,8 +7,8 @@ import importlib.metadata
 import pytest
 from fullswarm import registry
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
-from fullswarm.drivers.body import FreeBody
 from fullswarm.errors import ConfigError, DriverError
+from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import check_driver
 from hypothesis import given
 from hypothesis import strategies as st

@@ -12,7 +12,7 @@ from dataclasses import replace
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.sim import protocol
-from fullswarm.drivers.sim.url import parse_url
+from fullswarm.drivers.sim.settings import parse_url
 from fullswarm.errors import DriverError, LinkLost, MessageError
 
 SILENCE_S = 0.5

@@ -13,9 +13,9 @@ from urllib.parse import parse_qsl, urlsplit
 from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
-    from fullswarm.drivers.body import Body
     from fullswarm.drivers.make import Bench
     from fullswarm.emulators.can.emulator import EmulatedBase
+    from fullswarm.simulation.bodies import Body
 
 BENCH_BODY = "left=1&right=2&wheel_radius=0.05&base=0.3"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.slcan import END, LONGEST, Adapter
-from fullswarm.drivers.faults import BadLink, LinkFaults
+from fullswarm.emulators.faults import BadLink, LinkFaults
 from fullswarm.errors import DriverError
 
 CHUNK = 4096

@@ -1,7 +1,7 @@
 """The other end of the wire: a base of two emulated controllers on the port that a driver's URL names.
 
 ``EmulatedBase(url, body)`` joins the bus, or makes the serial adapter, of that URL; what the wheels do to the world is
-the business of a :class:`~fullswarm.drivers.body.Body`.
+the business of a :class:`~fullswarm.simulation.bodies.Body`.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import threading
 from collections.abc import Callable
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.body import Body, FreeBody, drive_wheels, wheels_rolled
 from fullswarm.drivers.can.protocol import Frame, WheelCodec
 from fullswarm.drivers.can.settings import OdriveOptions, Settings, VescOptions, parse
-from fullswarm.drivers.faults import LinkFaults
 from fullswarm.emulators.can.adapter import PtyWire
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.spin import STEP_S, Sender
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.emulators.can.wire import BusWire, Wire
+from fullswarm.emulators.faults import LinkFaults
 from fullswarm.errors import FullswarmError, LinkLost
+from fullswarm.simulation.bodies import Body, FreeBody, drive_wheels, wheels_rolled
 
 BATTERY_V = (21.0, 29.4)
 """Empty and full, where the URL does not tell: seven lithium cells."""
@@ -74,7 +74,7 @@ class EmulatedBase:
         The driver's; options of the controllers (firmware, watchdog, min_erpm) are taken from it. With
         ``interface=slcan`` the port is made at its path and removed by :meth:`close`.
     body
-        What it stands on; a :class:`~fullswarm.drivers.body.FreeBody` by default.
+        What it stands on; a :class:`~fullswarm.simulation.bodies.FreeBody` by default.
 
     Raises
     ------

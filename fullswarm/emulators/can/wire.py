@@ -11,7 +11,7 @@ from typing import Protocol
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame
 from fullswarm.drivers.can.settings import Settings
-from fullswarm.drivers.faults import BadLink, LinkFaults
+from fullswarm.emulators.faults import BadLink, LinkFaults
 
 _EXTENDED, _REMOTE = 1 << 31, 1 << 30  # as in linux/can.h
 SLICE_S = 0.005

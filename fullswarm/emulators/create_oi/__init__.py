@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
-    from fullswarm.drivers.body import Body
     from fullswarm.emulators.create_oi.emulator import CreateEmulator
+    from fullswarm.simulation.bodies import Body
 
 
 def start(url: str, body: Body) -> CreateEmulator:

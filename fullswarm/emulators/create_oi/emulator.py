@@ -13,12 +13,12 @@ from types import TracebackType
 from typing import Self
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.body import Body, FreeBody
 from fullswarm.drivers.create_oi.protocol import CREATE2, PERIOD_S, Generation, Mode
-from fullswarm.drivers.faults import LinkFaults
 from fullswarm.emulators.create_oi.firmware import Firmware, Quirks
 from fullswarm.emulators.create_oi.pty_port import PtyPort, Wire
 from fullswarm.emulators.create_oi.surroundings import MAX_LIGHT, MAX_WALL
+from fullswarm.emulators.faults import LinkFaults
+from fullswarm.simulation.bodies import Body, FreeBody
 
 __all__ = ["CreateEmulator", "FreeBody", "Quirks"]
 
@@ -34,7 +34,7 @@ class CreateEmulator:
     Parameters
     ----------
     generation, body
-        Which robot, and what it stands on; a :class:`~fullswarm.drivers.body.FreeBody` by default.
+        Which robot, and what it stands on; a :class:`~fullswarm.simulation.bodies.FreeBody` by default.
     port
         Path of the port to make, a link; by default one in a folder of its own. Raises ``DriverError`` if taken.
     quirks, encoders

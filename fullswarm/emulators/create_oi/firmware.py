@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fullswarm.drivers.body import Body, drive_wheels, wheels_rolled
 from fullswarm.drivers.create_oi.packets import LONGEST_STREAM, MEMBERS, encode, frame, frame_size
 from fullswarm.drivers.create_oi.protocol import (
     BAUD_CODES,
@@ -26,6 +25,7 @@ from fullswarm.emulators.create_oi.counters import Battery, Counters
 from fullswarm.emulators.create_oi.panel import Panel
 from fullswarm.emulators.create_oi.surroundings import Surroundings
 from fullswarm.emulators.create_oi.waits import WAITS, Wait
+from fullswarm.simulation.bodies import Body, drive_wheels, wheels_rolled
 
 BANNER = (
     b"\r\n2015-08-24-1648-L   \r\nr3-robot/tags/release-3.5.x-tags/release-3.5.4:6058 CLEAN\r\n\r\n"

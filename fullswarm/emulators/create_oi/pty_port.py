@@ -15,7 +15,7 @@ import tty
 from collections import deque
 from pathlib import Path
 
-from fullswarm.drivers.faults import BadLink, LinkFaults
+from fullswarm.emulators.faults import BadLink, LinkFaults
 from fullswarm.errors import DriverError
 
 LATE_BYTES = 4000

@@ -15,9 +15,9 @@ from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
-    from fullswarm.drivers.body import Body
     from fullswarm.drivers.make import Bench, Emulator
     from fullswarm.emulators.mavlink.emulator import RoverEmulator
+    from fullswarm.simulation.bodies import Body
 
 DEFAULT_LISTEN = "udp://127.0.0.1:14550"
 BOOT_S = 1.0

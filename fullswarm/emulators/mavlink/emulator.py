@@ -19,14 +19,14 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.body import Body, FreeBody
-from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.earth import SITL_ORIGIN_DEG
+from fullswarm.emulators.faults import BadLink, LinkFaults
 from fullswarm.emulators.mavlink.firmware import Firmware
 from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
 from fullswarm.emulators.mavlink.rover.ports import Port, open_port, reopen
+from fullswarm.simulation.bodies import Body, FreeBody
 
 __all__ = ["Port", "RoverEmulator", "open_port"]
 

@@ -17,7 +17,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.emulators.mavlink.rover import inbox, parameters, setpoints
@@ -30,6 +29,7 @@ from fullswarm.emulators.mavlink.rover.pilot import FULL_M_S, Sticks
 from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
 from fullswarm.emulators.mavlink.rover.setpoints import Limits, Target
 from fullswarm.emulators.mavlink.rover.streams import LOOP_HZ, Streams
+from fullswarm.simulation.bodies import Body, BodyState
 
 LOOP_S = 1.0 / LOOP_HZ
 REAL_BOOT_S = 42.4

@@ -7,15 +7,15 @@ import threading
 from typing import Self
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.body import Body, FreeBody
-from fullswarm.drivers.faults import BadLink, LinkFaults
 from fullswarm.drivers.mavlink.codec import StreamParser
 from fullswarm.drivers.mavlink.maps import Degrees, SphereMap
 from fullswarm.drivers.mavlink.signing import Signing
 from fullswarm.earth import SITL_ORIGIN_DEG
+from fullswarm.emulators.faults import BadLink, LinkFaults
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware, Px4Setpoint
 from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.emulators.mavlink.rover.ports import Port, open_port, reopen
+from fullswarm.simulation.bodies import Body, FreeBody
 
 LOOP_WAIT_MS = 5
 

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, dialect
@@ -25,6 +24,7 @@ from fullswarm.emulators.mavlink.px4_telemetry import INTERVALS_S, MAKERS
 from fullswarm.emulators.mavlink.rover.chart import ALTITUDE_M, Chart
 from fullswarm.emulators.mavlink.rover.noise import FilterNoise
 from fullswarm.geometry import clamp, wrap
+from fullswarm.simulation.bodies import Body, BodyState
 
 STEP_S = 0.01
 RECORDS = 20_000

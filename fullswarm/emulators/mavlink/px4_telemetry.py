@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.emulators.mavlink.rover.chart import Chart
+from fullswarm.simulation.bodies import BodyState
 
 
 class Subject(Protocol):

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from fullswarm.drivers.body import Body, BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.emulators.mavlink.rover import commands, parameters, setpoints
@@ -15,6 +14,7 @@ from fullswarm.emulators.mavlink.rover.channel import Channel, KeyRing
 from fullswarm.emulators.mavlink.rover.pilot import Sticks
 from fullswarm.emulators.mavlink.rover.position import Position
 from fullswarm.emulators.mavlink.rover.setpoints import Limits
+from fullswarm.simulation.bodies import Body, BodyState
 
 ORIGIN_MESSAGE = 49
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from fullswarm.clock import wall_time_s
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.emulators.mavlink.rover.chart import ALTITUDE_M, Chart
 from fullswarm.emulators.mavlink.rover.pilot import CENTRE_US, FULL_M_S, SPAN_US, Sticks
 from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S
+from fullswarm.simulation.bodies import BodyState
 
 GRAVITY_MG, GRAVITY_M_S2 = 1000, 9.80665
 TRACK_M = 0.3  # between the wheels, for the servo outputs alone

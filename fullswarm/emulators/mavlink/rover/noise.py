@@ -11,7 +11,7 @@ import math
 import random
 from dataclasses import replace
 
-from fullswarm.drivers.body import BodyState
+from fullswarm.simulation.bodies import BodyState
 
 VELOCITY_M_S, VELOCITY_PERIODS_S = 0.0175, (13.0, 23.0, 41.0)
 POSITION_M, POSITION_PERIODS_S = 0.028, (37.0, 59.0, 97.0)

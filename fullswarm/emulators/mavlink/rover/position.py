@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.geometry import wrap
+from fullswarm.simulation.bodies import BodyState
 
 LOST_S = 7.0  # a filter without a source gives up the position this much later
 FAILSAFE_S = 8.2  # and the failsafe acts

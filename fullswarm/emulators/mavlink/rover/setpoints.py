@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from fullswarm.drivers.body import BodyState
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.geometry import clamp, wrap
+from fullswarm.simulation.bodies import BodyState
 
 LOCAL_FRAMES = frozenset({1, 7, 8, 9})
 GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})

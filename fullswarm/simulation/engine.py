@@ -1,0 +1,75 @@
+"""What a physics engine must do for the world, and the choice of one by name."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from fullswarm.config import WorldConfig
+from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.kernels import Array
+from fullswarm.simulation.contacts import ContactReferee
+
+
+class Engine(Protocol):
+    """Physics of n bodies, advanced by whole world steps. Bodies are solid: none may pass through another."""
+
+    pose: Array  # (n, 3) x, y (m), heading in [-pi, pi]; the same array at all times
+    twist: Array  # (n, 2) m/s along the heading, rad/s, measured over the last step
+    referee: ContactReferee  # who touched whom during the last step
+    firmware: str  # name and version of what computes the physics
+
+    def step(self, twists: Array) -> None:
+        """Advance by one world step of ``1 / rate_hz`` seconds with the set-points `twists` (n, 2)."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the physics. Closing twice is fine."""
+        ...
+
+
+def check_config(config: WorldConfig) -> None:
+    """Refuse a world without room: raise `ConfigError` for empty bounds or a box without area."""
+    x_min, y_min, x_max, y_max = config.bounds_m
+    if x_max - x_min <= 2 * config.radius_m or y_max - y_min <= 2 * config.radius_m:
+        raise ConfigError(
+            f"bounds {config.bounds_m} leave no room for a robot of {config.radius_m} m radius",
+            where="world.bounds_m",
+            hint="give x_min, y_min, x_max, y_max in metres",
+        )
+    for index, box in enumerate(config.boxes):
+        if box[2] <= 0 or box[3] <= 0 or not all(map(math.isfinite, box)):
+            raise ConfigError(
+                f"box {index} measures {box[2]} x {box[3]} m", where="world.boxes", hint="sizes must be positive"
+            )
+
+
+def make_engine(config: WorldConfig, starts: Array) -> Engine:
+    """Return the engine that `config` names, its bodies at `starts` (n, 3).
+
+    Raises
+    ------
+    MissingExtra
+        PyBullet is wanted and not installed.
+    """
+    check_config(config)
+    if config.engine == "kinematic":
+        from fullswarm.simulation.kinematic import KinematicEngine
+
+        return KinematicEngine(config, starts)
+    try:
+        if config.engine == "pybullet":
+            from fullswarm.simulation.pybullet_engine import PyBulletEngine
+
+            return PyBulletEngine(config, starts)
+        from fullswarm.simulation.pybullet_wheels import WheelsEngine
+
+        return WheelsEngine(config, starts)
+    except ModuleNotFoundError as error:
+        if error.name != "pybullet":
+            raise
+        raise MissingExtra(
+            f"the engine '{config.engine}' needs PyBullet, which is not installed",
+            where="world.engine",
+            hint="pip install 'fullswarm[sim]', or choose engine = \"kinematic\"",
+        ) from error

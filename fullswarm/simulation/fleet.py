@@ -1,0 +1,148 @@
+"""Presents the robots of a world in the same process as a fleet: what agents read and drive in lockstep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.drivers.base import FleetReading, Lifecycle, Pose
+from fullswarm.kernels import Array, kernel
+from fullswarm.simulation.world import World, sense
+
+
+@kernel
+def admit(
+    twists: Array,
+    active: NDArray[np.bool_],
+    limits: Array,
+    target: Array,
+    commanded_s: Array,
+    applied: Array,
+    now_s: float,
+) -> int:
+    """Take set-points (n, 2) clipped to `limits` for the rows in `active`, zero for the others.
+
+    Returns
+    -------
+    int
+        The last row whose twist is not finite (it gets zero), or -1.
+    """
+    bad = -1
+    for i in range(twists.shape[0]):
+        v, w = twists[i, 0], twists[i, 1]
+        if not (math.isfinite(v) and math.isfinite(w)):
+            bad = i
+            v, w = 0.0, 0.0
+        if not active[i]:
+            v, w = 0.0, 0.0
+        applied[i, 0] = max(-limits[i, 0], min(limits[i, 0], v))
+        applied[i, 1] = max(-limits[i, 1], min(limits[i, 1], w))
+        target[i, 0], target[i, 1] = applied[i, 0], applied[i, 1]
+        commanded_s[i] = now_s
+    return bad
+
+
+class SimFleet:
+    """A :class:`~fullswarm.drivers.base.Fleet` over a world's arrays. The owner of the world steps and closes it.
+
+    Parameters
+    ----------
+    world
+        Its bodies are the fleet, in its order.
+    now_s
+        Stamps the readings: the scheduler's clock, so that ages are right.
+    sensing_radius_m
+        How far a robot sees obstacles.
+    row
+        The fleet is this body alone, for an agent of its own; None: all bodies.
+    """
+
+    def __init__(
+        self, world: World, now_s: Callable[[], float], sensing_radius_m: float = 3.0, *, row: int | None = None
+    ) -> None:
+        rows = slice(None) if row is None else slice(row, row + 1)
+        self.ids = world.ids[rows]
+        n = len(self.ids)
+        self.urls = tuple(f"sim://{robot}" for robot in self.ids)
+        self.descriptions = (world.description,) * n
+        self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
+        # Views: the world's arrays are the same objects for its life.
+        self._pose, self._limits = world.pose[rows], world.limits[rows]
+        self._target, self._commanded_s = world.target[rows], world.commanded_s[rows]
+        self._open = False
+        self._active = np.zeros(n, np.bool_)
+        self._applied = np.zeros((n, 2))
+        self._seen = np.zeros(len(world.obstacles), np.bool_)
+        self._reading = FleetReading(
+            stamp_s=np.full(n, -np.inf),
+            pose=world.sensed_pose[rows],
+            odometry=world.odometry[rows],
+            twist=world.twist[rows],
+            hazards=world.hazards[rows],
+            contacts=world.contacts[rows],
+            battery=np.full(n, -1.0),
+            obstacles=world.obstacles[self._seen],
+            position_sigma_m=np.full(n, np.nan),
+        )
+
+    def open(self) -> None:
+        """Make the robots READY."""
+        self._open = True
+
+    def read(self) -> FleetReading:
+        """Return the state after the last world step; the arrays are the world's own."""
+        reading, world = self._reading, self._world
+        if self._open:
+            reading.stamp_s.fill(self._now_s())
+            if sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
+                reading.obstacles = world.obstacles[self._seen]
+        return reading
+
+    def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:
+        """Set set-points; return what was applied, (n, 2), in an array that the next call reuses.
+
+        A non-finite value raises ``ValueError``; that robot stops, the others obey.
+        """
+        if not self._open:
+            self._applied.fill(0.0)
+            return self._applied
+        self._active[:] = active
+        bad = admit.run(
+            twists, self._active, self._limits, self._target, self._commanded_s, self._applied, self._world.time_s
+        )
+        if bad >= 0:
+            raise ValueError(f"{self.ids[bad]}: a twist must be finite, not {twists[bad].tolist()}")
+        return self._applied
+
+    def lifecycle(self, row: int) -> Lifecycle:
+        """Return the state of robot `row`: a simulated robot in its own process has no faults."""
+        if not self._open:
+            return Lifecycle.CLOSED
+        return Lifecycle.ACTIVE if self._active[row] else Lifecycle.READY
+
+    def fault(self, row: int) -> str:
+        """Return the empty text."""
+        del row
+        return ""
+
+    def fault_code(self, row: int) -> str:
+        """Return the empty code."""
+        del row
+        return ""
+
+    def firmware(self, row: int) -> str:
+        """Return the engine and its version."""
+        del row
+        return self._world.firmware
+
+    def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
+        """Do nothing: these robots sense their pose."""
+
+    def close(self) -> None:
+        """Stop the bodies; the world stays open."""
+        self._target.fill(0.0)
+        self._active.fill(False)
+        self._open = False

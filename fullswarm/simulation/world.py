@@ -1,0 +1,230 @@
+"""The simulated world: an engine, and what every robot has whatever the physics.
+
+Limits, acceleration ramps, the device's watchdog, odometry, noisy poses, bumpers, sensed obstacles. Time is the
+world's own: it advances by ``1 / rate_hz`` per step, however long the step takes. Rows of obstacles in kernels are
+those of :func:`fullswarm.simulation.obstacles.with_trigonometry`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.config import WorldConfig
+from fullswarm.drivers.base import Hazard, Limits
+from fullswarm.drivers.sim.settings import describe
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.kernels import Array, kernel
+from fullswarm.simulation.engine import make_engine
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
+from fullswarm.simulation.starts import fill_starts
+
+BUMP_BIT = int(Hazard.BUMP)  # as a number that a compiled kernel can hold
+
+
+class World:
+    """n bodies in one arena. All arrays are the same objects for the world's life; do not write to them.
+
+    Attributes
+    ----------
+    pose, sensed_pose : (n, 3) true, and as the robots sense it with noise
+    odometry : (n, 3) from the measured twist, in the start frame
+    twist : (n, 2) measured, m/s and rad/s
+    contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
+    hazards : (n,) ``Hazard`` bits
+    target, drive : (n, 2) set-points as requested, and after limits and ramps
+    limits : (n, 4) m/s, rad/s, m/s², rad/s²
+    obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
+    watchers : called after each step
+
+    Raises
+    ------
+    ConfigError
+        Start poses overlap each other or an obstacle, ids repeat, or the arena has no room.
+    MissingExtra
+        The engine is not installed.
+    """
+
+    def __init__(
+        self,
+        config: WorldConfig,
+        ids: Sequence[str],
+        starts: Sequence[Sequence[float] | None] | Array | None = None,
+    ) -> None:
+        n = len(ids)
+        self.config, self.ids = config, tuple(ids)
+        self.rows = {robot: row for row, robot in enumerate(self.ids)}
+        if len(self.rows) < n:
+            twice = sorted({robot for robot in ids if self.ids.count(robot) > 1})
+            raise ConfigError(f"robot ids repeat: {', '.join(twice)}", where="robot.id")
+        self.dt_s = 1.0 / config.rate_hz
+        self.obstacles = static_obstacles(config)
+        self.obstacles.flags.writeable = False
+        self.description = describe(config)
+        self.engine = make_engine(config, fill_starts(config, ids, starts))
+        self.firmware = self.engine.firmware
+        self.referee = self.engine.referee
+        self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.referee.contacts
+        self.sensed_pose = self.pose if _perfect(config) else self.pose.copy()
+        self.odometry = np.zeros((n, 3))
+        self.hazards = np.zeros(n, np.uint8)
+        self.target, self.drive = np.zeros((n, 2)), np.zeros((n, 2))
+        self.commanded_s = np.full(n, -math.inf)
+        limits = self.description.limits
+        self.limits = np.empty((n, 4))
+        self.limits[:] = limits.speed_m_s, limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2
+        self.shapes = with_trigonometry(self.obstacles)
+        self._rng = np.random.default_rng(config.seed)
+        self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
+        self._steps = 0
+        self._touching = False
+        self.watchers: list[Callable[[], None]] = []
+        self._add_noise()
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the world began."""
+        return self._steps * self.dt_s
+
+    @property
+    def pairs(self) -> NDArray[np.int64]:
+        """Touching pairs of the last step (m, 2); the second is -1-k for obstacle k."""
+        return self.referee.pairs
+
+    def row(self, robot: str) -> int:
+        """Return the row of a robot; `ConfigError` if it has none."""
+        row = self.rows.get(robot)
+        if row is None:
+            raise ConfigError(f"the world has no robot '{robot}'", hint=did_you_mean(robot, self.ids))
+        return row
+
+    def set_limits(self, row: int, limits: Limits) -> None:
+        """Give one body the limits of its make."""
+        self.limits[row] = limits.speed_m_s, limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2
+
+    def set_twists(self, twists: Array, rows: NDArray[np.int64] | slice | int = slice(None)) -> None:
+        """Set set-points (m, 2) of all bodies or of `rows`, and feed their watchdogs.
+
+        A non-finite value raises ``ValueError``; the bodies of that call get zero.
+        """
+        self.commanded_s[rows] = self.time_s
+        self.target[rows] = 0.0
+        if not np.isfinite(twists).all():
+            raise ValueError(f"a twist must be finite, not {np.asarray(twists).tolist()}")
+        self.target[rows] = twists
+
+    def step(self) -> None:
+        """Advance by one world step."""
+        ramp.run(
+            self.target,
+            self.commanded_s,
+            self.limits,
+            self.drive,
+            self._steps * self.dt_s,
+            self.config.watchdog_s,
+            self.dt_s,
+        )
+        self.engine.step(self.drive)
+        self._steps += 1
+        dead_reckon.run(self.odometry, self.twist, self.dt_s)
+        pairs = self.referee.pairs
+        touching = len(pairs) > 0
+        if touching or self._touching:
+            front_bumps(self.pose, pairs, self.shapes, self.hazards)
+            self._touching = touching
+        self._add_noise()
+        for watch in self.watchers:
+            watch()
+
+    def _add_noise(self) -> None:
+        if self.sensed_pose is self.pose:
+            return
+        sensed = self.sensed_pose
+        self._rng.standard_normal(out=sensed)
+        sensed *= self._sigma
+        sensed += self.pose
+        sensed[:, 2] -= np.round(sensed[:, 2] / (2 * math.pi)) * (2 * math.pi)
+
+    def sensed_obstacles(self, row: int, radius_m: float) -> Array:
+        """Return the obstacles (k, 6) whose surface is within `radius_m` of a body's centre."""
+        seen = np.zeros(len(self.obstacles), np.bool_)
+        sense(self.pose[row : row + 1], self.shapes, radius_m, seen)
+        return self.obstacles[seen]
+
+    def close(self) -> None:
+        """Release the physics. Closing twice is fine."""
+        self.engine.close()
+
+
+def _perfect(config: WorldConfig) -> bool:
+    return config.noise.position_m == 0.0 and config.noise.heading_rad == 0.0
+
+
+@kernel
+def ramp(
+    target: Array, commanded_s: Array, limits: Array, drive: Array, now_s: float, watchdog_s: float, dt: float
+) -> None:
+    """Move `drive` (n, 2) towards `target` within `limits` (n, 4: m/s, rad/s, m/s², rad/s²).
+
+    A body that got no command for `watchdog_s` gets the target zero.
+    """
+    for i in range(target.shape[0]):
+        if now_s - commanded_s[i] > watchdog_s + 1e-9:
+            target[i, 0] = 0.0
+            target[i, 1] = 0.0
+        for axis in range(2):
+            cap, most = limits[i, axis], limits[i, axis + 2] * dt
+            goal = max(-cap, min(cap, target[i, axis]))
+            drive[i, axis] += max(-most, min(most, goal - drive[i, axis]))
+
+
+@kernel
+def dead_reckon(odometry: Array, twist: Array, dt: float) -> None:
+    """Advance `odometry` (n, 3) along the arcs of the measured `twist` (n, 2)."""
+    for i in range(odometry.shape[0]):
+        half = 0.5 * twist[i, 1] * dt
+        ratio = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6.0
+        middle, chord = odometry[i, 2] + half, twist[i, 0] * dt * ratio
+        odometry[i, 0] += chord * math.cos(middle)
+        odometry[i, 1] += chord * math.sin(middle)
+        heading = middle + half
+        if heading > math.pi or heading < -math.pi:
+            heading = math.atan2(math.sin(heading), math.cos(heading))
+        odometry[i, 2] = heading
+
+
+@kernel
+def front_bumps(pose: Array, pairs: NDArray[np.int64], obstacles: Array, hazards: NDArray[np.uint8]) -> None:
+    """Set `hazards` (n,) to BUMP where a touching pair lies in the front half of a body, else to none."""
+    hazards[:] = 0
+    for p in range(pairs.shape[0]):
+        i, j = pairs[p, 0], pairs[p, 1]
+        if j >= 0:
+            nx, ny = pose[i, 0] - pose[j, 0], pose[i, 1] - pose[j, 1]
+            if nx * math.cos(pose[j, 2]) + ny * math.sin(pose[j, 2]) > 0.0:
+                hazards[j] = BUMP_BIT
+        else:
+            _, nx, ny = obstacle_gap(pose[i, 0], pose[i, 1], obstacles, -1 - j)
+        if nx * math.cos(pose[i, 2]) + ny * math.sin(pose[i, 2]) < 0.0:
+            hazards[i] = BUMP_BIT
+
+
+@kernel
+def sense(pose: Array, obstacles: Array, radius: float, seen: NDArray[np.bool_]) -> int:
+    """Mark in `seen` (k,) the obstacles whose surface is within `radius` of any pose; return how many changed."""
+    changed = 0
+    for k in range(obstacles.shape[0]):
+        near = False
+        far = obstacles[k, 7] + radius
+        for i in range(pose.shape[0]):
+            dx, dy = pose[i, 0] - obstacles[k, 0], pose[i, 1] - obstacles[k, 1]
+            if dx * dx + dy * dy <= far * far and obstacle_gap(pose[i, 0], pose[i, 1], obstacles, k)[0] <= radius:
+                near = True
+                break
+        if near != seen[k]:
+            seen[k] = near
+            changed += 1
+    return changed
