@@ -1,4 +1,4 @@
-"""A bus for the test of one node: what is said goes through the wire format, and is kept to be looked at."""
+"""A bus and a clock for the test of one node: messages pass the wire format and are kept, time passes on demand."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import TypeVar
 
 from fullswarm.bus import LocalBus, Subscription
 from fullswarm.bus.codec import decode, encode
+from fullswarm.clock import SimClock as FakeClock
 from fullswarm.errors import MessageError
 from fullswarm.messages import Message
-from fullswarm.runtime import Mailbox
+from fullswarm.runtime import Mailbox, Runtime
 
 M = TypeVar("M", bound=Message)
 
@@ -78,3 +79,19 @@ class LoopbackBus:
     def close(self) -> None:
         """End all subscriptions. What was sent can still be looked at."""
         self._local.close()
+
+
+__all__ = ["FakeClock", "simulated_runtime"]
+
+
+def simulated_runtime(mailbox: Mailbox | None = None, *, start_s: float = 0.0) -> Runtime:
+    """Return a runtime on a :class:`FakeClock`: ``run(10.0)`` takes no longer than what the nodes compute.
+
+    Parameters
+    ----------
+    mailbox
+        Of the bus that the nodes use; all of them share one.
+    start_s
+        What the clock shows first. A node must not care; tests find out with another value than 0.
+    """
+    return Runtime(FakeClock(start_s), mailbox)
