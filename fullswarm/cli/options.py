@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fullswarm.cli import completion
-from fullswarm.launch.guard import run_guarded
+from fullswarm.output import run_guarded
 
 if TYPE_CHECKING:
     from fullswarm.operator.session import Target as Target
