@@ -212,4 +212,4 @@ def gamepads(folder: Path = devices.INPUT, listing: Path = devices.LIST) -> Iter
         if each.readable:
             yield Check(_PADS, "ok", f"{each.name} ({each.path})")
         else:
-            yield Check(_PADS, "warning", devices.problem((each,)), devices.MEND)
+            yield Check(_PADS, "warning", devices.problem((each,)), devices.ACCESS)

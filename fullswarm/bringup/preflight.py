@@ -32,8 +32,8 @@ from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable, did_you_mean
 from fullswarm.messages import EStop, Ping
 from fullswarm.operator import session
-from fullswarm.operator.console.advice import LOW_BATTERY, advise
 from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.robot_state import LOW_BATTERY, advise
 from fullswarm.operator.session import Session, Target
 from fullswarm.operator.view import FleetView, RobotRow
 

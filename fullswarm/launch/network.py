@@ -10,8 +10,7 @@ from urllib.parse import urlsplit
 
 from fullswarm.bus.base import PROCESSES, NamedBus, SenderBus
 from fullswarm.bus.endpoint import host_of
-from fullswarm.bus.faulty import faulty
-from fullswarm.bus.network import Network, check_names, parse_network
+from fullswarm.bus.network_faults import Network, check_names, faulty, parse_network
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.frames import in_frame
 from fullswarm.drivers.make import emulated_as

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
