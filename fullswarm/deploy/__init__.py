@@ -6,6 +6,6 @@
 ``fleet/``        the same over SSH, many robots at a time: deploy, update in waves, roll back, show
 
 In: a fleet file and wheels. Out: releases, cards and robots that run an agent. Nothing here runs on board but the shell
-scripts in ``robot/``: whether a release is good is reported by the agent (``agent/telemetry/health_file.py``), and a robot whose
-release is not committed in time rolls back on its own.
+scripts in ``robot/``: whether a release is good is reported by the agent (``agent/telemetry/health_file.py``), and a
+robot whose release is not committed in time rolls back on its own.
 """
