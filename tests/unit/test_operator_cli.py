@@ -240,9 +240,7 @@ def test_a_refusal_is_one_line_with_reason_and_hint(swarm: FakeSwarm) -> None:
     result = run("request", "floking")
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert result.stderr == (
-        "error: floking: no behaviour 'floking' (`fullswarm behaviours` lists the behaviours)\n"
-    )
+    assert result.stderr == ("error: floking: no behaviour 'floking' (`fullswarm behaviours` lists the behaviours)\n")
 
 
 def test_a_silent_core_is_exit_code_3(swarm: FakeSwarm) -> None:
