@@ -14,8 +14,6 @@ from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.simulation.bodies import FreeBody
 from tests.unit.rover_agent import FASTEST, RoverAgent
 
-pytestmark = pytest.mark.alone
-
 CONFIRMED_S, TRIES = 1.0, 20
 CREEP_M_S, WATCHED_S = 0.05, 3.0
 STANDS_S, STANDS_M = 2.0, 1.3  # from 1 m/s; about 1.7 s and 1.0 m on an idle machine

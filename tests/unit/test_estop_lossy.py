@@ -29,7 +29,7 @@ from fullswarm.runtime import Runtime
 from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.world import World
 from fullswarm.store import Store
-from fullswarm.testing.bus import LoopbackBus
+from fullswarm.testing.node import LoopbackBus
 
 KEYS = Keys()
 TICK_S = 0.02
