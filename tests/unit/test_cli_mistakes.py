@@ -19,7 +19,7 @@ MISTAKES = [
     ("request flocking --set goal", 2, "--set: 'goal' is not key=value (e.g. --set speed=0.3)"),
     ("request flocking --set goal=[1", 2, "--set goal: '[1' does not end (check brackets and quotes)"),
     ("request flocking --robots r1;r2", 2, "'r1;r2' cannot name a robot (e.g. --robots r1,r2)"),
-    ("stop @scouts", 2, "'@scouts' is a group, and this goes straight to the robots"),
+    ("stop @scouts", 2, "'@scouts' is a group, and this order goes straight to the robots"),
     (
         "up nothere.toml",
         2,
