@@ -257,7 +257,7 @@ def test_no_hub_is_exit_code_3(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.exit_code == 3
     assert result.stderr == (
         "error: tcp/127.0.0.1:9: no hub answers "
-        "(start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub)\n"
+        "(start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub)\n"
     )
 
 
