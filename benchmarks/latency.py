@@ -36,14 +36,13 @@ from benchmarks.beside_hop import (
     swarm_processes,
 )
 from fullswarm.bus import Bus
-from fullswarm.bus.session import client_config
-from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.bus.zenoh_bus import ZenohBus, client_config
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes, processes
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from fullswarm.messages import BehaviourRequest, ControlRequest
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime
@@ -52,7 +51,7 @@ DECIDED = 2
 OURS = "request to twist"
 RATE_HZ = 20.0
 SETTLE_S = 1.0
-"""A core that connects after the robot hears of it with the robot's next report; requests before that wait."""
+"""A core that connects after the robot learns of it by the next report; requests before that wait."""
 
 
 class StampingDriver:
@@ -73,11 +72,11 @@ class StampingDriver:
         self.state = Lifecycle.READY
 
     def activate(self) -> None:
-        """Take set-points."""
+        """Accept set-points."""
         self.state = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
-        """Take none."""
+        """Accept none."""
         self.state = Lifecycle.READY
 
     def read(self) -> Reading:
@@ -92,7 +91,7 @@ class StampingDriver:
         return twist
 
     def close(self) -> None:
-        """Give up the socket."""
+        """Close the socket."""
         self._socket.close()
 
 
@@ -177,7 +176,7 @@ def _send(config: SwarmConfig, seconds: float) -> Logged:
 
         def both() -> None:
             nonlocal count
-            # At no fixed phase to the periods of core and agent: that would decide what one run says.
+            # At no fixed phase to the periods of core and agent: that would decide the figure of one run.
             interval_s = chance.uniform(0.5, 1.5) / RATE_HZ
             runtime.after(interval_s, both)
             if not ready():

@@ -1,6 +1,6 @@
-"""One robot of the reference swarm: bare zenoh, 48 bytes on its cell's key, the cells around heard; nothing else.
+"""One robot of the reference swarm: bare zenoh, 48 bytes on its cell's key, subscribed to the cells around.
 
-``python -m benchmarks.swarm_bare <robot> <folder>``; ``<robot>.bare`` in the folder says what to do.
+``python -m benchmarks.swarm_bare <robot> <folder>``; ``<robot>.bare`` in the folder holds its settings.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import zenoh
 
 from benchmarks.swarm_meet import GRACE_S, Meeting, Result, spent_since, threads_cpu_s
-from fullswarm.bus.session import client_config
+from fullswarm.bus.zenoh_bus import client_config
 
 STATE = struct.Struct("<d5d")  # stamp, and as much as a pose with velocities: 48 bytes
 LOOK_EACH = 4

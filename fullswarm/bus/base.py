@@ -1,4 +1,4 @@
-"""What a node may ask of a bus, and how key expressions match."""
+"""The interface of a bus, its wrappers that name the sender or count messages, the matching of key expressions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Bus(Protocol):
         ...
 
     def connected(self) -> bool:
-        """Tell whether others can be reached now (the hub is there; always so within one process)."""
+        """Tell whether others can be reached now (the hub is connected; always true within one process)."""
         ...
 
     def close(self) -> None:
@@ -98,6 +98,43 @@ class NamedBus:
 
     def close(self) -> None:
         """Close the bus inside."""
+        self._bus.close()
+
+
+class CountingBus:
+    """Passes everything on.
+
+    Attributes
+    ----------
+    sent, received : messages published through it, and delivered to subscribers through it
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.sent = self.received = 0
+
+    def publish(self, key: str, message: Message) -> None:
+        """Send `message` to all subscribers of a matching key."""
+        self.sent += 1
+        self._bus.publish(key, message)
+
+    def subscribe(
+        self, expression: str, kind: type[M], handler: Callable[[M], None], *, latest: bool = False
+    ) -> Subscription:
+        """Deliver messages of type `kind` on matching keys to `handler`."""
+
+        def count(message: M) -> None:
+            self.received += 1
+            handler(message)
+
+        return self._bus.subscribe(expression, kind, count, latest=latest)
+
+    def connected(self) -> bool:
+        """Tell whether others can be reached."""
+        return self._bus.connected()
+
+    def close(self) -> None:
+        """End all subscriptions."""
         self._bus.close()
 
 

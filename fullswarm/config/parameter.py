@@ -1,4 +1,4 @@
-"""A parameter of a behaviour: its type, its range, and the check that core and robots make alike."""
+"""A parameter of a behaviour: its type, its range, and the check that core and robots share."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from typing import Any, Literal, cast
 
 from pydantic import model_validator
 
-from fullswarm.config.limits import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M
-from fullswarm.config.models import Section
+from fullswarm.config.models import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M, Section
 from fullswarm.messages import Value
 
 Kind = Literal["number", "integer", "flag", "word", "point", "points"]
 Raw = bool | int | float | str | list[Any]
 
 HUGE = 10**300
-"""Numbers beyond it (NaN and infinity among them) would not stay finite in a law."""
+"""Numbers beyond it (NaN and infinity among them) would not stay finite in a control law."""
 
 
 class Parameter(Section):
@@ -54,25 +53,25 @@ class Parameter(Section):
         return max(low, -below_huge), min(high, below_huge)
 
     def check(self, name: str, value: object) -> Value:
-        """Return `value` in the parameter's type; ``ValueError`` says what is wrong, with the range."""
+        """Return `value` in the parameter's type; ``ValueError`` names the problem and the range."""
         if self.type == "flag":
             if not isinstance(value, bool):
                 raise ValueError(f"{name} = {value!r} is not a flag: true or false")
             return value
         if self.type == "word":
             if not isinstance(value, str) or (self.choices and value not in self.choices):
-                raise ValueError(f"{name} = {value!r} is not {self.wanted()}")
+                raise ValueError(f"{name} = {value!r} is not {self.expected()}")
             return value
         if self.type == "point":
             return cast(Value, self._point(name, value))
         if self.type == "points":
             if not isinstance(value, list | tuple) or not value:
-                raise ValueError(f"{name} = {value!r} is not {self.wanted()}")
+                raise ValueError(f"{name} = {value!r} is not {self.expected()}")
             return [self._point(f"{name}[{k}]", each) for k, each in enumerate(value)]
         return self._number(name, value)
 
-    def wanted(self) -> str:
-        """Say in words what the parameter accepts: ``number in [0.05, 5] 1/s``."""
+    def expected(self) -> str:
+        """Return in words what the parameter accepts: ``number in [0.05, 5] 1/s``."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         shape = {"point": "point [x, y]", "points": "list of points [x, y]"}.get(self.type, self.type)

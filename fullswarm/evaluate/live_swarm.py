@@ -19,9 +19,8 @@ from fullswarm.evaluate.swarm import CHECK_PERIOD_S, SAMPLE_S, Report, Summaries
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.keys import Keys
-from fullswarm.launch.network import on_network
+from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
-from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value

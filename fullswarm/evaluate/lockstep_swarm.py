@@ -113,7 +113,7 @@ class LockstepSwarm:
         if newest is None or newest.phase in ("refused", "superseded"):
             raise TrialFailed(f"the core refused: {newest.reason}" if newest else "the core did not answer")
         agents = self._lockstep.agents
-        errors = {why.text for agent in agents for why in agent.wishes.law_error if why}
+        errors = {why.text for agent in agents for why in agent.desired.law_error if why}
         if errors:
             raise TrialFailed("; ".join(sorted(errors)))
         ran = sum(task is not None for agent in agents for task in agent.tasks.of)

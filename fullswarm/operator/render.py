@@ -1,28 +1,25 @@
-"""A snapshot of the swarm as a table that people read; it fits 80 columns and says everything in words."""
+"""Draws a snapshot of the swarm as a table of 80 columns; colours only repeat what the text states."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from rich.markup import escape
 from rich.table import Table
 
 from fullswarm.messages import Summary
-from fullswarm.operator.known import natural
-from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
-from fullswarm.reasons import DELIBERATE, Code
+from fullswarm.operator.robot_state import row_state
+from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, natural
+from fullswarm.units import UNITS
 
-_UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
-STANDS_M_S = 0.005
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
-"""Width kept free for the holders of the robots."""
+"""Columns left out for the holders of the robots."""
 _HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
-"""Values of a summary that the same line or the table already says in another way."""
+"""Values of a summary that the table or the same line shows in another form."""
 _TRUTH = "truth_"
-"""The same once more as a supervisory process saw it: for results and --json."""
+"""The same values as measured by a supervisory process: for results and --json."""
 _FIRST = ("work", "coverage", "collisions")
 
 
@@ -30,7 +27,7 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     """Return the swarm as a table: a row per robot, the header above, what concerns all of them below.
 
     Those that need attention come first; with more robots than `max_rows` the rest is counted.
-    Below stand at most `max_lines` lines.
+    At most `max_lines` lines follow the table.
     """
     table = Table(
         title=_title(snapshot),
@@ -63,56 +60,13 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     return table
 
 
-@dataclass(frozen=True, slots=True)
-class RowState:
-    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
-
-    word: str
-    why: str = ""
-    attention: bool = False
-
-    @property
-    def text(self) -> str:
-        """Both in one line."""
-        return f"{self.word}: {self.why}" if self.why else self.word
-
-
-def row_state(row: RobotRow) -> RowState:
-    """Return what a robot is doing."""
-    health = row.health
-    if row.silent:
-        return RowState(f"SILENT for {row.age_s:.0f} s", attention=True)
-    if health is None:
-        return RowState("no health report", attention=True)
-    if health.fault or health.lifecycle == "FAULT":
-        latched = "E-STOP, " if health.estop else ""
-        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
-        word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
-        return RowState(latched + word, health.fault or "no reason given", attention=True)
-    if health.estop:
-        # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
-        rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
-        return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
-    alarm = health.behaviour or health.stop_code not in DELIBERATE
-    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
-        return RowState("STOPPED", health.stop_reason, attention=True)
-    doing = "moving" if health.moving else "standing"
-    if health.lifecycle not in ("READY", "ACTIVE"):
-        doing = f"{health.lifecycle.lower()}, not ready"
-    if health.contacts:
-        return RowState(f"{doing}, TOUCHING", attention=True)
-    if 0.0 <= health.battery < 0.2:
-        return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
-    return RowState(doing)
-
-
 def footer_lines(snapshot: Snapshot) -> list[str]:
     """Return what concerns the whole swarm: missing or silent robots, the newest request, summaries."""
     lines = []
     if snapshot.missing:
-        lines.append(f"MISSING, never heard: {_names(snapshot.missing)}")
+        lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
-        lines.append(f"SILENT, heard before: {_names(snapshot.silent)}")
+        lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
     if snapshot.request is not None:
         request = snapshot.request
         reason = f", {request.reason}" if request.reason else ""
@@ -127,7 +81,7 @@ def _title(snapshot: Snapshot) -> str:
     silent = [f"{node.node} SILENT" for node in snapshot.nodes if node.age_s > SILENT_S]
     alive = [node.node for node in snapshot.nodes if node.age_s <= SILENT_S]
     if not any(node.node == "core" for node in snapshot.nodes):
-        silent.insert(0, "NO CORE heard")
+        silent.insert(0, "NO CORE")
     count = len(snapshot.robots)
     robots = f"{count} robot{'' if count == 1 else 's'}"
     parts = [f"swarm {snapshot.swarm}: {robots}", hub, *silent]
@@ -181,7 +135,7 @@ def _is_nought(name: str, value: float) -> bool:
 
 
 def _quantity(name: str, value: float, whole: str) -> str:
-    for ending, unit in _UNITS:
+    for ending, unit in UNITS.items():
         if name.endswith(ending):
             return f"{name.removesuffix(ending).replace('_', ' ')} {value:.2f} {unit}"
     if name == "fraction":

@@ -2,7 +2,7 @@
 
 A column is a number per robot (or per host) that an agent publishes at its measurement rate, see
 `RobotMeasurement`; a quantity joins a column of all robots to one number of the swarm. A new metric needs a column
-that some calculator fills (``agent/gauges.py`` says which array) and its record here.
+that some calculator fills (``agent/telemetry/metrics.py`` says which array) and its record here.
 """
 
 from __future__ import annotations

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from fullswarm.bus.base import Bus
 from fullswarm.kernels import Array, kernel
-from fullswarm.keys import Keys
+from fullswarm.keys import TRUTH, Keys
 from fullswarm.messages import RobotMeasurement
 from fullswarm.perf import shape
 from fullswarm.perf.calculators import MASS_KG, Counts, CoverageCalculator, Grid, cover, spend, touch
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.metrics import SHAPE
 from fullswarm.runtime import Scheduler
-from fullswarm.words import TRUTH
 
 # Columns of the state, one row per robot.
 X, Y, HEADING, DISTANCE, ENTERED, SPENT, KINETIC = range(7)

@@ -21,7 +21,7 @@ import pytest
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import Mode as OiMode
 from fullswarm.drivers.guardian import SILENCE_S
@@ -40,8 +40,6 @@ from fullswarm.errors import DriverError
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
 from tests.emulated.test_can_driver import GROUP, multicast_refusal
 from tests.emulated.test_can_driver import free_port as free_can_port
-
-pytestmark = pytest.mark.alone
 
 BOUND_S = 1.3
 """From the kill to rest, from 1 m/s."""

@@ -9,9 +9,9 @@ import pytest
 
 from fullswarm.errors import ConfigError
 from fullswarm.operator.joystick import mapping
+from fullswarm.operator.joystick.mapping import CONTROLS, Wizard
 from fullswarm.operator.joystick.pads import Pads
 from fullswarm.operator.joystick.state import PadState, RawState
-from fullswarm.operator.joystick.wizard import CONTROLS, Wizard
 from fullswarm.testing.pad import VirtualPad
 
 
@@ -181,7 +181,7 @@ def walk(pads: Pads, pad: VirtualPad) -> Wizard:
             wizard.skip()
         pads.poll()
         now_s += 0.01
-        wizard.look(now_s, pads.raw(pad.id))
+        wizard.update(now_s, pads.raw(pad.id))
     assert wizard.done
     return wizard
 

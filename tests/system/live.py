@@ -15,12 +15,12 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
+from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.nodes import start_poses
-from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value
-from fullswarm.operator.client import Asked, Operator
+from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.simulation.server import WorldServer
@@ -51,7 +51,7 @@ class LiveSwarm:
 
     def __init__(self, config: dict[str, Any], *, watch: bool) -> None:
         self.clock = MonotonicClock()
-        self.config = on_free_ports(SwarmConfig.model_validate(config))
+        self.config = on_free_ports(SwarmConfig.model_validate(config), wished=False)
         self.runtime = Runtime(self.clock, Mailbox())
         self.supervisor = Supervisor(self.config, self.runtime, restart=False, world=not watch)
         self.bus = ZenohBus(self.runtime.mailbox, hub=self.config.hub.endpoint)
@@ -134,7 +134,7 @@ class LiveSwarm:
         *,
         missing: tuple[str, ...] = (),
         timeout_s: float = 10.0,
-    ) -> Asked:
+    ) -> PendingRequest:
         """Ask for a behaviour and wait until all robots but the `missing` ones confirmed."""
         asked = self.operator.request(behaviour, (), parameters)
 
@@ -146,7 +146,7 @@ class LiveSwarm:
         self.until(confirmed, timeout_s, f"{behaviour} is confirmed")
         return asked
 
-    def status(self, asked: Asked) -> RequestStatus:
+    def status(self, asked: PendingRequest) -> RequestStatus:
         assert asked.status is not None
         return asked.status
 

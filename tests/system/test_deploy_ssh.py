@@ -13,8 +13,7 @@ from typing import TypeVar
 
 import pytest
 
-from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint
-from fullswarm.deploy.fleet.login import Address, Login
+from fullswarm.deploy.fleet.login import Address, Login, Pins, key_fingerprint
 from fullswarm.deploy.fleet.remote import Answer, LinkBroke, Remote
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.manifest import Target
@@ -187,7 +186,7 @@ def test_an_unknown_computer_is_not_logged_in_to(lab: Lab) -> None:
     lab.release("1.0")
     done = lab.ask("deploy")  # no terminal that could be asked
     assert (done[""]["exit_code"], done["r1"]["result"]) == (3, "failed")
-    assert fingerprint((robot.root / "host_key.pub").read_text()) in done["r1"]["what"]
+    assert key_fingerprint((robot.root / "host_key.pub").read_text()) in done["r1"]["what"]
     assert not (robot.root / "opt/fullswarm").exists()
     assert not lab.keys.known_hosts.exists()
 
@@ -365,7 +364,7 @@ def test_a_robot_that_says_too_much_is_cut_short(lab: Lab) -> None:
     async def talk(remote: Remote) -> Answer:
         return await remote.run("exec cat /dev/zero")
 
-    with pytest.raises(Unreachable, match="said more than 4 MB"):
+    with pytest.raises(Unreachable, match="printed more than 4 MB"):
         over_the_link(lab, talk)
 
 

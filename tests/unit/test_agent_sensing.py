@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from fullswarm.agent.estimator import DirectEstimator, EkfEstimator
-from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator
 from fullswarm.bus import LocalBus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
@@ -90,19 +90,19 @@ def test_an_older_message_does_not_undo_a_newer_one_but_a_restarted_host_is_hear
     table = Neighbours(("me",), timeout_s=1.0)
     table.hear(states("a", 5, 1.0, a=(2.0, 0.0)), 1.0)
     table.hear(states("a", 4, 0.9, a=(9.0, 0.0)), 1.1)
-    assert table.heard[0, 0] == 2.0
+    assert table.states[0, 0] == 2.0
     table.hear(states("a", 1, 3.0, a=(4.0, 0.0)), 3.0)
-    assert table.heard[0, 0] == 4.0
+    assert table.states[0, 0] == 4.0
 
 
 def test_a_robot_whose_computer_has_booted_is_heard_at_its_new_place() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
     table.hear(states("a", 9000, 900.0, a=(5.0, 0.0)), 10.0)
     table.hear(states("a", 8999, 899.9, a=(6.0, 0.0)), 10.9)
-    assert table.heard[0, 0] == 5.0
+    assert table.states[0, 0] == 5.0
     table.hear(states("a", 1, 12.0, a=(1.0, 0.0)), 40.0)
     table.hear(states("a", 2, 12.1, a=(1.1, 0.0)), 40.1)
-    assert table.heard[0, 0] == 1.1
+    assert table.states[0, 0] == 1.1
 
 
 def test_the_table_grows_with_the_swarm() -> None:
@@ -117,7 +117,7 @@ def test_the_table_grows_with_the_swarm() -> None:
 def test_a_robot_listens_to_the_cells_around_it() -> None:
     mailbox = Mailbox()
     bus, heard = LocalBus(mailbox), []
-    listening = Listening(bus, KEYS, 3.0, lambda message: heard.append(message.host))
+    listening = StateSubscriptions(bus, KEYS, 3.0, lambda message: heard.append(message.host))
     for x, expected in ((1.0, {"near"}), (31.0, {"far"})):
         heard.clear()
         listening.follow(np.array([[x, 1.0]]), 3.0)
@@ -143,7 +143,7 @@ def test_many_robots_publish_by_cell(robots: int, cell_m: float) -> None:
 
 
 def test_delay_is_measured_without_a_common_clock() -> None:
-    freshness = Freshness()
+    freshness = MessageDelay()
     assert freshness.delay_s("core", 1000.0, 5.0) == 0.0
     assert freshness.delay_s("core", 1000.5, 5.9) == pytest.approx(0.4)
     assert freshness.delay_s("core", 1001.0, 6.0) == pytest.approx(0.0)
@@ -151,7 +151,7 @@ def test_delay_is_measured_without_a_common_clock() -> None:
 
 
 def test_a_sender_that_was_suspended_is_believed_again() -> None:
-    freshness = Freshness()
+    freshness = MessageDelay()
     freshness.delay_s("core", 0.0, 0.0)
     delays = [freshness.delay_s("core", 0.1 * tick, 0.1 * tick + 60.0) for tick in range(1, 150)]
     assert delays[0] == pytest.approx(60.0, abs=0.01)
@@ -160,7 +160,7 @@ def test_a_sender_that_was_suspended_is_believed_again() -> None:
 
 def test_clocks_that_went_apart_in_a_long_silence_are_no_delay_but_a_queue_is() -> None:
     for waited_s, delay_s in ((0.0, 0.0), (60.0, 57.7)):
-        freshness, silence_s = Freshness(), 8 * 3600.0
+        freshness, silence_s = MessageDelay(), 8 * 3600.0
         freshness.delay_s("core", 100.0, 0.0)
         arrival_s = silence_s * (1.0 + 20e-6)
         assert freshness.delay_s("core", 100.0 + silence_s - waited_s, arrival_s) == pytest.approx(delay_s, abs=0.1)
@@ -174,7 +174,7 @@ def test_what_a_stranger_says_wrongly_is_not_heard() -> None:
     table.hear(msgspec.structs.replace(states("b", 1, 0.0, b=(1.0, 0.0), c=(1.0, 1.0)), y_m=(0.0, math.nan)), 0.0)
     table.look(0.0)
     start, other = table.within(np.array([[0.0, 0.0]]), 3.0)
-    assert table.heard[other[: start[-1]], 0].tolist() == [1.0]
+    assert table.states[other[: start[-1]], 0].tolist() == [1.0]
 
 
 def test_a_host_may_say_its_cells_one_after_the_other() -> None:

@@ -20,9 +20,7 @@ from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
-from fullswarm.bus.inbox import LONGEST_NAME
-from fullswarm.bus.session import client_config, untyped
-from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
+from fullswarm.bus.zenoh_bus import CACHED_KEYS, LONGEST_NAME, ZenohBus, client_config, is_urgent, untyped
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
@@ -412,7 +410,7 @@ def test_loopback_is_open_to_all(host: str) -> None:
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.1.5", "robot7.local", "[::ffff:10.0.0.1]", "127.1"])
 def test_the_network_needs_a_deliberate_word(host: str) -> None:
     endpoint = f"tcp/{host}:7447"
-    with pytest.raises(ConfigError, match="anybody on that network could drive the robots") as caught:
+    with pytest.raises(ConfigError, match="any computer on that network could drive the robots") as caught:
         Hub(endpoint)
     assert "--insecure-network" in caught.value.hint
     Hub(endpoint, insecure_network=True)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig, load_swarm
-from fullswarm.config.positions import KeyPath, line_numbers
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
+from fullswarm.config.toml_errors import KeyPath, line_numbers
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.starts import start_problems
@@ -296,7 +296,8 @@ def _paths(value: object, path: KeyPath) -> list[KeyPath]:
         ("[world]\nrate_hz = 1e6\n", "fleet.toml:2: world.rate_hz: must be less than or equal to 1000 Hz"),
         ("[world]\nradius_m = 170\n", "fleet.toml:2: world.radius_m: must be less than or equal to 50 m, not 170"),
         ("[world]\nsubsteps = 100000\n", "fleet.toml:2: world.substeps: must be less than or equal to 100, not 100000"),
-        ("[world]\nbounds_m = [20.0, 0.0, 0.0, 20.0]\n", "fleet.toml:2: world.bounds_m: [20, 0, 0, 20] is no arena"),
+        ("[world]\nbounds_m = [20.0, 0.0, 0.0, 20.0]\n",
+         "fleet.toml:2: world.bounds_m: [20, 0, 0, 20] is not an arena"),
         ("[world]\nboxes = [\n[5, 5, 1, 1, 0],\n[5, 5, 0, 1, 0],\n]\n",
          "fleet.toml:4: world.boxes[1]: has no size (0 by 1 m)"),
         ("[world]\nboxes = [\n[5, 5, 1, 1, 0],\n[25, 5, 1, 1, 0],\n]\n",

@@ -11,14 +11,14 @@ from typing import Any, cast
 
 import pytest
 
-from fullswarm.deploy.fleet import steps, work
+from fullswarm.deploy.fleet import robot_update
 from fullswarm.deploy.fleet.facts import Agent, Facts, Health
 from fullswarm.deploy.fleet.login import Address
+from fullswarm.deploy.fleet.releases import Archives
 from fullswarm.deploy.fleet.remote import Answer, Remote
-from fullswarm.deploy.fleet.rollout import Stage
-from fullswarm.deploy.fleet.ship import Parcels
-from fullswarm.deploy.fleet.work import Kit, Outcome, Work
-from fullswarm.deploy.release import sums
+from fullswarm.deploy.fleet.robot_update import RobotUpdater, SupportPackage, ship_release
+from fullswarm.deploy.fleet.rollout import Outcome, Stage
+from fullswarm.deploy.release import manifest
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.errors import FullswarmError
 from tests.deploy_release import tiny_release
@@ -53,13 +53,13 @@ class Robot:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("POLL_S", 0.001), ("SICK_S", 0.5), ("SILENT_S", 1.0)):
-        monkeypatch.setattr(work, name, value)
+        monkeypatch.setattr(robot_update, name, value)
 
 
-def hands(kits: dict[str, Kit] | None = None) -> Work:
+def hands(kits: dict[str, SupportPackage] | None = None) -> RobotUpdater:
     nothing = cast(Any, None)
     addresses = {"r1": Address("r1", "10.0.0.1", 22, "me")}
-    return Work(nothing, addresses, nothing, nothing, lambda _: None, "", kits=kits or {})
+    return RobotUpdater(nothing, addresses, nothing, nothing, lambda _: None, "", packages=kits or {})
 
 
 def says(monkeypatch: pytest.MonkeyPatch, facts: Iterable[Facts]) -> list[Facts]:
@@ -70,7 +70,7 @@ def says(monkeypatch: pytest.MonkeyPatch, facts: Iterable[Facts]) -> list[Facts]
         asked.append(left.pop(0) if len(left) > 1 else left[0])
         return asked[-1]
 
-    monkeypatch.setattr(work, "facts_of", facts_of)
+    monkeypatch.setattr(robot_update, "facts_of", facts_of)
     return asked
 
 
@@ -108,7 +108,7 @@ def test_one_that_was_restarted_gets_its_time(monkeypatch: pytest.MonkeyPatch) -
     [
         (of(DIES, None), "activating/auto-restart, restarted 7 times"),
         (of(Agent(), WELL), "not started"),
-        (of(RUNS, None), "it says nothing of its health"),
+        (of(RUNS, None), "it reports no health"),
         (of(RUNS, Health(release="0.9-0123456789ab", healthy=True)), "it still runs 0.9-0123456789ab"),
     ],
 )
@@ -129,8 +129,10 @@ def test_one_that_starts_again_and_again_does_not_run(monkeypatch: pytest.Monkey
 # ---------------------------------------------------------------- what it was given is there
 def test_a_kit_that_did_not_arrive_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
     says(monkeypatch, [Facts(protocol=1, kit="old")])
-    task = hands({"r1": Kit(b"", "new")})._install(Robot([Answer(0, b"", b"")]).remote, Facts(protocol=1, kit="old"))
-    with pytest.raises(FullswarmError, match="its files are other ones"):
+    task = hands({"r1": SupportPackage(b"", "new")})._install(
+        Robot([Answer(0, b"", b"")]).remote, Facts(protocol=1, kit="old")
+    )
+    with pytest.raises(FullswarmError, match="its files differ"):
         asyncio.run(task)
 
 
@@ -140,18 +142,18 @@ def release(tmp_path: Path) -> Path:
 
 
 def stage(robot: Robot, release: Path, folder: Path) -> None:
-    asyncio.run(steps.stage(robot.remote, release, Parcels(folder), Facts(protocol=1)))
+    asyncio.run(ship_release(robot.remote, release, Archives(folder), Facts(protocol=1)))
 
 
 def test_what_turns_out_to_be_damaged_there_is_shipped_once_more(release: Path, tmp_path: Path) -> None:
-    path = sorted(sums.read(release))[0]
+    path = sorted(manifest.read_sums(release))[0]
     good, lacks = Answer(0, b"", b""), Answer(1, f"{path}\n".encode(), b"")
     robot = Robot([good, lacks, good])
     stage(robot, release, tmp_path)
     assert [each[0] for each in robot.asked] == ["want", "receive", "receive"]
     assert robot.fed[1] != robot.fed[2]
     robot = Robot([good, lacks])
-    with pytest.raises(FullswarmError, match="did not get the release whole"):
+    with pytest.raises(FullswarmError, match="received the release incompletely"):
         stage(robot, release, tmp_path)
     assert len(robot.asked) == 3
 
@@ -160,7 +162,7 @@ def test_a_full_disk_of_ours_is_that_robots_failure_alone(monkeypatch: pytest.Mo
     async def full(*_: object) -> Outcome:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Work, "_stage", full)
+    monkeypatch.setattr(RobotUpdater, "_stage", full)
     outcome = asyncio.run(hands()("r1", Stage.STAGING))
     assert (outcome.stage, outcome.exit_code) == (Stage.FAILED, 1)
     assert "this computer could not read or pack the release: No space left on device" in outcome.what

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.agent.estops import SETTLE_TIMEOUT_S
-from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S, LatchFolder
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.latching import RUN, STATE, latch_folder
+from fullswarm.launch.processes import RUN, STATE, latch_folder
 from fullswarm.messages import EStop
 from tests.unit.agent_bench import TICK_S, Bench
 

@@ -9,9 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent import pairs
-from fullswarm.agent.neighbours import Listening, Neighbours
-from fullswarm.agent.safety.filter import BLIND, CROWDED, EXPLAIN, FREE, SafetyFilter
+from fullswarm.agent.neighbours import estimates
+from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.safety.filter import (
+    BLIND,
+    CROWDED,
+    EXPLAIN,
+    FREE,
+    Measured,
+    Requested,
+    SafetyFilter,
+    Tuning,
+    robot_params,
+)
 from fullswarm.bus.local import LocalBus
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
 from fullswarm.keys import Keys
@@ -38,10 +48,10 @@ def table() -> Neighbours:
 
 def one_filter() -> SafetyFilter:
     limits = Limits(SPEED, TURN, ACCEL, 20.0)
-    return SafetyFilter(
-        ("me",), (Description("any", "any", 0.17, limits),), np.array([SPEED]), np.array([TURN]), np.array([True]),
-        0.02, 3.0, BOUNDS, (1.0, 3.0),
-    )  # fmt: skip
+    robots = robot_params(
+        (Description("any", "any", 0.17, limits),), np.array([SPEED]), np.array([TURN]), np.array([True])
+    )
+    return SafetyFilter(("me",), robots, Tuning(0.02, 3.0, 1.0, 3.0), BOUNDS)
 
 
 def go(
@@ -52,11 +62,9 @@ def go(
     made, twists = made or one_filter(), np.array([[0.5, 0.0]])
     others.look(now_s)
     near = others.around(HERE, 3.0)
-    made.apply(
-        now_s, np.array([wish]), np.ones(1, bool), np.array([pose]), np.zeros((1, 2)),
-        np.array([now_s if stamp_s is None else stamp_s]), np.array([2.0]), np.array([0.03]), near, others.believed,
-        NO_OBSTACLES, twists,
-    )  # fmt: skip
+    requested = Requested(np.array([wish]), np.ones(1, bool), np.array([2.0]), np.array([0.03]))
+    measured = Measured(np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]))
+    made.apply(now_s, requested, measured, near, NO_OBSTACLES, twists)
     return float(twists[0, 0])
 
 
@@ -93,7 +101,7 @@ def test_a_silent_neighbour_is_gone_for_laws_and_stands_for_the_filter() -> None
     others.hear(state(1.0, 0.0, speed=0.3), 0.0)
     others.look(2.0)
     assert others.within(HERE, 3.0)[0].tolist() == [0, 0]
-    start, other = others.around(HERE, 3.0)
+    start, other, *_ = others.around(HERE, 3.0)
     assert start.tolist() == [0, 1]
     assert others.silent == 1
     row = other[0]
@@ -129,7 +137,7 @@ def test_a_state_that_is_no_number_does_not_make_a_robot_vanish() -> None:
 def test_silence_where_nobody_listens_says_nothing() -> None:
     mailbox = Mailbox()
     others = table()
-    listening = Listening(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
+    listening = StateSubscriptions(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
     listening.follow(np.array([[1.5, 1.5]]), 3.0)  # cells from -3 to 6 m
     others.hear(state(2.0, 2.0, robot="dead"), 0.0)
     others.hear(state(5.95, 2.0, robot="leaving"), 0.0)
@@ -187,6 +195,6 @@ def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     out = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1)
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():
-        pairs.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
+        estimates.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
         sizes.append(float(out[2][0]))
     assert (np.diff(sizes) >= -1e-12).all()

@@ -16,8 +16,7 @@ from pydantic_core import ErrorDetails
 from tomlkit.items import Array, Table
 
 from fullswarm.config import Point, Section
-from fullswarm.config.explain import dotted, explain
-from fullswarm.config.positions import line_numbers
+from fullswarm.config.toml_errors import dotted, explain, line_numbers
 from fullswarm.errors import ConfigError, did_you_mean
 
 

@@ -1,4 +1,4 @@
-"""What the core's database says of the world: arena, boxes, behaviours, groups, and what each robot shall run."""
+"""Mirrors the core's database: arena, boxes, behaviours, groups, and what each robot shall run."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from fullswarm.operator.params import ParamClient, Stored
 from fullswarm.runtime import Scheduler
 
 EVERYTHING = "*"
-BEHAVIOUR, GROUP, WANTED = "behaviour/", "group/", "wanted/"
+BEHAVIOUR, GROUP, ORDER = "behaviour/", "group/", "wanted/"
 BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
 SETTLE_S = 0.2
-"""Records that change together are read together."""
+"""Records that change together are read in one answer."""
 
 _SHOWN = (BEHAVIOUR, GROUP, "world/", "agent/")
 
 
 class World:
-    """A copy of the core's database, read anew when the core was started again.
+    """A copy of the core's database, read again when the core was restarted.
 
     Parameters
     ----------
     on_world
         Called when what the page shows of it has changed.
-    on_wanted
+    on_orders
         Called with the robots whose orders have changed.
     """
 
@@ -39,9 +39,9 @@ class World:
         author: str,
         *,
         on_world: Callable[[], None],
-        on_wanted: Callable[[Iterable[str]], None],
+        on_orders: Callable[[Iterable[str]], None],
     ) -> None:
-        self._scheduler, self._on_world, self._on_wanted = scheduler, on_world, on_wanted
+        self._scheduler, self._on_world, self._on_orders = scheduler, on_world, on_orders
         self._params = ParamClient(bus, keys, scheduler, author)
         self._values: dict[str, Stored] = {}
         self._core = ""
@@ -72,7 +72,7 @@ class World:
         }
 
     def record(self, name: str) -> dict[str, Any] | None:
-        """Return a behaviour's record, defaults that stand in the database filled in; None: no such behaviour."""
+        """Return a behaviour's record, defaults from the database filled in; None: no such behaviour."""
         raw = self._values.get(BEHAVIOUR + name)
         if not isinstance(raw, dict):
             return None
@@ -84,8 +84,8 @@ class World:
         }
         return {**raw, "parameters": filled}
 
-    def lapses(self, behaviour: str) -> bool:
-        """Tell whether a behaviour is an intent, which ends unless it is repeated."""
+    def expires(self, behaviour: str) -> bool:
+        """Return whether a behaviour is an intent, which ends unless it is repeated."""
         record = self._values.get(BEHAVIOUR + behaviour)
         expires_s = record.get("expires_s") if isinstance(record, dict) else None
         return isinstance(expires_s, int | float) and expires_s > 0.0
@@ -96,12 +96,12 @@ class World:
         robots = value.get("robots") if isinstance(value, dict) else None
         return tuple(map(str, robots)) if isinstance(robots, list | tuple) else None
 
-    def wanted(self) -> dict[str, dict[str, Any]]:
-        """Return robot → what the core wants it to run: `request_id`, `behaviour`, `parameters` and more."""
+    def orders(self) -> dict[str, dict[str, Any]]:
+        """Return robot → its order of the core: `request_id`, `behaviour`, `parameters` and more."""
         return {
-            key.removeprefix(WANTED): value
+            key.removeprefix(ORDER): value
             for key, value in self._values.items()
-            if key.startswith(WANTED) and isinstance(value, dict)
+            if key.startswith(ORDER) and isinstance(value, dict)
         }
 
     def _names(self, prefix: str) -> list[str]:
@@ -125,7 +125,7 @@ class World:
 
     # ---------------------------------------------------------------- staying up to date
     def _ask(self) -> None:
-        """Ask for everything; what is asked for meanwhile waits for the answer."""
+        """Ask for all entries; a further question waits for the answer."""
         if self._closed:
             return
         self._again = self._asking
@@ -141,7 +141,7 @@ class World:
             self._values = {entry.key: entry.value for entry in reply.entries if entry.value is not None}
             self.known = True
             self._on_world()
-            self._on_wanted(self.wanted())
+            self._on_orders(self.orders())
         if self._again:
             self._ask()
 
@@ -153,14 +153,14 @@ class World:
     def _changed(self, entry: ParamEntry) -> None:
         key = entry.key
         if key.startswith(BEHAVIOUR):
-            # Others may be like this one: only the core can say what they have become.
+            # Others may inherit from this one: only the core can resolve them.
             self._scheduler.after(SETTLE_S, self._ask)
             return
         if entry.value is None:
             self._values.pop(key, None)
         else:
             self._values[key] = entry.value
-        if key.startswith(WANTED):
-            self._on_wanted((key.removeprefix(WANTED),))
+        if key.startswith(ORDER):
+            self._on_orders((key.removeprefix(ORDER),))
         elif key.startswith(_SHOWN):
             self._on_world()

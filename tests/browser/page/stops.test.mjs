@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Bench } from "./browser.mjs";
 
-const READ_ONLY = { ok: false, reason: "this console only shows: it was started with --read-only" };
+const READ_ONLY = { ok: false, reason: "this console is read-only: it was started with --read-only" };
 
 function panel(bench) {
   const box = bench.element("stop-panel");
@@ -23,7 +23,7 @@ test("all stand: that is good, and the panel goes by itself", async () => {
 test("a robot that is not heard counts, by name, and the panel stays", async () => {
   const bench = await Bench.with("r1", "r2", "r10");
   bench.hear({ t: "stop", standing: ["r1"], moving: [], silent: ["r10", "r2"], done: false });
-  assert.deepEqual(panel(bench), { words: "1 of 3 standing, r2, r10 not heard", mood: "bad", shown: true });
+  assert.deepEqual(panel(bench), { words: "1 of 3 standing, r2, r10 silent", mood: "bad", shown: true });
   await bench.clock.pass(20_000);
   assert.equal(panel(bench).shown, true);
 });
@@ -34,7 +34,7 @@ test("it is never good while somebody is silent or nobody is there, whatever the
     bench.hear({ t: "stop", standing: ["r1"], moving: [], silent: ["r2"], done });
     assert.equal(panel(bench).mood, "bad");
     bench.hear({ t: "stop", standing: [], moving: [], silent: [], done });
-    assert.deepEqual(panel(bench), { words: "0 of 0 standing: no robot has been heard", mood: "bad", shown: true });
+    assert.deepEqual(panel(bench), { words: "0 of 0 standing: no robot has reported", mood: "bad", shown: true });
   }
 });
 
@@ -65,7 +65,7 @@ test("a console that refuses is quoted, and nothing is said to wait", async () =
   bench.answers(() => READ_ONLY);
   bench.stops.stop();
   await bench.clock.pass(100);
-  assert.match(panel(bench).words, /^NOT DONE: this console only shows.* Use the switches on the robots/);
+  assert.match(panel(bench).words, /^NOT DONE: this console is read-only.* Use the switches on the robots/);
   assert.doesNotMatch(panel(bench).words, /link/);
   assert.equal(panel(bench).mood, "bad");
   assert.deepEqual(bench.refused, [READ_ONLY.reason]);
@@ -90,7 +90,7 @@ test("why an e-stop was refused stands until another one is heard of", async () 
   bench.answers(() => READ_ONLY);
   bench.stops.estop();
   await bench.clock.pass(100);
-  assert.match(title(), /^NOT DONE: this console only shows/);
+  assert.match(title(), /^NOT DONE: this console is read-only/);
   bench.fleet(["r1"]);
   assert.match(title(), /^NOT DONE/, "the next look at the fleet does not wipe it off");
   const receipts = [{ robot: "r1", standing: true, engaged: true, rolled_m: 0, after_s: 0.1 }];

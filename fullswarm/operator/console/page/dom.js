@@ -1,7 +1,7 @@
-/** Small helpers for making and changing elements; text only ever goes in as text. */
+/** Helpers for elements and events; text is only ever inserted as text. */
 
 /**
- * Return the element with an id; its absence is a mistake of the page.
+ * Return the element with an id; its absence is an error in the page.
  * @param {string} id
  */
 export function byId(id) {
@@ -31,7 +31,7 @@ export function make(tag, { text, testid, on = {}, ...attributes } = {}, ...chil
 }
 
 /**
- * Return what draws on a canvas.
+ * Return the drawing context of a canvas.
  * @param {HTMLCanvasElement} canvas
  * @param {CanvasRenderingContext2DSettings} [settings]
  */
@@ -42,7 +42,7 @@ export function context2d(canvas, settings) {
 }
 
 /**
- * Set a text only if it changed: the browser does no work for what stays.
+ * Set a text only if it changed, which saves the browser work.
  * @param {Element} element
  * @param {string} text
  */
@@ -88,4 +88,32 @@ export function steered(element) {
  */
 export function robots(count) {
   return count === 1 ? "1 robot" : `${count} robots`;
+}
+
+/**
+ * Calls the handlers of topics.
+ * @template {object} Topics topic → what its handlers are called with
+ */
+export class Emitter {
+  #handlers = /** @type {Map<keyof Topics, ((value: unknown) => void)[]>} */ (new Map());
+
+  /**
+   * Call `handler` on each emit of `topic`.
+   * @template {keyof Topics} T
+   * @param {T} topic
+   * @param {(value: Topics[T]) => void} handler
+   */
+  on(topic, handler) {
+    const handlers = this.#handlers.get(topic) ?? [];
+    this.#handlers.set(topic, [...handlers, /** @type {(value: unknown) => void} */ (handler)]);
+  }
+
+  /**
+   * @template {keyof Topics} T
+   * @param {T} topic
+   * @param {Topics[T]} [value]
+   */
+  emit(topic, value) {
+    for (const handler of this.#handlers.get(topic) ?? []) handler(value);
+  }
 }

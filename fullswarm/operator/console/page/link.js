@@ -1,6 +1,6 @@
-/** The one WebSocket to the console: hello, answers by number, and coming back by itself. */
+/** The WebSocket to the console: hello, answers by number, reconnecting; and how old the data is, and why. */
 
-import { Emitter } from "./emitter.js";
+import { Emitter } from "./dom.js";
 
 /** @import { AnswerFrame, Message } from "./types.d.ts" */
 
@@ -9,14 +9,14 @@ const ANSWER_S = 4;
 const STALLED_S = 3;
 const URGENT_S = 10;
 const REFUSED = /** @type {Record<number, string>} */ ({
-  4401: "not let in: wrong or missing token",
-  4429: "not let in: too many pages or messages",
+  4401: "Access denied: wrong or missing token",
+  4429: "Access denied: too many pages or messages",
 });
 
 /**
  * @typedef {{ok: boolean, reason?: string, request_id?: string, code?: string, about?: Record<string, string>,
  *   lost?: "unsent" | "broken" | "mute"}} Answer
- *   lost: the console has not said this, but the link: it was not sent, the link broke, no answer came
+ *   lost: this is not an answer of the console, but of the link: it was not sent, the link broke, no answer came
  */
 
 /**
@@ -43,7 +43,7 @@ export class Link extends Emitter {
   #urgent = /** @type {{message: object, until_s: number}[]} */ ([]);
 
   /**
-   * Send a command and wait for its answer. Never throws: no link and no answer are answers too.
+   * Send a command and wait for its answer. Never throws: a lost link and a missing answer are answers too.
    * @returns {Promise<Answer>}
    * @param {object} message
    */
@@ -68,14 +68,14 @@ export class Link extends Emitter {
   }
 
   /**
-   * Send and wait for nothing; null if there is no link. `heard` is called with the answer when it comes.
+   * Send and wait for nothing; null if there is no link. `handler` is called with the answer.
    * @param {object} message
-   * @param {(answer: Answer) => unknown} [heard]
+   * @param {(answer: Answer) => unknown} [handler]
    */
-  post(message, heard) {
+  post(message, handler) {
     if (!this.open || this.#socket?.readyState !== WebSocket.OPEN) return null;
     this.#ref += 1;
-    if (heard) this.#waiting.set(this.#ref, { resolve: heard, timer: 0 });
+    if (handler) this.#waiting.set(this.#ref, { resolve: handler, timer: 0 });
     this.#socket.send(JSON.stringify({ ...message, ref: this.#ref }));
     return this.#ref;
   }
@@ -123,7 +123,7 @@ export class Link extends Emitter {
     this.emit("closed");
   }
 
-  /** A socket that says nothing for long is dead although nobody closed it: start anew. */
+  /** A socket without messages for long is dead although it was not closed: reconnect. */
   #watch() {
     const quiet_s = performance.now() / 1000 - (this.heard_s ?? Infinity);
     if (!this.open || quiet_s < STALLED_S) return;
@@ -159,3 +159,47 @@ export function identity() {
   }
   return { token: sessionStorage.getItem("token") ?? "", session };
 }
+
+export const OLD_S = 1.0;
+
+/**
+ * @typedef {{open: boolean, now_s: number, heard_s: number | null, fleet_s: number | null, hub: boolean,
+ *   core_age_s: number | null, refused: string}} LinkFacts
+ *   heard_s: arrival of the newest message; fleet_s: of the newest "fleet"; core_age_s: as that one reports
+ */
+
+/**
+ * Return how old the data is, and why.
+ * @param {LinkFacts} facts
+ * @returns {{level: "live" | "old" | "core" | "hub" | "refused" | "start", text: string}}
+ */
+export function judgeLink({ open, now_s, heard_s, fleet_s, hub, core_age_s, refused }) {
+  if (refused) return { level: "refused", text: refused };
+  if (heard_s === null || fleet_s === null) return { level: "start", text: open ? "no data yet" : "connecting" };
+  const age_s = now_s - heard_s;
+  if (!open || age_s > OLD_S) return { level: "old", text: `no data for ${seconds(age_s)}` };
+  if (!hub) return { level: "hub", text: "hub lost" };
+  if (core_age_s === null) return { level: "core", text: "core is silent" };
+  const core_s = core_age_s + now_s - fleet_s;
+  if (core_s > OLD_S) return { level: "core", text: `core is silent for ${seconds(core_s)}` };
+  return { level: "live", text: "live" };
+}
+
+/**
+ * Write an age: tenths while they matter.
+ * @param {number} age_s
+ */
+export function seconds(age_s) {
+  if (age_s < 10) return `${Math.max(0, age_s).toFixed(1)} s`;
+  return age_s < 120 ? `${Math.round(age_s)} s` : `${Math.round(age_s / 60)} min`;
+}
+
+/** What each state means for the operator. */
+export const LINK_ADVICE = {
+  old: "The console does not answer. What you see is old. Robots stop by themselves if the hub is gone too.",
+  core: "Requests cannot be answered. Most behaviours stop by themselves. Stop and e-stop still reach the robots.",
+  hub: "Nothing reaches the robots from here. They stop by themselves. Start the hub: fullswarm up.",
+  refused: "Open the address that the command fullswarm console prints.",
+  start: "",
+  live: "",
+};

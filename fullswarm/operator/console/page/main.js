@@ -1,16 +1,15 @@
-/** Puts the parts of the console together. */
+/** Assembles the page. */
 
 import { Banners } from "./banners.js";
 import { Charts } from "./charts.js";
 import { Commands } from "./commands.js";
 import { byId, setText } from "./dom.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
-import { FleetTable } from "./fleet.js";
-import { GroupBar } from "./groupbar.js";
+import { FleetTable, GroupBar } from "./fleet.js";
 import { Keyboard, tabs } from "./keyboard.js";
 import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
-import { LogView } from "./logview.js";
+import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
@@ -30,7 +29,7 @@ const ground = /** @type {HTMLCanvasElement} */ (byId("map-ground"));
 const live = /** @type {HTMLCanvasElement} */ (byId("map"));
 const map = new SwarmMap({ ground, live, store, selection, theme });
 const banners = new Banners({ link, store, commands, map });
-const tools = new Tools({ store, selection, commands, tell: (words) => banners.tell(words) });
+const tools = new Tools({ store, selection, commands, hint: (words) => banners.hint(words) });
 map.tool = tools;
 const toolbar = new Toolbar({ map, tools, commands, store });
 const stops = new Stops(store, commands);
@@ -62,12 +61,12 @@ const showDriving = () => {
 driver.on("change", showDriving);
 pad.on("change", showDriving);
 
-const letGo = () => {
+const releaseDriving = () => {
   arrows.end();
   driver.release();
 };
-document.addEventListener("visibilitychange", () => document.hidden && letGo());
-for (const name of ["blur", "pagehide"]) addEventListener(name, letGo);
+document.addEventListener("visibilitychange", () => document.hidden && releaseDriving());
+for (const name of ["blur", "pagehide"]) addEventListener(name, releaseDriving);
 
 const help = byId("help-panel");
 function toggleHelp(open = help.hidden) {
@@ -94,18 +93,9 @@ setInterval(() => {
   setText(byId("debug"), `${fps} frames/s · work ${frame_ms_p95} ms · interval ${interval_ms_p95} ms (p95)`);
 }, 500);
 
-new Keyboard({
-  map, tools, selection, stops, arrows,
-  actions: {
-    f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"),
-    c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(), b: () => byId("behaviour-search").focus(),
-    "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
-    "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1), "?": () => toggleHelp(),
-    "`": debug, Escape: escape,
-  },
-});
+new Keyboard({ map, tools, toolbar, theme, selection, stops, arrows, help: () => toggleHelp(), debug, escape });
 
-/** For tests and for the curious: copies, nothing that could be changed. */
+/** For tests: copies, nothing that could be changed. */
 window.fullswarm = Object.freeze({
   get state() {
     const robots = Object.fromEntries(
