@@ -18,7 +18,7 @@ from fullswarm import output
 from fullswarm.bringup import injected_faults
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
-from fullswarm.emulators.faults import LinkFaults
+from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.launch.typed import Typed
 from fullswarm.runtime import Runtime

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from fullswarm.emulators.faults import LinkFaults
+from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.simulation.bodies import FreeBody
 

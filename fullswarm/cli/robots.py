@@ -166,7 +166,7 @@ def emulate(
 ) -> int:
     """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
     from fullswarm.bringup.emulate import EmulateOptions, run
-    from fullswarm.emulators.faults import LinkFaults
+    from fullswarm.emulators.base import LinkFaults
 
     orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
     faults = LinkFaults(drop, corrupt, delay)

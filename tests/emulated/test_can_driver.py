@@ -117,11 +117,11 @@ def test_a_vesc_base(make_robot: Callable[[str], Robot]) -> None:
 @pytest.mark.slow
 def test_lost_heartbeats_are_a_fault_and_coming_back_is_ready(robot: Robot) -> None:
     robot.moving()
-    robot.odrives[0].mishaps.unplugged = True
+    robot.odrives[0].faults.unplugged = True
     robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.FAULT, 2.0)
     assert "no heartbeat from the left wheel (node 1)" in robot.driver.fault
     wait(robot.idle, 1.5)  # the right one was told, the left one has its watchdog
-    robot.odrives[0].mishaps.unplugged = False
+    robot.odrives[0].faults.unplugged = False
     robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.READY, 3.0)
     assert robot.idle()
 

@@ -10,7 +10,7 @@ from fullswarm.drivers.can.machine import BaseMachine
 from fullswarm.drivers.can.odrive_states import AxisState
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
-from fullswarm.emulators.can.emulator import Base
+from fullswarm.emulators.can.firmware import Base
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.simulation.bodies import FreeBody, wheels_rolled
 

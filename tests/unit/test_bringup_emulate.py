@@ -10,7 +10,7 @@ import pytest
 from fullswarm.bringup import injected_faults
 from fullswarm.bringup.emulate import EmulateOptions, _started, openings, run
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.emulators.faults import LinkFaults
+from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, DriverError, FullswarmError
 from fullswarm.simulation.bodies import FreeBody
 

@@ -71,7 +71,7 @@ def test_a_pilot_is_not_fought_until_he_hands_back(mode: Mode) -> None:
     bench = ArduBench()
     bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
     bench.run(1.0, bench.insist)
-    bench.rover.pilot_mode(mode, bench.now_s)
+    bench.rover.pilot_mode(mode)
     bench.run(0.2, bench.insist)
     assert bench.session.lifecycle is Lifecycle.READY
     assert mode.name in bench.session.fault
@@ -82,7 +82,7 @@ def test_a_pilot_is_not_fought_until_he_hands_back(mode: Mode) -> None:
     bench.run(5.0, bench.insist)
     assert (bench.rover.mode, bench.rover.armed) == (mode, True)
     assert len(bench.rover.setpoints) == count
-    bench.rover.pilot_mode(Mode.GUIDED, bench.now_s)
+    bench.rover.pilot_mode(Mode.GUIDED)
     bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
     after = bench.session.reading()
     assert after is not None
@@ -92,7 +92,7 @@ def test_a_pilot_is_not_fought_until_he_hands_back(mode: Mode) -> None:
 def test_after_a_take_over_a_new_wish_is_honoured() -> None:
     bench = ArduBench()
     bench.active()
-    bench.rover.pilot_mode(Mode.HOLD, bench.now_s)
+    bench.rover.pilot_mode(Mode.HOLD)
     bench.until(lambda: bench.session.lifecycle is Lifecycle.READY)
     bench.run(1.5)
     bench.session.activate(bench.now_s)
@@ -118,7 +118,7 @@ def test_a_rover_left_armed_by_another_run_is_disarmed_before_ready() -> None:
 def test_a_pilot_stays_in_charge_when_nobody_wishes_to_drive_any_more() -> None:
     bench = ArduBench()
     bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
-    bench.rover.pilot_mode(Mode.MANUAL, bench.now_s)
+    bench.rover.pilot_mode(Mode.MANUAL)
     bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, each=bench.insist)
     bench.session.deactivate(bench.now_s)
     bench.run(0.5)
