@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
-from fullswarm.bus.session import client_config
+from fullswarm.bus.zenoh_bus import client_config
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
 
 STAMP = struct.Struct("<Bdd")  # which, value, seconds
 HOP, TWIST = 0, 1

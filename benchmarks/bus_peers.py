@@ -16,8 +16,7 @@ from collections.abc import Callable
 import zenoh
 
 from fullswarm.bus.codec import encode
-from fullswarm.bus.session import client_config, untyped
-from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.bus.zenoh_bus import ZenohBus, client_config, untyped
 from fullswarm.clock import MonotonicClock
 from fullswarm.keys import Keys
 from fullswarm.messages import Command

@@ -36,8 +36,7 @@ from benchmarks.beside_hop import (
     swarm_processes,
 )
 from fullswarm.bus import Bus
-from fullswarm.bus.session import client_config
-from fullswarm.bus.zenoh_bus import ZenohBus
+from fullswarm.bus.zenoh_bus import ZenohBus, client_config
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist

@@ -15,9 +15,10 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from fullswarm.deploy.release import bundle, layers, pack, sums, targets, wheels
+from fullswarm.deploy.release import bundle, contents, manifest, targets
 from fullswarm.deploy.release.keys import Keys
-from fullswarm.deploy.release.store import Store
+from fullswarm.deploy.release.packages import Wanted, install_packages
+from fullswarm.deploy.release.store import HEAD, Store, gzipped_archive
 
 
 @dataclass
@@ -42,7 +43,7 @@ def _disk(folder: Path, paths: list[str]) -> int:
 
 
 def _air(folder: Path, paths: list[str]) -> int:
-    return sum(map(len, pack.gzipped(folder, paths)))
+    return sum(map(len, gzipped_archive(folder, paths)))
 
 
 def _timed(request: bundle.BundleRequest, store: Store, keys: Keys) -> tuple[Path, float]:
@@ -54,9 +55,9 @@ def _untrimmed(request: bundle.BundleRequest, store: Store, place: Path) -> Path
     """Return a folder with the same packages as uv leaves them, and all of fullswarm."""
     work, tree = place / "work", place / "untrimmed"
     work.mkdir()
-    wanted = wheels.Wanted(request.target, request.extras)
-    wheels.install(wanted, bundle.plan(request, store), work, tree / "lib")
-    shutil.copytree(layers.OWN, tree / "app" / "fullswarm", ignore=shutil.ignore_patterns("__pycache__"))
+    wanted = Wanted(request.target, request.extras)
+    install_packages(wanted, bundle.plan(request, store), work, tree / "lib")
+    shutil.copytree(contents.OWN, tree / "app" / "fullswarm", ignore=shutil.ignore_patterns("__pycache__"))
     return tree
 
 
@@ -65,29 +66,29 @@ def measure(request: bundle.BundleRequest, place: Path) -> Row:
     store, keys = Store(place / "store"), Keys(place / "keys")
     first, first_s = _timed(request, store, keys)
     _, again_s = _timed(request, store, keys)
-    paths = sorted(sums.read(first))
+    paths = sorted(manifest.read_sums(first))
     raw = _untrimmed(request, store, place)
-    raw_paths = list(sums.files(raw))
+    raw_paths = list(manifest.files_of(raw))
     changed = place / "fullswarm"
-    shutil.copytree(layers.OWN, changed, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(contents.OWN, changed, ignore=shutil.ignore_patterns("__pycache__"))
     with (changed / "agent" / "node.py").open("a") as file:
         file.write("# a change\n")
-    layers.OWN = changed
+    contents.OWN = changed
     second, update_s = _timed(request, store, keys)
-    old, new = sums.read(first), sums.read(second)
+    old, new = manifest.read_sums(first), manifest.read_sums(second)
     update = [path for path in new if old.get(path) != new[path]]
-    sole = [each for each in sums.files(second) if (second / each).stat().st_nlink == 1]
+    sole = [each for each in manifest.files_of(second) if (second / each).stat().st_nlink == 1]
     return Row(
         request.target.name,
         len(paths),
         _disk(first, paths),
         _disk(raw, raw_paths),
-        _air(first, [*pack.HEAD]) + _air(first, paths),
+        _air(first, [*HEAD]) + _air(first, paths),
         _air(raw, raw_paths),
         first_s,
         again_s,
-        _air(second, [*pack.HEAD]) + _air(second, update),
-        _disk(second, [*sole, sums.FILE, sums.SIGNATURE]),
+        _air(second, [*HEAD]) + _air(second, update),
+        _disk(second, [*sole, manifest.SUMS, manifest.SIGNATURE]),
         update_s,
     )
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.swarm_meet import GRACE_S, Meeting, Result, spent_since, threads_cpu_s
-from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.neighbours.estimates import Neighbours
 from fullswarm.agent.state import Identity
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig, load_swarm

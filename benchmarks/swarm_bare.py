@@ -16,7 +16,7 @@ from pathlib import Path
 import zenoh
 
 from benchmarks.swarm_meet import GRACE_S, Meeting, Result, spent_since, threads_cpu_s
-from fullswarm.bus.session import client_config
+from fullswarm.bus.zenoh_bus import client_config
 
 STATE = struct.Struct("<d5d")  # stamp, and as much as a pose with velocities: 48 bytes
 LOOK_EACH = 4

@@ -25,7 +25,7 @@ from benchmarks.swarm_meet import GRACE_S, Result, leave
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
 from fullswarm.keys import Keys, cell_of, cells_within
 from fullswarm.messages import BehaviourRequest, RequestStatus
 from fullswarm.runtime import Mailbox, Runtime

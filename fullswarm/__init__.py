@@ -39,7 +39,6 @@ Further files:
                    changes
 ``testing/``       Checks and stand-ins for the tests of laws, drivers and nodes, here and in outside packages
 ``units.py``       Units by the end of a name: ``speed_m_s`` is in m/s
-``words.py``       Words that both ends of the wire must agree on: what an id may look like, how reasons begin
 """
 
 __version__ = "0.1.0"

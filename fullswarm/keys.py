@@ -34,12 +34,18 @@ key                                                     message                w
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from fullswarm.errors import ConfigError
-from fullswarm.words import ROBOT_ID
 
 ANY = "*"
+
+ROBOT_ID = re.compile(r"[A-Za-z0-9_-]{1,64}\Z")
+"""What a robot id, a swarm name or a behaviour name may look like: one plain chunk of a key."""
+
+TRUTH = "truth"
+"""The host of a supervisory process that measures the true bodies (paper II.F.1); no robot may be called so."""
 
 
 @dataclass(frozen=True, slots=True)

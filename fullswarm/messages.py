@@ -13,6 +13,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+STOP = "stop"
+"""The behaviour that enables nothing."""
+
 MOST = 10_000
 """Entries of a list at most: the largest fleet that a file can name."""
 

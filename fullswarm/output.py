@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from typing import TYPE_CHECKING
 
 import typer
-from rich.console import Console, RenderableType
+
+if TYPE_CHECKING:  # imported in the functions that draw: a shell completion draws nothing
+    from rich.console import RenderableType
+    from rich.table import Table
 
 
 def data(text: str) -> None:
@@ -14,21 +18,33 @@ def data(text: str) -> None:
     typer.echo(text)
 
 
-def data_json(value: object) -> None:
-    """Print results for programs."""
-    typer.echo(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False))
+def data_json(value: object, *, indent: int | None = 2) -> None:
+    """Print results for programs; without `indent` in one line."""
+    typer.echo(json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=False))
 
 
 def data_table(table: RenderableType, into_file: int = 80) -> None:
     """Print results for people, at the width of the terminal, or `into_file` columns into a file."""
+    from rich.console import Console
+
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = into_file
     console.print(table)
 
 
+def plain_table(*columns: str) -> Table:
+    """Return a table without lines whose long cells are wrapped; cells are rich markup, so escape other texts."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for name in columns:
+        table.add_column(name, overflow="fold")
+    return table
+
+
 def progress(text: str) -> None:
-    """Tell what is going on."""
+    """Print what is going on."""
     typer.echo(text, err=True)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from fullswarm.deploy.release import bundle, layers
+from fullswarm.deploy.release import bundle
+from fullswarm.deploy.release.contents import copy_robot_files
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest, Target
 from fullswarm.deploy.release.store import Store
@@ -35,5 +36,5 @@ def tiny_release(
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(content.encode() if isinstance(content, str) else content)
         if with_robot:
-            layers.robot(scratch / "robot")
+            copy_robot_files(scratch / "robot")
         return bundle.seal(scratch, Manifest("", version, target), store, keys)

@@ -11,26 +11,23 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
-from fullswarm.agent import interventions
-from fullswarm.agent.atlas import Atlas, map_of
-from fullswarm.agent.driver_watch import DriverWatch
-from fullswarm.agent.estimator import estimator_for
-from fullswarm.agent.fixes import Fixes
-from fullswarm.agent.gauges import Gauges
-from fullswarm.agent.inbox import Inbox
-from fullswarm.agent.neighbours import Listening, Neighbours
-from fullswarm.agent.pose_conflicts import PoseConflicts
-from fullswarm.agent.reflexes import Reflexes, Thresholds
-from fullswarm.agent.reports import Reports
-from fullswarm.agent.robot_controller import Doubt, Link, RobotController, Sensed, Task
+from fullswarm.agent.motion.desired import DesiredMotion
+from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
+from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
+from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, map_of
+from fullswarm.agent.orders.inbox import Inbox
+from fullswarm.agent.orders.tasks import Tasks
+from fullswarm.agent.pose.conflicts import PoseConflicts
+from fullswarm.agent.pose.estimator import estimator_for
+from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter
-from fullswarm.agent.standstill import Standstill
-from fullswarm.agent.state import Identity, Motion
-from fullswarm.agent.tasks import Tasks
-from fullswarm.agent.wishes import Wishes
-from fullswarm.bus.base import Bus
-from fullswarm.bus.counting import CountingBus
+from fullswarm.agent.state import AgentState, Identity
+from fullswarm.agent.telemetry import interventions
+from fullswarm.agent.telemetry.metrics import MetricSampler
+from fullswarm.agent.telemetry.reports import Reports
+from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array
@@ -85,7 +82,7 @@ class AgentNode:
         fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self._state = state = Motion(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
+        self._state = state = AgentState(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
         self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
         # The limits of other robots are not on the wire: they are taken for robots like this one.
@@ -98,15 +95,15 @@ class AgentNode:
             self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, bounds,
             (settings.speed_gain, settings.turn_gain_per_s),
         )  # fmt: skip
-        self.interventions = interventions.Reporter(
+        self.interventions = interventions.InterventionReporter(
             bus, self._keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.controller,
             self.neighbours,
         )  # fmt: skip
         self.deadlocks = Deadlocks(fleet.ids)
-        self.atlas, self._tell_s = Atlas(count, map_of(config)), -math.inf
+        self.obstacle_map, self._tell_s = ObstacleMap(count, map_of(config)), -math.inf
         self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
         self._cell_m = config.state_cell_m
-        self._listening = Listening(bus, self._keys, self._cell_m, self._on_states)
+        self._state_subscriptions = StateSubscriptions(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = estimator_for(config, fleet, start)
         self.calculators = Calculators(
             fleet.ids,
@@ -116,14 +113,14 @@ class AgentNode:
             np.array([each.speed_m_s for each in limits]),
         )
         senses_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
-        self.wishes = Wishes(
-            settings, config.bounds_m, senses_obstacles, state, self.tasks, self.neighbours, self.atlas, self.deadlocks,
-            self.filter, self.controller,
+        self.desired = DesiredMotion(
+            settings, config.bounds_m, senses_obstacles, state, self.tasks, self.neighbours, self.obstacle_map,
+            self.deadlocks, self.filter, self.controller,
         )  # fmt: skip
         own_frame = any(each.own_frame for each in fleet.descriptions)
-        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.wishes.near)
-        self.gauges = Gauges(
-            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.neighbours, self.wishes.near,
+        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
+        self.metrics = MetricSampler(
+            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.neighbours, self.desired.near,
             self.deadlocks,
         )  # fmt: skip
         self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
@@ -131,13 +128,13 @@ class AgentNode:
             bus, self._keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.reflexes,
             self.pose_conflicts, self.standstill, self.wake,
         )  # fmt: skip
-        self._drivers = DriverWatch(fleet, self.controller, self.inbox, self.pose_conflicts)
+        self._drivers = DriverWatch(fleet, self.controller, self.inbox.spend, self.pose_conflicts.reason)
         self.fixes = Fixes(
             bus, self._keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
         )  # fmt: skip
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.controller, self._drivers, self.filter, self.calculators,
-            self.standstill, self.fixes, self.pose_conflicts, self.wishes, self.inbox,
+            self.standstill, self.fixes, self.pose_conflicts, self.desired, self.inbox,
         )  # fmt: skip
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self.uncounted = 0
@@ -229,7 +226,7 @@ class AgentNode:
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         groups = self.tasks.groups()
-        self.wishes.gather(groups, now_s, reading)
+        self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_fence(self._state.pose, self._state.twist, self.controller.wished, self._accel)
         tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
@@ -256,8 +253,8 @@ class AgentNode:
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
-        self._listening.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
-        self.neighbours.forget(self._scheduler.now_s(), self._listening.covers)
+        self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _look_around(self) -> None:
         """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
@@ -267,21 +264,21 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         try:
-            self.gauges.look(now_s)
+            self.metrics.look(now_s)
         except Exception as error:
             self._uncounted(error)
         if not len(reading.obstacles):
             return
-        new = self.atlas.look(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
+        new = self.obstacle_map.look(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
         if new or now_s >= self._tell_s:
             self._tell_s = now_s + TELL_PERIOD_S
-            rows = tuple(tuple(row) for row in self.atlas.seen().tolist())
+            rows = tuple(tuple(row) for row in self.obstacle_map.seen().tolist())
             host = self._identity.host
             self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
 
     def _told(self, seen: SeenObstacles) -> None:
         if seen.host != self._identity.host:
-            self.atlas.tell(np.array(seen.rows, float).reshape(-1, 6))
+            self.obstacle_map.tell(np.array(seen.rows, float).reshape(-1, 6))
 
     def _publish_states(self) -> None:
         if self._state.reading is None:
@@ -312,9 +309,9 @@ class AgentNode:
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
-            self.gauges.look(now_s)
+            self.metrics.look(now_s)
             counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
-            message = self.gauges.message(now_s, self._identity, self._loop(), self._bus, counted)
+            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
@@ -345,7 +342,7 @@ class AgentNode:
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
-        self._listening.close()
+        self._state_subscriptions.close()
         self._subscription.close()
         self.fixes.close()
         self.inbox.close()

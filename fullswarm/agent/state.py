@@ -19,7 +19,7 @@ class Identity:
 
 
 @dataclass(slots=True)
-class Motion:
+class AgentState:
     """The n robots of one agent.
 
     Attributes

@@ -7,13 +7,57 @@ board and a thousand in a trial.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent import pairs
 from fullswarm.drivers.base import NO_OBSTACLES
-from fullswarm.kernels import Array, Index
+from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array, Index, kernel
+from fullswarm.messages import Value
+
+
+class Params:
+    """Parameters of a law as columns, one row per robot: ``params.gain`` (n, 1), ``params.goal`` (n, 2).
+
+    Words and lists of points come as they are, from the first robot of the group.
+    """
+
+    def __init__(self, rows: list[dict[str, Value]]) -> None:
+        for name, first in rows[0].items():
+            self.__dict__[name] = _column([row[name] for row in rows], first)  # whatever its name
+
+    def update(self, row: int, values: dict[str, Value]) -> bool:
+        """Write one robot's new values into the columns; False if a value is no number or point, or not as before."""
+        for name, value in values.items():
+            column = self.__dict__.get(name)
+            if not isinstance(column, np.ndarray):
+                return False
+            width = 1 if type(value) is float else column_width(value)
+            if column.shape[1] != width:
+                return False
+            if width == 1:
+                column[row, 0] = value  # a number into a place is much cheaper than into a row
+            else:
+                column[row] = value
+        return len(values) == len(self.__dict__)
+
+    def __getattr__(self, name: str) -> Array:
+        """Tell which parameter a law misses (only called when it is not there)."""
+        raise ConfigError(f"the law needs a parameter '{name}' that the behaviour's record does not give")
+
+
+def column_width(value: Value) -> int:
+    """Return how many columns a value takes: a number 1, a point 2, anything else none."""
+    if isinstance(value, list):
+        return 2 if len(value) == 2 and all(isinstance(each, int | float) for each in value) else 0
+    return 1 if isinstance(value, int | float) else 0
+
+
+def _column(values: list[Value], first: Value) -> object:
+    width = column_width(first)
+    return np.array(values, float).reshape(len(values), width) if width else first
 
 
 def nothing_known(_row: int, _source: str) -> Array:
@@ -34,7 +78,7 @@ class View:
     predicted : (m, 2) m, positions of all robots heard, moved on to now
     heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
     bounds_m : x_min, y_min, x_max, y_max of the arena
-    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `agent/atlas.py`
+    known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
     """
 
     def __init__(
@@ -78,7 +122,7 @@ class View:
             start, other = self._neighbours()
             count = len(other)
             edges = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
-            pairs.describe.run(self.position, start, other, self._predicted, self._heard, *edges)
+            describe.run(self.position, start, other, self._predicted, self._heard, *edges)
             self._described = edges
         return self._described
 
@@ -110,7 +154,7 @@ class View:
     def sum(self, values: Array) -> Array:
         """Add up edge values (e, 2) over the neighbours of each robot: (n, 2)."""
         total = np.empty((len(self.position), 2))
-        pairs.fold.run(self.start, values, total)
+        fold.run(self.start, values, total)
         return total
 
     def select(self, rows: Index) -> View:
@@ -131,3 +175,34 @@ class View:
             self.bounds_m,
             lambda row, source: self.known(int(rows[row]), source),
         )
+
+
+@kernel
+def describe(
+    position: Array, start: Index, other: Index, predicted: Array, heard: Array, of: Index, offset: Array,
+    distance: Array, heading: Array,
+) -> None:  # fmt: skip
+    """Fill what a law may know of each edge: whose it is, offset (e, 2), distance (e,), neighbour's heading (e,)."""
+    for i in range(position.shape[0]):
+        for edge in range(start[i], start[i + 1]):
+            row = other[edge]
+            dx = predicted[row, 0] - position[i, 0]
+            dy = predicted[row, 1] - position[i, 1]
+            of[edge] = i
+            offset[edge, 0] = dx
+            offset[edge, 1] = dy
+            distance[edge] = math.sqrt(dx * dx + dy * dy)
+            heading[edge] = heard[row, 2]
+
+
+@kernel
+def fold(start: Index, values: Array, total: Array) -> None:
+    """Add up edge values (e, 2) per robot into `total` (n, 2)."""
+    for i in range(total.shape[0]):
+        x = 0.0
+        y = 0.0
+        for edge in range(start[i], start[i + 1]):
+            x += values[edge, 0]
+            y += values[edge, 1]
+        total[i, 0] = x
+        total[i, 1] = y

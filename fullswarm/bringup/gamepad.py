@@ -29,4 +29,4 @@ def checks(folder: Path = devices.INPUT, listing: Path = devices.LIST) -> Iterat
         if each.readable:
             yield Check(NAME, "ok", f"{each.name} ({each.path})")
         else:
-            yield Check(NAME, "warning", devices.problem((each,)), devices.MEND)
+            yield Check(NAME, "warning", devices.problem((each,)), devices.ACCESS)

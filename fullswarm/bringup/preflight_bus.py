@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from fullswarm.bringup.checks import Check, Status, took
 from fullswarm.messages import Ping
-from fullswarm.operator.console.advice import LOW_BATTERY, advise
+from fullswarm.operator.robot_state import LOW_BATTERY, advise
 from fullswarm.operator.session import Session
 from fullswarm.operator.view import FleetView, RobotRow
 

@@ -7,19 +7,14 @@ ones from their modules: this package does not load zenoh.
 
 Files:
 
-``base.py``       What a node may ask of a bus, and how key expressions match
-``codec.py``      Messages as bytes: MessagePack, with errors that say what does not fit
-``counting.py``   A bus that counts what goes through it: one per process, around the real one
-``endpoint.py``   Where the hub listens: the default address, its syntax, and which computers reach it
-``faulty.py``     A bus on a bad network: loses, delays, doubles and reorders what comes in, and cuts processes off
-                  from each other
-``hub.py``        The hub: a zenoh router in a process of its own; every agent, the core and the operators are its
-                  clients
-``inbox.py``      A subscription of the live bus: from zenoh's threads into the node's mailbox
-``local.py``      The bus within one process: every message is delivered once, in the order of publishing
-``network.py``    What a bad network does, as people write it: ``loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s``
-``session.py``    Zenoh's settings, one place for hub and clients, and the thread that keeps a client's session
-``zenoh_bus.py``  The live bus: a zenoh client of the hub behind the interface that every node knows
+``base.py``            what a node may ask of a bus, wrappers that name the sender and count, how key expressions match
+``codec.py``           messages as bytes: MessagePack, with errors that say what does not fit
+``endpoint.py``        where the hub listens: the default address, its syntax, and which computers reach it
+``hub.py``             the hub: a zenoh router in a process of its own; agents, core and operators are its clients
+``local.py``           the bus within one process: every message is delivered once, in the order of publishing
+``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
+                       partitions
+``zenoh_bus.py``       the live bus: a client's session with the hub, its settings and subscriptions
 """
 
 from fullswarm.bus.base import Bus, Subscription

@@ -8,7 +8,7 @@ from __future__ import annotations
 import zenoh
 
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
-from fullswarm.bus.session import config, reason_of, untyped
+from fullswarm.bus.zenoh_bus import config, reason_of, untyped
 from fullswarm.errors import ConfigError
 
 __all__ = ["DEFAULT_HUB", "Hub", "check_endpoint"]

@@ -6,6 +6,8 @@ is left that could keep a process from ending. Messages between nodes of one pro
 
 from __future__ import annotations
 
+import atexit
+import json
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -14,12 +16,10 @@ import structlog
 import zenoh
 
 from fullswarm.bus.base import Delivery, Subscription, matches
-from fullswarm.bus.codec import encode
+from fullswarm.bus.codec import decode, encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, host_of
-from fullswarm.bus.inbox import Inbox
-from fullswarm.bus.session import HubLink, reason_of, untyped
 from fullswarm.clock import MonotonicClock
-from fullswarm.errors import MessageError
+from fullswarm.errors import ConfigError, MessageError, Unreachable
 from fullswarm.messages import Message
 from fullswarm.runtime import Mailbox
 
@@ -36,6 +36,275 @@ _STEERING = frozenset({"command", "commands", "control_request", "control_reques
 _STOPPING = frozenset({"stop", "estop", "heartbeat"})
 
 _log = structlog.get_logger("fullswarm.bus")
+
+LONGEST_NAME = 128
+"""Bytes of a sender's name; what is longer is not one."""
+
+RETRY_FIRST_S, RETRY_LAST_S, RETRY_FACTOR = 0.1, 0.5, 2
+CLOSE_S = 0.5
+"""Longest wait for a session to end: with a frozen hub zenoh itself would take nine seconds."""
+
+_COMMON: dict[str, object] = {
+    # Nothing is found by accident: the default settings join any zenoh on the local network.
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # else opening a router waits 0.5 s in vain
+    "transport/link/tx/lease": 1000,  # ms; what a node announces: its silence is noticed after this
+    # Our messages are small: shared memory saves nothing, costs 16 MB and leaves files after a kill.
+    "transport/shared_memory/enabled": False,
+}
+
+
+def config(**settings: object) -> zenoh.Config:
+    """Return a zenoh configuration: the common settings, then `settings` (``/`` of a name written ``__``)."""
+    result = zenoh.Config()
+    renamed = {name.replace("__", "/"): value for name, value in settings.items()}
+    for name, value in (_COMMON | renamed).items():
+        result.insert_json5(name, json.dumps(value))
+    return result
+
+
+def untyped(method: Callable[[], object]) -> None:
+    """Call a method that zenoh's stubs leave without types."""
+    method()
+
+
+def reason_of(error: zenoh.ZError) -> str:
+    """Return what zenoh says, without the place in its sources."""
+    return str(error).split(" at /")[0]
+
+
+def client_config(hub: str, *, multicast: bool) -> zenoh.Config:
+    """Return the configuration of a client of the hub at the endpoint `hub`."""
+    return config(
+        mode="client",
+        connect__endpoints=[hub],
+        connect__retry={
+            "period_init_ms": round(RETRY_FIRST_S * 1000),
+            "period_max_ms": round(RETRY_LAST_S * 1000),
+            "period_increase_factor": RETRY_FACTOR,
+        },
+        scouting__multicast__enabled=multicast,
+    )
+
+
+class HubLink:
+    """Opens a client's session as soon as the hub is there, watches the link, closes it at the end.
+
+    One daemon thread does all that may block. `up` tells whether the link stands; zenoh's transport events set
+    it, so that reading it costs nothing. After a loss zenoh connects again by itself and restores what was
+    declared.
+
+    Parameters
+    ----------
+    hub
+        Endpoint of the hub.
+    multicast
+        Also search for routers by multicast.
+    on_open
+        Called once, on the link's thread, with the open session and before `up` becomes true.
+    """
+
+    def __init__(self, hub: str, *, multicast: bool, on_open: Callable[[zenoh.Session], None]) -> None:
+        self.hub, self.up = hub, False
+        self._on_open = on_open
+        self._config = client_config(hub, multicast=multicast)
+        self._routers: set[str] = set()
+        self._lock = threading.Lock()
+        self._is_up, self._closing = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="fullswarm-bus", daemon=True)
+        # Without it a message that arrives while the interpreter shuts down finds no interpreter.
+        atexit.register(self.close)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        session = self._open()
+        if session is None:
+            return
+        try:
+            if not self._closing.is_set():
+                self._on_open(session)
+                listener = zenoh.handlers.Callback(self._on_event, indirect=False)
+                session.info.declare_transport_events_listener(listener, history=True)
+            self._closing.wait()
+        finally:
+            untyped(session.close)
+
+    def _open(self) -> zenoh.Session | None:
+        delay_s = RETRY_FIRST_S
+        while not self._closing.is_set():
+            try:
+                return zenoh.open(self._config)
+            except zenoh.ZError:  # no hub listens there yet
+                self._closing.wait(delay_s)
+                delay_s = min(delay_s * RETRY_FACTOR, RETRY_LAST_S)
+        return None
+
+    def _on_event(self, event: zenoh.TransportEvent) -> None:
+        """Book a transport that came or went; runs on zenoh's threads, at once."""
+        zid = str(event.transport.zid)
+        with self._lock:
+            if event.kind == zenoh.SampleKind.PUT:
+                self._routers.add(zid)
+            else:
+                self._routers.discard(zid)
+            self.up = bool(self._routers) and not self._closing.is_set()
+            if self.up:
+                self._is_up.set()
+            else:
+                self._is_up.clear()
+
+    def wait(self, timeout_s: float) -> None:
+        """Return once the link stands.
+
+        Raises
+        ------
+        Unreachable
+            It does not within `timeout_s`, or the link is closed.
+        """
+        if self._closing.is_set():
+            raise Unreachable("this bus is closed", where=self.hub)
+        if not self._is_up.wait(timeout_s):
+            raise Unreachable(
+                "no hub answers",
+                where=self.hub,
+                hint="start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub",
+            )
+
+    def close(self) -> None:
+        """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""
+        atexit.unregister(self.close)
+        self._closing.set()
+        with self._lock:
+            self.up = False
+            self._is_up.clear()
+        self._thread.join(CLOSE_S)
+
+
+class Inbox:
+    """One handler's interest in a key expression. Zenoh may call :meth:`receive` on several threads at once.
+
+    Parameters
+    ----------
+    mailbox
+        Where the messages wait for the node.
+    expression, kind, handler
+        What to listen to, the type to decode, what to call.
+    latest
+        Keep one message per key: a newer one takes the place of one that still waits.
+    with_sender
+        Give the handler a :class:`~fullswarm.bus.base.Delivery` in place of the message.
+    urgent
+        Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
+    on_bad
+        Told the key and the error of a message that is dropped.
+    on_close
+        Told once, by :meth:`close`.
+
+    Raises
+    ------
+    ConfigError
+        `expression` is not a key expression.
+    """
+
+    def __init__(
+        self,
+        mailbox: Mailbox,
+        expression: str,
+        kind: type[Message],
+        handler: Callable[[Any], None],
+        *,
+        latest: bool,
+        with_sender: bool,
+        urgent: bool,
+        on_bad: Callable[[str, MessageError], None],
+        on_close: Callable[[Inbox], None],
+    ) -> None:
+        try:
+            zenoh.KeyExpr(expression)
+        except zenoh.ZError as error:
+            raise ConfigError(f"'{expression}' is not a key expression", hint=reason_of(error)) from error
+        self.expression, self.kind = expression, kind
+        self._mailbox, self._handler, self._latest = mailbox, handler, latest
+        self._on_bad, self._on_close = on_bad, on_close
+        self._urgent, self._with_sender = urgent, with_sender
+        self._waiting: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._declared: zenoh.Subscriber[None] | None = None
+        self._active = True
+
+    def declare(self, session: zenoh.Session) -> None:
+        """Ask the hub for messages of other processes. The caller sees to it that this happens once."""
+        if self._active:
+            # Direct: zenoh's own handler thread is not a daemon, a process with one would never end.
+            callback = zenoh.handlers.Callback(self.receive, indirect=False)
+            self._declared = session.declare_subscriber(self.expression, callback, allowed_origin=zenoh.Locality.REMOTE)
+
+    def receive(self, sample: zenoh.Sample) -> None:
+        """Take a message from another process."""
+        try:
+            message = decode(sample.payload.to_bytes(), self.kind)
+        except MessageError as error:
+            self._on_bad(str(sample.key_expr), error)
+            return
+        item = Delivery(message, _sender(sample)) if self._with_sender else message
+        if self._urgent and self._mailbox.run_now(self._deliver, item):
+            return
+        if self._latest:
+            self._replace(str(sample.key_expr), item)
+        else:
+            self._mailbox.put(self._deliver, item)
+
+    def offer(self, key: str, message: Message, sender: str) -> None:
+        """Take a message of the same process, as it is."""
+        if not isinstance(message, self.kind):
+            error = MessageError(f"got {type(message).__name__}", where=self.kind.__name__)
+            self._on_bad(key, error)
+            return
+        item = Delivery(message, sender) if self._with_sender else message
+        if self._latest:
+            self._replace(key, item)
+        else:
+            self._mailbox.put(self._deliver, item)
+
+    def _replace(self, key: str, item: Any) -> None:
+        with self._lock:
+            is_new = key not in self._waiting
+            self._waiting[key] = item
+        if is_new:
+            self._mailbox.put(self._deliver_key, key)
+
+    def _deliver(self, item: Any) -> None:
+        if self._active:
+            self._handler(item)
+
+    def _deliver_key(self, key: str) -> None:
+        with self._lock:
+            item = self._waiting.pop(key)
+        if self._active:
+            self._handler(item)
+
+    def close(self) -> None:
+        """Stop delivering; closing twice is fine."""
+        if not self._active:
+            return
+        self._active = False
+        self._on_close(self)
+
+    def undeclare(self) -> None:
+        """Tell the hub."""
+        declared, self._declared = self._declared, None
+        if declared is not None:
+            untyped(declared.undeclare)
+
+
+def _sender(sample: zenoh.Sample) -> str:
+    """Return the sender's name that travels as the attachment; empty where there is none, or it is not a name."""
+    attached = sample.attachment
+    if attached is None:
+        return ""
+    data = attached.to_bytes()
+    return data.decode("ascii", "replace") if len(data) <= LONGEST_NAME else ""
 
 
 def is_urgent(key: str) -> bool:

@@ -3,19 +3,24 @@
 ================== ==================================================================================
 file               commands
 ================== ==================================================================================
-``main.py``        puts the applications together; `demo`, `up`, `init`, `info` and the single processes
-``operate.py``     `request`, `stop`, `estop`, `drive`, `mock`, `status`, `watch`, `robots`, `behaviours`
-``params.py``      `params get|set|list`
-``leases.py``      `leases`
-``joystick.py``    `joystick`
+``main.py``        puts all commands together; `demo`, `up`, `init`, `info` and the single processes
+``request.py``     `request`, `mock`, `drive`, `stop`
+``estop.py``       `estop`
+``status.py``      `status`, `watch`, `behaviours`, `robots` without a verb
+``params.py``      `params get|set|history|watch`
+``leases.py``      `leases`, `leases hold`
+``joystick.py``    `joystick`, `joystick list|test|map`
 ``console.py``     `console`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`
-``results.py``     `results`
-``scenario.py``    `scenario`
-``deploy.py``      puts `release.py` (`bundle`, `keys`), `fleet.py` (`deploy`, `update`, ...) and `flash.py` together
-``options.py``     options that several commands have
-``completion.py``  what TAB offers
+``results.py``     `results list|show|export|map|compare|report|index`
+``scenario.py``    `scenario list|show|import|export`
+``bundle.py``      `bundle`, `keys`
+``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
+``flash.py``       `flash`
+``options.py``     the decorator of all commands; options that several commands have
+``values.py``      parses `KEY=VALUE` and values
+``completion.py``  shell completion
 ================== ==================================================================================
 
 Only typer is imported with these files. What a command needs is imported when it runs, so that help appears at once.

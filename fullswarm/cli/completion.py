@@ -1,7 +1,7 @@
-"""What the shell offers on TAB: robots, groups, behaviours, parameters, scenarios, experiments.
+"""Shell completion: robots, groups, behaviours, parameters, scenarios, experiments.
 
-From the live swarm if its hub answers at once, else from the fleet file, else what comes with the package. Nothing
-here may complain, wait or import much: it runs at each press of a key.
+The names come from the running swarm if its hub answers at once, else from the fleet file, else from the package.
+Nothing here may report an error, wait or import much: it runs at each press of a key.
 """
 
 from __future__ import annotations
@@ -9,23 +9,33 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import socket
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from fullswarm.operator.known import Known, from_fleet, from_package, from_swarm
-
 Offer = list[tuple[str, str]]
-"""Words with their explanation, which zsh and fish show."""
+"""Words with their explanations, which zsh and fish show."""
 
 SWITCH = "_FULLSWARM_COMPLETE"
-"""By which the shell's script asks; its value names the shell."""
+"""Environment variable that the shell's script sets to the name of the shell."""
 PACKAGE = Path(__file__).parents[1]
 EXAMPLES = {"point": "1.0,2.0", "points": "[[0,0],[1,1]]", "number": "1.0", "integer": "1", "word": "word"}
+
+HUB = "tcp/127.0.0.1:7447"
+RECORDS = PACKAGE / "core" / "behaviours.toml"
+"""The core's records, read as data: importing the core would take too long."""
+PROBE_S = 0.1
+"""For the hub's computer to accept a connection."""
+CONNECT_S = 0.15
+LISTEN_S = 0.15
+"""Three periods of the robots' states; the core's answer takes a few milliseconds."""
 
 
 # ---------------------------------------------------------------- what the options call
@@ -38,7 +48,7 @@ def robots(context: typer.Context, incomplete: str) -> Offer:
 
 
 def robot_ids(context: typer.Context, incomplete: str) -> Offer:
-    """Offer ids alone: what goes straight to the robots knows no groups."""
+    """Offer ids alone: an order that goes straight to the robots cannot address groups."""
     return _listed([(robot, "") for robot in _known(context, live=True, robots=True).robots], incomplete)
 
 
@@ -55,14 +65,14 @@ def emulated_makes(incomplete: str) -> Offer:
 
 
 def behaviours(context: typer.Context, incomplete: str) -> Offer:
-    """Offer what can be asked for."""
+    """Offer the behaviours that can be requested."""
     records = _known(context, live=True).behaviours
     return _begun([(name, str(record.get("summary", ""))) for name, record in records.items()], incomplete)
 
 
 def parameters(context: typer.Context, incomplete: str) -> Offer:
-    """Offer ``key=`` of the behaviour on the line, and after the equals sign the values worth trying."""
-    # An option that still lacks its value keeps the parser from handing out the words before it.
+    """Offer ``key=`` of the behaviour on the line, and after the equals sign example values."""
+    # An option that still lacks its value keeps the parser from returning the words before it.
     named = context.params.get("behaviour") or next(iter(context.args), None)
     record = _known(context, live=True).behaviours.get(str(named), {})
     offer: Offer = []
@@ -80,7 +90,7 @@ def database_keys(context: typer.Context, incomplete: str) -> Offer:
 
 
 def layers(incomplete: str) -> Offer:
-    """Offer who has a database that can be asked."""
+    """Offer the layers that have a database."""
     return _begun([("core", "the base station's main controller and request handler")], incomplete)
 
 
@@ -99,8 +109,8 @@ def settings(incomplete: str) -> Offer:
     from fullswarm.config import SwarmConfig
 
     offer: Offer = []
-    for section, field in SwarmConfig.model_fields.items():
-        fields = getattr(field.annotation, "model_fields", None)
+    for section, model_field in SwarmConfig.model_fields.items():
+        fields = getattr(model_field.annotation, "model_fields", None)
         if section == "world":
             fields = type(SwarmConfig().world_or_default).model_fields
         offer += [(f"{section}.{key}={_plain(each.default)}", "") for key, each in (fields or {}).items()]
@@ -108,7 +118,133 @@ def settings(incomplete: str) -> Offer:
     return [each for each in _begun(sorted(offer), incomplete) if each[0] != incomplete]
 
 
-# ---------------------------------------------------------------- where it comes from
+# ---------------------------------------------------------------- names that exist
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Names that exist: of the running swarm, of a fleet file, of the package."""
+
+    robots: tuple[str, ...] = ()
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    behaviours: dict[str, Record] = field(default_factory=dict)  # by name, `like` resolved
+    keys: tuple[str, ...] = ()  # of the core's database
+
+
+def from_package() -> Known:
+    """Return the behaviours that are installed here, those of other packages too."""
+    from fullswarm import registry
+
+    tables: dict[str, Record] = {}
+    for file in (RECORDS, *registry.record_files()):
+        with contextlib.suppress(OSError, ValueError):
+            tables |= tomllib.loads(file.read_text("utf-8"))
+    return Known(behaviours=resolved(tables), keys=tuple(f"behaviour/{name}" for name in tables))
+
+
+def from_fleet(file: Path, known: Known) -> Known:
+    """Return `known` with the robots and groups that a fleet file names.
+
+    Raises
+    ------
+    OSError, ValueError
+        It cannot be read.
+    """
+    table = tomllib.loads(file.read_text("utf-8-sig"))
+    robots = [str(each["id"]) for each in table.get("robot", ()) if "id" in each]
+    fleet = table.get("fleet", {})
+    robots += [f"{fleet.get('prefix', 'r')}{number}" for number in range(1, int(fleet.get("count", 0)) + 1)]
+    groups = {name: tuple(map(str, members)) for name, members in table.get("groups", {}).items()}
+    return replace(known, robots=tuple(robots), groups=groups)
+
+
+def from_swarm(hub: str | None, swarm: str, *, robots: bool) -> Known | None:
+    """Return the names of a running swarm; None when its hub, or its core, does not answer at once.
+
+    Without `robots` their states are not waited for.
+    """
+    endpoint = hub or HUB
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        # Before anything heavy is imported: without a hub this takes a millisecond.
+        socket.create_connection((host.strip("[]"), int(port)), PROBE_S).close()
+    except (OSError, ValueError):
+        return None
+    try:
+        return _ask_swarm(endpoint, swarm, robots)
+    except Exception:  # an old hub, a name that no swarm can have: nothing to offer
+        return None
+
+
+def _ask_swarm(endpoint: str, swarm: str, wanted: bool) -> Known | None:
+    from fullswarm.bus.base import OPERATOR, NamedBus
+    from fullswarm.bus.zenoh_bus import ZenohBus
+    from fullswarm.clock import MonotonicClock
+    from fullswarm.keys import Keys
+    from fullswarm.messages import ParamReply, RobotStates
+    from fullswarm.operator.params import ParamClient
+    from fullswarm.output import log_to_stderr
+    from fullswarm.runtime import Runtime
+
+    log_to_stderr()
+    keys, runtime = Keys(swarm), Runtime(MonotonicClock())
+    bus = ZenohBus(runtime.mailbox, hub=endpoint)
+    robots: set[str] = set()
+    entries: dict[str, Any] = {}
+    received: Counter[str] = Counter()  # states by host: once one repeats, all have been received
+
+    def receive(reply: ParamReply) -> None:
+        entries.update({entry.key: entry.value for entry in reply.entries})
+        end()
+
+    def receive_states(states: RobotStates) -> None:
+        robots.update(states.robots)
+        received[states.host] += 1
+        end()
+
+    def end() -> None:
+        if entries and (not wanted or 3 in received.values()):
+            runtime.stop()
+
+    try:
+        bus.wait_connected(CONNECT_S)
+        if wanted:
+            bus.subscribe(keys.state(), RobotStates, receive_states)
+        ParamClient(NamedBus(bus, OPERATOR), keys, runtime, "completion").ask("get", "*", receive)
+        runtime.run(LISTEN_S)
+    finally:
+        bus.close()
+    return known_from(robots, entries) if entries else None
+
+
+def known_from(robots: set[str], entries: dict[str, Any]) -> Known:
+    """Return the names in a core's database and in the robots' states."""
+    tables = {key.removeprefix("behaviour/"): value for key, value in entries.items() if key.startswith("behaviour/")}
+    from fullswarm.operator.view import natural
+
+    groups = {
+        key.removeprefix("group/"): tuple(value.get("robots", ()))
+        for key, value in entries.items()
+        if key.startswith("group/") and isinstance(value, dict)
+    }
+    return Known(tuple(sorted(robots, key=natural)), groups, resolved(tables), tuple(sorted(entries)))
+
+
+def resolved(tables: dict[str, Any]) -> dict[str, Record]:
+    """Return the records that are tables, with the summary and the parameters of the record that `like` names."""
+    records: dict[str, Record] = {}
+    for name, record in tables.items():
+        if not isinstance(record, dict):
+            continue
+        base = tables.get(str(record.get("like")), {})
+        base = base if isinstance(base, dict) else {}
+        merged = {**base, **record}
+        merged["parameters"] = {**(base.get("parameters") or {}), **(record.get("parameters") or {})}
+        records[name] = merged
+    return records
+
+
 def _known(context: typer.Context, *, live: bool, robots: bool = False) -> Known:
     given = context.params
     hub, swarm = given.get("hub"), given.get("swarm") or "swarm"
@@ -119,7 +255,7 @@ def _known(context: typer.Context, *, live: bool, robots: bool = False) -> Known
             return seen
     known = from_package()
     if named:
-        with contextlib.suppress(Exception):  # half a path, or a file that is being written
+        with contextlib.suppress(Exception):  # part of a path, or a file that is being written
             return from_fleet(Path(str(named)), known)
     return known
 
@@ -153,7 +289,7 @@ def _plain(value: object) -> str:
     return str(value) if isinstance(value, int | float | str) else ""
 
 
-# ---------------------------------------------------------------- words
+# ---------------------------------------------------------------- matching
 def _begun(offer: Offer, incomplete: str) -> Offer:
     return [each for each in offer if each[0].startswith(incomplete)]
 
@@ -164,16 +300,16 @@ def _listed(offer: Offer, incomplete: str) -> Offer:
     return _begun([(f"{before}{comma}{word}", text) for word, text in offer if word not in taken], incomplete)
 
 
-# ---------------------------------------------------------------- talking to the shell
+# ---------------------------------------------------------------- the shell's protocol
 def answer(program: Callable[[], object]) -> int:
-    """Run the program as the shell's script asked, and print nothing but the words it may offer.
+    """Run the program as the shell's script requests, and print only the words to offer.
 
-    Bash takes ``=``, ``@`` and ``:`` for ends of words: what it has torn apart is put together for the program, and
-    what it keeps of the word is taken off the answer.
+    Bash ends words at ``=``, ``@`` and ``:``: the parts are joined for the program, and the part that bash keeps is
+    removed from the answer.
     """
     kept, instruction = "", os.environ.get(SWITCH, "")
     if instruction == "complete_bash":
-        words, at, kept = mended(os.environ.get("COMP_WORDS", "").split("\n"), os.environ.get("COMP_CWORD", "0"))
+        words, at, kept = joined(os.environ.get("COMP_WORDS", "").split("\n"), os.environ.get("COMP_CWORD", "0"))
         os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = _quoted(words), str(at)
     out = io.StringIO()
     with contextlib.suppress(BaseException), contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
@@ -187,32 +323,32 @@ def answer(program: Callable[[], object]) -> int:
     return 0
 
 
-def mended(words: list[str], at: str) -> tuple[list[str], int, str]:
-    """Put together what bash has torn apart at ``=``, ``@`` and ``:``.
+def joined(words: list[str], at: str) -> tuple[list[str], int, str]:
+    """Join the words that bash has split at ``=``, ``@`` and ``:``.
 
     Returns
     -------
     tuple
-        The words, which one the cursor is in, and how much of that one bash keeps when it puts an answer in.
+        The words, the index of the one with the cursor, and the part of that one that bash keeps before an answer.
     """
     cursor = int(at) if at.isdecimal() else len(words)
     words = [*words, *[""] * (cursor + 1 - len(words))]
     whole: list[str] = []
     glue, place, kept = False, 0, ""
     for number, word in enumerate(words):
-        torn = word[:1] in ("=", ":") or (word[:1] == "@" and bool(whole) and whole[-1].endswith(","))
-        if (glue or torn) and len(whole) > 1 and (word or number == cursor):
+        split = word[:1] in ("=", ":") or (word[:1] == "@" and bool(whole) and whole[-1].endswith(","))
+        if (glue or split) and len(whole) > 1 and (word or number == cursor):
             before, whole[-1] = whole[-1], whole[-1] + word
         else:
             before = ""
             whole.append(word)
         if number == cursor:
-            # Directly behind a = or : bash puts the answer behind it; an @ it replaces together with what follows.
+            # Behind a = or : bash appends the answer; an @ is replaced together with what follows.
             place, kept = len(whole) - 1, (before + (word if word in ("=", ":") else "")).removesuffix("@")
         glue = word[-1:] in ("=", ":") or word == "@"
     return whole, place, kept
 
 
 def _quoted(words: Iterable[str]) -> str:
-    """Join words so that splitting like a shell gives them back; half a quote stays as it is."""
+    """Join words so that splitting like a shell returns them; an open quote stays as it is."""
     return "\n".join(word.replace("[", "\\[") if word else "''" for word in words)

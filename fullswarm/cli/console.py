@@ -1,4 +1,4 @@
-"""`fullswarm console`: the command, and how another process starts it as its child."""
+"""`fullswarm console`: serves the web console."""
 
 from __future__ import annotations
 
@@ -16,26 +16,28 @@ from fullswarm.runtime import Scheduler
 @shell_command()
 def console(
     listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any that is free.")
+        str, typer.Option(metavar="HOST:PORT", help="The address to listen on; port 0: any free port.")
     ] = "127.0.0.1:8807",
-    read_only: Annotated[bool, typer.Option("--read-only", help="Only show: the page cannot drive or stop.")] = False,
+    read_only: Annotated[
+        bool, typer.Option("--read-only", help="Show the swarm only: the page can neither drive nor stop.")
+    ] = False,
     allow_host: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A name by which browsers may call this server.")
+        list[str] | None, typer.Option(metavar="NAME", help="Accept this name of the server in browsers' requests.")
     ] = None,
     token_file: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Holds the token; none: FULLSWARM_CONSOLE_TOKEN, or a fresh one."),
+        typer.Option(metavar="FILE", help="File with the token (default: FULLSWARM_CONSOLE_TOKEN, or a new one)."),
     ] = None,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     insecure_network: Annotated[
-        bool, typer.Option("--insecure-network", help="Listen beyond this machine: who listens there can drive.")
+        bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
     ] = False,
     as_json: Json = False,
     hub: Hub = None,
     swarm: Swarm = "swarm",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
-    """Serve the web console: watch, drive and stop the swarm from a browser. Prints the address to open."""
+    """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
     from fullswarm.drivers.make import makes
     from fullswarm.operator.console.serve import Options, serve
     from fullswarm.operator.session import Target
@@ -54,7 +56,7 @@ def console(
 
 
 def leave_with_parent(scheduler: Scheduler, leave: Callable[[], None]) -> None:
-    """End this process when the one that started it has ended."""
+    """End this process when its parent has ended."""
     from fullswarm.launch.processes import PARENT, PARENT_CHECK_S
 
     parent = int(os.environ.get(PARENT) or os.getppid())

@@ -106,9 +106,9 @@ def run_trial(
     as_json: Json = False,
 ) -> int:
     """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
-    from fullswarm.evaluate.experiment import one_trial as experiment_trial
+    from fullswarm.evaluate.experiment import run as experiment
 
-    return experiment_trial.run(file, folder, as_json)
+    return experiment.run_again(file, folder, as_json)
 
 
 @experiment_app.command()

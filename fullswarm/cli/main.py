@@ -1,4 +1,4 @@
-"""The ``fullswarm`` command. Imports what a command needs when it runs: help must come at once."""
+"""The ``fullswarm`` command: assembles all commands, and has `demo`, `up`, `init`, `info` and the single processes."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
-from fullswarm.cli import completion
-from fullswarm.cli.console import console as serve_console
-from fullswarm.cli.deploy import deploy_app
+from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status
+from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
-from fullswarm.cli.operate import operator_app
-from fullswarm.cli.options import shell_command
+from fullswarm.cli.leases import leases_app
+from fullswarm.cli.options import Json, shell_command
+from fullswarm.cli.params import params_app
 from fullswarm.cli.results import results_app
-from fullswarm.cli.robots import hardware_app
 from fullswarm.cli.scenario import scenario_app
 
 if TYPE_CHECKING:
+    from fullswarm.cli.options import Target
     from fullswarm.config import SwarmConfig
 
 app = typer.Typer(
@@ -29,18 +29,28 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="From a swarm algorithm to robots that move. Start with `fullswarm demo`.",
 )
-app.add_typer(operator_app)
-app.add_typer(joystick_app, name="joystick")
-for each, name, text in (
+START, EVALUATE, DEPLOY, HARDWARE, RUN = "Start", "Evaluate", "Deploy", "Robots and ports", "Single processes"
+for command in (
+    request.request, request.stop, estop.estop, request.drive, request.mock, status.status, status.watch,
+    status.behaviours, console,
+):  # fmt: skip
+    app.command()(command)
+for group, name in ((params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick")):
+    app.add_typer(group, name=name)
+for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
-    (results_app, "results", "Look at what experiments left: cells, figures, comparisons, reports."),
-    (scenario_app, "scenario", "Worlds: list, look at, bring along from other simulators, take to them."),
+    (results_app, "results", "Show, compare, export and report the results of experiments."),
+    (scenario_app, "scenario", "List, show, import and export worlds."),
 ):
-    app.add_typer(each, name=name, rich_help_panel="Evaluate", help=text)
-app.add_typer(deploy_app, rich_help_panel="Deploy")
-app.add_typer(hardware_app)  # after the operator's: its `robots` has more verbs
-
-app.command("console")(serve_console)
+    app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
+for command in (
+    bundle.bundle, bundle.keys, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
+    deploy.reboot, deploy.fleet, flash.flash,
+):  # fmt: skip
+    app.command(rich_help_panel=DEPLOY)(command)
+app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
+for command in (robots.doctor, robots.emulate):
+    app.command(rich_help_panel=HARDWARE)(command)
 
 Fleet = Annotated[
     Path, typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="The fleet file (TOML).")
@@ -55,14 +65,18 @@ Overrides = Annotated[
     ),
 ]
 Insecure = Annotated[
-    bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can drive the robots.")
+    bool,
+    typer.Option(
+        "--insecure-network", help="Listen beyond this machine: everyone on that network can drive the robots."
+    ),
 ]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
 Network = Annotated[
     str | None,
-    typer.Option("--network", metavar="SPEC", help="A bad network: loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s."),
+    typer.Option(
+        "--network", metavar="SPEC", help="Inject network faults: loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s."
+    ),
 ]
-START, RUN = "Start", "Single processes"
 
 
 def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
@@ -73,7 +87,7 @@ def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
 
 @app.callback(invoke_without_command=True)
 def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
     if version:
         typer.echo(__version__)
@@ -83,10 +97,12 @@ def _options(
 @app.command(rich_help_panel=START)
 @shell_command(logs=True)
 def demo(
-    seconds: Annotated[float, typer.Option(min=4, max=3600, help="How long the show lasts.")] = 45.0,
-    headless: Annotated[bool, typer.Option("--headless", help="No live table.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")] = False,
-    lockstep: Annotated[bool, typer.Option("--lockstep", help="One process, simulated clock, repeatable.")] = False,
+    seconds: Annotated[float, typer.Option(min=4, max=3600, help="Duration of the demo.")] = 45.0,
+    headless: Annotated[bool, typer.Option("--headless", help="Show no live table.")] = False,
+    as_json: Json = False,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="Run in one process on a simulated clock, repeatably.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the lockstep run.")] = 0,
     fleet: Annotated[
         Path | None,
@@ -98,19 +114,19 @@ def demo(
     ] = None,
     console: Annotated[
         bool | None,
-        typer.Option("--console/--no-console", help="The web console. Default: on, unless --headless or --json."),
+        typer.Option("--console/--no-console", help="Serve the web console (default: unless --headless or --json)."),
     ] = None,
     stay: Annotated[
         bool | None,
-        typer.Option("--stay/--no-stay", help="Go on after the show. Default: in a terminal, with a console."),
+        typer.Option("--stay/--no-stay", help="Continue after the demo (default: in a terminal with a console)."),
     ] = None,
     open_browser: Annotated[
-        bool | None, typer.Option("--open/--no-open", help="Show the page. Default: in a terminal with a screen.")
+        bool | None, typer.Option("--open/--no-open", help="Open the page (default: in a terminal with a screen).")
     ] = None,
     network: Network = None,
     overrides: Overrides = None,
 ) -> int:
-    """Eight simulated robots drive to a goal, flock, and meet, and are yours as soon as you ask for anything."""
+    """Run eight simulated robots that drive to a goal, flock and meet; your first request ends the demo."""
     from fullswarm.demo import run as show
 
     config = show.demo_config(fleet, tuple(overrides or ()), network)
@@ -127,10 +143,10 @@ def up(
     fleet: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="The fleet file.")],
     overrides: Overrides = None,
     network: Network = None,
-    console: Annotated[bool, typer.Option("--console", help="The web console as well; prints its address.")] = False,
+    console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
     insecure_network: Insecure = False,
 ) -> int:
-    """Start all that a fleet file names on this machine: hub, core, world, one agent per robot."""
+    """Start all processes of a fleet file on this machine: hub, core, world, one agent per robot."""
     from fullswarm.drivers.fleet_file import load_fleet
     from fullswarm.launch.up import run
     from fullswarm.simulation.starts import start_problems
@@ -143,9 +159,9 @@ def up(
 @shell_command(logs=True)
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new folder; its name is the lab's.")],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list the files.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the files, write none.")] = False,
 ) -> int:
-    """Make a lab of your own: a fleet file, a behaviour with its test, a README; it works at once."""
+    """Make a new lab: a fleet file, a behaviour with its test, a README."""
     from fullswarm.bringup.init import run
 
     return run(folder, dry_run=dry_run)
@@ -153,21 +169,17 @@ def init(
 
 @app.command(rich_help_panel=START)
 @shell_command(logs=True)
-def info(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    hub: Annotated[str | None, typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub.")] = None,
-    swarm: Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")] = "swarm",
-) -> int:
-    """Print what a bug report needs: versions, machine, extras, ports; nothing secret. Markdown, to be pasted."""
+def info(target: Target, as_json: Json = False) -> int:
+    """Print what a bug report needs, as Markdown: versions, machine, extras, ports; nothing secret."""
     from fullswarm.bringup.info import run
 
-    return run(hub, swarm, as_json=as_json)
+    return run(target.hub, target.swarm, as_json=as_json)
 
 
 @app.command(rich_help_panel=RUN)
 @shell_command(logs=True)
 def hub(
-    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where to listen.")] = "tcp/127.0.0.1:7447",
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="The endpoint to listen on.")] = "tcp/127.0.0.1:7447",
     insecure_network: Insecure = False,
     with_parent: WithParent = False,
 ) -> int:
@@ -228,22 +240,25 @@ def sim(
 @app.command(rich_help_panel=RUN)
 @shell_command(logs=True)
 def fixes(
+    target: Target,
     listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="UDP port for the datagrams.")] = "127.0.0.1:9870",
     names: Annotated[
-        list[str] | None, typer.Option("--map", metavar="NAME=ROBOT", help="Which robot a name of the sender is.")
+        list[str] | None, typer.Option("--map", metavar="NAME=ROBOT", help="Map a name of the sender to a robot.")
     ] = None,
     unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of x, y and z.")] = "m",
-    y_up: Annotated[bool, typer.Option("--y-up", help="The sender's floor is x and -z, as in Motive.")] = False,
-    sigma_m: Annotated[float, typer.Option(min=1e-4, max=100, help="Error of a position that says none.")] = 0.005,
-    sigma_rad: Annotated[float, typer.Option(min=1e-4, max=3, help="Error of a heading that says none.")] = 0.02,
-    hub: Annotated[str | None, typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub.")] = None,
-    swarm: Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")] = "swarm",
+    y_up: Annotated[bool, typer.Option("--y-up", help="Take x and -z as the floor's axes, as in Motive.")] = False,
+    sigma_m: Annotated[
+        float, typer.Option(min=1e-4, max=100, help="Standard deviation of positions that come without one.")
+    ] = 0.005,
+    sigma_rad: Annotated[
+        float, typer.Option(min=1e-4, max=3, help="Standard deviation of headings that come without one.")
+    ] = 0.02,
     insecure_network: Annotated[
-        bool, typer.Option("--insecure-network", help="Listen beyond this machine: anybody there can misplace robots.")
+        bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone there can send fixes.")
     ] = False,
     with_parent: WithParent = False,
 ) -> int:
-    """Tell the robots where motion capture sees them: JSON over UDP in, pose fixes out."""
+    """Convert the datagrams of motion capture (JSON over UDP) to pose fixes for the robots."""
     from fullswarm.localization import fixes as source
     from fullswarm.localization.mocap import Format
 
@@ -253,7 +268,7 @@ def fixes(
         Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
         insecure_network,
     )
-    return source.run(hub, swarm, options, with_parent)
+    return source.run(target.hub, target.swarm, options, with_parent)
 
 
 def main() -> None:

@@ -1,18 +1,20 @@
 """The decorator of all commands, and options that several of them have.
 
-Only typer is imported here: whatever needs the bus is imported when a command runs, so that help stays quick.
+Only typer is imported here: whatever needs the bus is imported when a command runs, so that help appears at once.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fullswarm.cli import completion
+from fullswarm.errors import ConfigError
+from fullswarm.keys import ROBOT_ID
 from fullswarm.launch.guard import run_guarded
 
 if TYPE_CHECKING:
@@ -20,24 +22,58 @@ if TYPE_CHECKING:
 
     NamedTarget = Target
 
-ALL = "none: the whole swarm"
+ALL = "(default: the whole swarm)"
 Hub = Annotated[
     str | None,
-    typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub; none: tcp/127.0.0.1:7447."),
+    typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub (default: tcp/127.0.0.1:7447)."),
 ]
-Swarm = Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="Which swarm.")]
+Swarm = Annotated[str, typer.Option(envvar="FULLSWARM_SWARM", metavar="NAME", help="The name of the swarm.")]
 Operator = Annotated[
     str,
-    typer.Option(envvar="FULLSWARM_OPERATOR", metavar="NAME", help="In whose name, for leases; none: user@host."),
+    typer.Option(
+        envvar="FULLSWARM_OPERATOR", metavar="NAME", help="The operator that holds leases (default: user@host)."
+    ),
 ]
-Take = Annotated[bool, typer.Option("--take", help="Take robots over from an operator who holds them.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")]
+Take = Annotated[bool, typer.Option("--take", help="Take robots over from the operator that holds them.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Robots = Annotated[
     list[str] | None,
-    typer.Option(metavar="A,B", help=f"Robot ids and @groups; {ALL}.", autocompletion=completion.robots),
+    typer.Option(metavar="A,B", help=f"Robot ids and @groups {ALL}.", autocompletion=completion.robots),
 ]
-Timeout = Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=3600, help="How long to wait.")]
+RobotArguments = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[ROBOT]...", help=f"Robot ids {ALL}.", autocompletion=completion.robot_ids),
+]
+Timeout = Annotated[float, typer.Option(metavar="SECONDS", min=0.1, max=3600, help="Wait this long for an answer.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Skip the confirmation prompt.")]
+
+
+def robot_ids(names: Iterable[str] | None, *, groups: bool = False) -> tuple[str, ...]:
+    """Return the ids in ``a,b c`` and the like, each once; none means all.
+
+    Parameters
+    ----------
+    groups
+        Accept ``@name`` too: for what goes through the core, which knows the members of a group.
+
+    Raises
+    ------
+    ConfigError
+        A name that no robot can have, or a group where robots are addressed directly.
+    """
+    from fullswarm.operator.leases import GROUP
+
+    ids = [part.strip() for name in names or () for part in name.split(",")]
+    for each in ids:
+        if each.startswith(GROUP) and not groups:
+            raise ConfigError(
+                f"'{each}' is a group, and this goes straight to the robots, which know no groups",
+                hint="name the robots, or none to mean all of them",
+            )
+        if not ROBOT_ID.match(each.removeprefix(GROUP)):
+            raise ConfigError(f"'{each}' cannot name a robot", where="--robots", hint="e.g. --robots r1,r2")
+    return tuple(dict.fromkeys(ids))
 
 
 def shell_command(*, logs: bool = False) -> Callable[[Callable[..., int]], Callable[..., None]]:
@@ -88,7 +124,7 @@ def _option(name: str, kind: object, default: object) -> inspect.Parameter:
 
 
 def _target(hub: str | None, swarm: str, operator: str) -> Target:
-    """Return the swarm a command line means, and the operator it acts for; a malformed name raises `ConfigError`."""
+    """Return the swarm that a command line names, and its operator; a malformed name raises `ConfigError`."""
     from fullswarm.operator.session import Target, operator_name
 
     return Target(hub, swarm, operator_name(operator) if operator else "")

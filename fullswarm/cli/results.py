@@ -66,9 +66,9 @@ def coverage(
     ] = None,
 ) -> int:
     """Write what a trial's robots have covered as a map: PGM and YAML, as ROS's map_server reads them."""
-    from fullswarm.evaluate.results import coverage_map as results_map
+    from fullswarm.evaluate.results import commands as results
 
-    return results_map.write(folder, trial, out)
+    return results.write_coverage_map(folder, trial, out)
 
 
 @results_app.command()

@@ -1,4 +1,4 @@
-"""The commands that deal with robots and ports: ``robots find|test|check``, ``doctor``, ``emulate``."""
+"""The commands about robots and ports: `robots find|test|check`, `doctor`, `emulate`."""
 
 from __future__ import annotations
 
@@ -9,42 +9,38 @@ import typer
 
 from fullswarm import registry
 from fullswarm.cli import completion
-from fullswarm.cli.options import Json, shell_command
+from fullswarm.cli.options import Json, Yes, shell_command
+from fullswarm.cli.status import list_robots
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
 
-hardware_app = typer.Typer()
 robots_app = typer.Typer(invoke_without_command=True)
-hardware_app.add_typer(robots_app, name="robots")
-PANEL = "Robots and ports"
 
 
 @robots_app.callback()
 @shell_command()
 def robots(context: typer.Context, target: Target, as_json: Json = False) -> int:
-    """List the robots of the running swarm; `find` and `test` look at robots on cables."""
-    if context.invoked_subcommand is None:
-        from fullswarm.operator import reads
-
-        return reads.robots(target, as_json=as_json)
-    return 0
+    """List the robots of the running swarm; `find`, `test` and `check` examine connected hardware."""
+    return list_robots(target, as_json=as_json) if context.invoked_subcommand is None else 0
 
 
 @robots_app.command()
 @shell_command(logs=True)
 def find(
-    port: Annotated[list[str] | None, typer.Option("--port", metavar="PATH", help="Only this serial port.")] = None,
+    port: Annotated[
+        list[str] | None, typer.Option("--port", metavar="PATH", help="Search only this serial port.")
+    ] = None,
     can: Annotated[
         list[str] | None,
-        typer.Option("--can", metavar="CHANNEL", help="Only this bus: can0, slcan:/dev/ttyACM0@250000, ..."),
+        typer.Option("--can", metavar="CHANNEL", help="Search only this bus: can0, slcan:/dev/ttyACM0@250000, ..."),
     ] = None,
     udp: Annotated[
-        list[str] | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Only rovers that send here.")
+        list[str] | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Search only this UDP port for rovers.")
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """Ask all ports what robot is there; nothing moves. Exit code 0: robots found; 1: none."""
+    """Search all ports for robots; nothing moves. Exit code 0: robots found; 1: none."""
     from fullswarm.bringup.find import find as run
 
     return run(port or (), can or (), udp or (), as_json=as_json)
@@ -53,10 +49,10 @@ def find(
 @robots_app.command("test")
 @shell_command(logs=True)
 def bring_up(
-    url: Annotated[str, typer.Argument(metavar="URL", help="The driver's, as in a fleet file.")],
-    speed: Annotated[float, typer.Option(min=0.02, max=0.5, help="Of the wheels, m/s.")] = 0.1,
-    yes: Annotated[bool, typer.Option("--yes", help="Nobody is asked: it is safe to drive.")] = False,
-    timeout: Annotated[float, typer.Option(metavar="SECONDS", min=1, max=600, help="For it to be READY.")] = 60.0,
+    url: Annotated[str, typer.Argument(metavar="URL", help="The driver's URL, as in a fleet file.")],
+    speed: Annotated[float, typer.Option(min=0.02, max=0.5, help="Speed of the wheels, m/s.")] = 0.1,
+    yes: Yes = False,
+    timeout: Annotated[float, typer.Option(metavar="SECONDS", min=1, max=600, help="Wait this long for READY.")] = 60.0,
     as_json: Json = False,
 ) -> int:
     """Drive one robot a little and check signs, scale, stops and sensors. Exit code 0: passed; 1: failed."""
@@ -70,31 +66,32 @@ def bring_up(
 @shell_command(logs=True)
 def check(
     url: Annotated[
-        str | None, typer.Argument(metavar="[URL]", help="The driver's, as in a fleet file; of any package.")
+        str | None, typer.Argument(metavar="[URL]", help="The driver's URL, as in a fleet file; of any package.")
     ] = None,
     rig: Annotated[
         str | None,
-        typer.Option(metavar="MODULE:FUNCTION", help="Instead: a context manager that yields a fullswarm.testing.Rig."),
+        typer.Option(metavar="MODULE:FUNCTION", help="Use this context manager, which yields a fullswarm.testing.Rig."),
     ] = None,
     wire: Annotated[
-        bool, typer.Option("--wire", help="Put a relay into the link, and unplug, mute and disturb it there.")
+        bool, typer.Option("--wire", help="Insert a relay into the link, and unplug, mute and disturb it there.")
     ] = False,
-    baud: Annotated[int, typer.Option(min=300, help="Of a serial line with --wire.")] = 115200,
+    baud: Annotated[int, typer.Option(min=300, help="Baud rate of a serial line with --wire.")] = 115200,
     still: Annotated[
         bool, typer.Option("--still", help="Do not move the robot: lifecycle and promptness only.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation prompt.")] = False,
+    yes: Yes = False,
     settle: Annotated[
-        float, typer.Option(metavar="SECONDS", min=0.1, max=60, help="To reach or leave half its speed.")
+        float, typer.Option(metavar="SECONDS", min=0.1, max=60, help="Wait this long to reach or leave half its speed.")
     ] = 2.0,
     timeout: Annotated[
-        float, typer.Option(metavar="SECONDS", min=1, max=600, help="For each step that the robot confirms.")
+        float,
+        typer.Option(metavar="SECONDS", min=1, max=600, help="Wait this long for each step that the robot confirms."),
     ] = 10.0,
     as_json: Json = False,
 ) -> int:
-    """Run the published check of drivers on one robot or emulator. Exit code 0: passed; 1: failed, says what and why.
+    """Run the published check of drivers on one robot or emulator. Exit code 0: passed; 1: failed.
 
-    For those who write drivers. Operators want `robots test`.
+    For authors of drivers; operators use `robots test`.
     """
     from fullswarm.bringup.robot_check import run
 
@@ -104,27 +101,26 @@ def check(
     )  # fmt: skip
 
 
-@hardware_app.command(rich_help_panel=PANEL)
 @shell_command(logs=True)
 def doctor(
-    fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Also its hub and robots.")] = None,
+    fleet: Annotated[Path | None, typer.Argument(metavar="[FLEET.toml]", help="Check its hub and robots too.")] = None,
     robot: Annotated[
         str | None,
         typer.Option(
-            metavar="ROBOT", help="This robot and its computer instead.", autocompletion=completion.fleet_robots
+            metavar="ROBOT", help="Check this robot and its computer instead.", autocompletion=completion.fleet_robots
         ),
     ] = None,
     fleet_option: Annotated[
         Path | None,
-        typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="Where --robot is to be found."),
+        typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="The fleet file with --robot."),
     ] = None,
     press: Annotated[
-        bool, typer.Option("--estop/--no-estop", help="With --robot: offer to press its e-stop for a moment.")
+        bool, typer.Option("--estop/--no-estop", help="With --robot: offer to engage its e-stop for a moment.")
     ] = True,
-    yes: Annotated[bool, typer.Option("--yes", help="Press it without a question. Nothing moves by it.")] = False,
+    yes: Yes = False,
     as_json: Json = False,
 ) -> int:
-    """Check this machine, and a fleet's hub and robots, or one --robot before it drives; says what mends it.
+    """Check this machine, and a fleet's hub and robots, or one --robot before it drives; print what to do.
 
     Exit code 1: something is broken; 3: nothing of the --robot answers.
     """
@@ -135,7 +131,6 @@ def doctor(
     return doctor.run(fleet, as_json=as_json)
 
 
-@hardware_app.command(rich_help_panel=PANEL)
 @shell_command(logs=True)
 def emulate(
     make: Annotated[
@@ -146,28 +141,28 @@ def emulate(
             autocompletion=completion.emulated_makes,
         ),
     ],
-    port: Annotated[Path | None, typer.Option(metavar="PATH", help="Where its serial port shall be.")] = None,
+    port: Annotated[Path | None, typer.Option(metavar="PATH", help="Path of its serial port.")] = None,
     listen: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="mavlink: udp://, udpin://, tcp://HOST:PORT or pty:")
     ] = None,
-    url: Annotated[str | None, typer.Option(metavar="URL", help="The driver's URL: serve its other end.")] = None,
+    url: Annotated[str | None, typer.Option(metavar="URL", help="Serve the other end of this driver URL.")] = None,
     model: Annotated[
         str | None, typer.Option(metavar="NAME", help="create: create1, roomba500, create2; mavlink: rover, px4.")
     ] = None,
-    cliff: Annotated[bool, typer.Option("--cliff", help="No floor in front.")] = False,
-    drop: Annotated[float, typer.Option(min=0, max=1, help="Share of chunks lost.")] = 0.0,
+    cliff: Annotated[bool, typer.Option("--cliff", help="Emulate a cliff in front.")] = False,
+    drop: Annotated[float, typer.Option(min=0, max=1, help="Share of chunks that are lost.")] = 0.0,
     corrupt: Annotated[float, typer.Option(min=0, max=1, help="Share of chunks with a flipped bit.")] = 0.0,
-    delay: Annotated[float, typer.Option(metavar="SECONDS", min=0, max=10, help="Of each direction.")] = 0.0,
+    delay: Annotated[float, typer.Option(metavar="SECONDS", min=0, max=10, help="Delay of each direction.")] = 0.0,
     inject: Annotated[
-        list[str] | None, typer.Option("--do", metavar="COMMAND", help="As typed while it runs: 'battery 0.1'.")
+        list[str] | None, typer.Option("--do", metavar="COMMAND", help="Run a command of the emulator: 'battery 0.1'.")
     ] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="End after this; none: on Ctrl-C.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="End after this time (default: on Ctrl-C).")] = None,
     as_json: Json = False,
 ) -> int:
     """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
     from fullswarm.bringup.emulate import EmulateOptions, run
     from fullswarm.emulators.base import LinkFaults
 
-    orders = (("cliff on",) if cliff else ()) + tuple(inject or ())
+    commands = (("cliff on",) if cliff else ()) + tuple(inject or ())
     faults = LinkFaults(drop, corrupt, delay)
-    return run(EmulateOptions(make, port, listen, url, model), faults, orders, seconds, as_json=as_json)
+    return run(EmulateOptions(make, port, listen, url, model), faults, commands, seconds, as_json=as_json)

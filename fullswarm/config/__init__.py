@@ -5,19 +5,16 @@ not say.
 
 Files:
 
-``explain.py``    pydantic's complaints in plain words: which key, what is wrong, what was probably meant
-``limits.py``     Ranges that fleet files, the core's database, requests and robots hold to alike: (least, greatest)
-``load.py``       Reads a fleet file: all errors at once, each with its file, line and key
-``models.py``     Settings of a swarm: TOML → typed, with every error at once and where it stands
-``parameter.py``  A parameter of a behaviour: its type, its range, and the check that core and robots make alike
-``positions.py``  Where things stand in a TOML file
-``write.py``      Typed settings → TOML: what a supervisor hands to its processes, and what stands beside a result
+``fleet_file.py``   reads and writes fleet files: all errors at once, each with its file, line and key
+``models.py``       the schema and its ranges
+``parameter.py``    a parameter of a behaviour: its type, its range, and the check that core and robots make alike
+``toml_errors.py``  says what is wrong in a TOML file and in which line
 """
 
 from __future__ import annotations
 
 from fullswarm.bus.endpoint import DEFAULT_HUB
-from fullswarm.config.load import FleetShorthand, load_swarm
+from fullswarm.config.fleet_file import FleetShorthand, load_swarm
 from fullswarm.config.models import (
     DEFAULT_WORLD,
     AgentConfig,

@@ -11,15 +11,22 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
 from fullswarm.bus.endpoint import DEFAULT_HUB, is_loopback
-from fullswarm.bus.network import parse_network
-from fullswarm.config.limits import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M, SPEED_LIMIT_M_S, TURN_LIMIT_RAD_S
+from fullswarm.bus.network_faults import parse_network
 from fullswarm.errors import ConfigError
-from fullswarm.words import ROBOT_ID, TRUTH
+from fullswarm.keys import ROBOT_ID, TRUTH
 
 DEFAULT_WORLD = "127.0.0.1:7450"
 ALL_TO_ALL_ROBOTS = 16
 STEEPEST_DEG = 89.0
 """At the poles north is no direction."""
+
+# Ranges that fleet files, the core's database, requests and robots share: (least, greatest).
+SAFETY_MARGIN_M = (0.0, 1.0)
+BARRIER_GAIN_PER_S = (0.01, 20.0)
+SPEED_LIMIT_M_S = (0.01, 10.0)
+TURN_LIMIT_RAD_S = (0.01, 20.0)
+HEARING_M = (0.0, 1000.0)
+EXPIRES_S = (0.0, 60.0)
 
 
 def _robot_id(text: str) -> str:

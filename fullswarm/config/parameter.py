@@ -8,8 +8,7 @@ from typing import Any, Literal, cast
 
 from pydantic import model_validator
 
-from fullswarm.config.limits import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M
-from fullswarm.config.models import Section
+from fullswarm.config.models import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M, Section
 from fullswarm.messages import Value
 
 Kind = Literal["number", "integer", "flag", "word", "point", "points"]

@@ -17,14 +17,14 @@ from pydantic import Field, ValidationError, model_validator
 
 from fullswarm import registry
 from fullswarm.config import Section
-from fullswarm.config.limits import EXPIRES_S
+from fullswarm.config.models import EXPIRES_S
 from fullswarm.config.parameter import Parameter, Raw
 from fullswarm.core.centralised.laws import CENTRALISED
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
+from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import ParamEntry, Value
 from fullswarm.reasons import Code
 from fullswarm.store import Store, Stored
-from fullswarm.words import ROBOT_ID
 
 PREFIX = "behaviour/"
 BEHAVIOURS = Path(__file__).with_name("behaviours.toml")

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 from fullswarm.core.settings import GROUP
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
+from fullswarm.keys import ROBOT_ID, TRUTH
 from fullswarm.messages import ParamEntry
 from fullswarm.store import Store, Stored
-from fullswarm.words import ROBOT_ID, TRUTH
 
 MARK = "@"
 MOST = 10_000

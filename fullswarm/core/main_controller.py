@@ -22,9 +22,17 @@ from fullswarm.core.request_status import StatusBoard
 from fullswarm.core.roster import Roster
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, CentralisedRequest, EStop, Phase, RequestStatus, StopRequest, Value
+from fullswarm.messages import (
+    STOP,
+    BehaviourRequest,
+    CentralisedRequest,
+    EStop,
+    Phase,
+    RequestStatus,
+    StopRequest,
+    Value,
+)
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
-from fullswarm.words import STOP
 
 UNNAMED = "somebody without a name"
 

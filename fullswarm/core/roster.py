@@ -8,10 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
-from fullswarm.keys import Keys
+from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import HealthReport, RobotHealth
 from fullswarm.runtime import Scheduler
-from fullswarm.words import ROBOT_ID
 
 SILENCE_S = 1.5
 CHECK_S = 0.1

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from fullswarm.bus import Bus
 from fullswarm.config import PerformanceConfig, SwarmConfig
-from fullswarm.config.limits import SPEED_LIMIT_M_S, TURN_LIMIT_RAD_S
+from fullswarm.config.models import SPEED_LIMIT_M_S, TURN_LIMIT_RAD_S
 from fullswarm.config.parameter import BARRIER_GAIN, SAFETY_MARGIN, Parameter
 from fullswarm.core.behaviours import PREFIX, all_records
 from fullswarm.core.roster import SILENCE_S

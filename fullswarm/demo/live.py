@@ -23,7 +23,7 @@ from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, graphical, missing_extra, open_browser
 from fullswarm.operator.client import Operator
-from fullswarm.operator.console.door import OPEN_S, Door
+from fullswarm.operator.console.serve import OPEN_S, RedirectPage
 from fullswarm.operator.render import fleet_table
 from fullswarm.output import progress
 from fullswarm.runtime import Mailbox, Runtime
@@ -76,7 +76,7 @@ class LiveDemo:
         self.runtime.stop_on_signals()
         self.supervisor = Supervisor(config, self.runtime)
         self.console: WebConsole | None = None
-        self._door: Door | None = None
+        self._redirect: RedirectPage | None = None
         if manner.console:
             self._add_console()
         bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
@@ -105,8 +105,8 @@ class LiveDemo:
 
     def close(self) -> None:
         """End all processes, the robots first."""
-        if self._door is not None:
-            self._door.close()
+        if self._redirect is not None:
+            self._redirect.close()
         self._operator.close()
         self.supervisor.close()
         self._bus.close()
@@ -122,9 +122,9 @@ class LiveDemo:
         progress(f"\nOpen {address}\n{HOW_TO}\n")
         if not self.manner.open_browser:
             return
-        self._door = door = Door(address)
-        self.runtime.after(OPEN_S, door.close)
-        if problem := open_browser(door):
+        self._redirect = redirect = RedirectPage(address)
+        self.runtime.after(OPEN_S, redirect.close)
+        if problem := open_browser(redirect):
             progress(problem)
 
     def _start(self) -> None:

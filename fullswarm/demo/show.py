@@ -10,7 +10,7 @@ from fullswarm.bus.base import OPERATOR, Delivery, SenderBus
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.messages import BehaviourRequest, EStop, Heartbeat, LeaseRequest, RequestStatus, StopRequest, Value
-from fullswarm.operator.client import Asked, Operator
+from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.runtime import Scheduler, Timer
 
@@ -114,7 +114,7 @@ class Show:
     view: FleetView = field(init=False)
     done: bool = False
     yielded_to: str = ""
-    _asked: Asked | None = None
+    _asked: PendingRequest | None = None
     _timers: list[Timer] = field(default_factory=list)
     _world: tuple[Heartbeat, Heartbeat] | None = None  # the first of the show and the newest
 

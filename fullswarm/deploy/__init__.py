@@ -7,5 +7,5 @@
 
 Turns a fleet file and wheels into releases, cards and robots that run an agent. Nothing here
 runs on board but the shell scripts in ``robot/``: whether a release is good is the agent's own word
-(``agent/health_file.py``), and a robot that hears no verdict goes back by itself.
+(``agent/telemetry/health_file.py``), and a robot that hears no verdict goes back by itself.
 """

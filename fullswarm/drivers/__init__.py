@@ -1,7 +1,8 @@
 """Drivers: one contract (:mod:`fullswarm.drivers.base`), one folder per make. In: twists. Out: readings.
 
-Every folder has the same files: ``protocol.py`` (bytes only, pure) and ``driver.py`` (owns the link). Emulated robots
-are in :mod:`fullswarm.emulators`, the simulated world in :mod:`fullswarm.simulation`. See
+Every folder has the same files: ``protocol.py`` (bytes only, pure), ``session.py`` (the conversation as a state
+machine), ``driver.py`` (a `LinkedDriver` with that session and a port), ``settings.py`` (the URL) and ``probe.py``.
+Emulated robots are in :mod:`fullswarm.emulators`, the simulated world in :mod:`fullswarm.simulation`. See
 ``fullswarm/drivers/README.md`` for units, frames and signs.
 
 Further files:
@@ -13,8 +14,8 @@ Further files:
 ``fleet.py``             One driver seen as a fleet of one, so that the agent has a single code path over arrays
 ``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, and which robots
                          would share a port
-``guardian.py``          Guardian processes: they stop a robot whose driver is silent or gone (decision 14)
-``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or gone
+``guardian.py``          Starts guardian processes, which stop a robot whose driver has stalled or died (decision 14)
+``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or has died
 ``make.py``              The record of a make, and where all records are found
 ``mavlink/``             MAVLink ground rovers: ArduPilot Rover (GUIDED) and PX4 (OFFBOARD)
 ``null/``                The null make: ``null://<id>``, a robot that is nowhere
@@ -22,6 +23,6 @@ Further files:
                          doctor`
 ``sim/``                 The simulated make
 ``frames.py``            Robots that know their own position: whose (0, 0) is the swarm's, and which URLs say so
-``link.py``              One serial port and the one thread that touches it: claims it, reads, writes, ticks, re-opens
-                         it when it is gone
+``linked.py``            Runs the conversation with one robot for every make: thread, port, rules of the contract
+``ports.py``             Opens serial devices, TCP and UDP, and says what to do where that fails
 """

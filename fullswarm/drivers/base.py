@@ -70,7 +70,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the wheels can do; a driver clips to them and says so in what it returns.
+    """What the wheels can do; a driver clips to them, which shows in what it returns.
 
     A stop from v m/s takes v² / 2 `accel_m_s2`, and beyond that `overrun_s` times v, at most `overrun_m`: the wheels
     answer late, or brake softly at the end.
@@ -83,6 +83,12 @@ class Limits:
     can_reverse: bool = True
     overrun_s: float = 0.0
     overrun_m: float = 0.0
+
+    def clip(self, twist: Twist) -> Twist:
+        """Return a twist held within speed and turn rate, each by itself."""
+        slowest_m_s = -self.speed_m_s if self.can_reverse else 0.0
+        speed_m_s = max(slowest_m_s, min(self.speed_m_s, twist.linear_m_s))
+        return Twist(speed_m_s, max(-self.turn_rad_s, min(self.turn_rad_s, twist.angular_rad_s)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from fullswarm import registry
 from fullswarm.config import RobotConfig, SwarmConfig, load_swarm
-from fullswarm.config.load import Check
+from fullswarm.config.fleet_file import Check
 from fullswarm.drivers.make import Claim, emulated, make_of
 from fullswarm.errors import ConfigError, did_you_mean, nearest
 

@@ -1,14 +1,14 @@
-"""Guardian processes: they stop a robot whose driver is silent or gone (decision 14).
+"""Starts guardian processes, which stop a robot whose driver has stalled or died (decision 14).
 
-The driver talks to its guardian over a packet socket and says something each 50 ms. When it is silent for
-:data:`SILENCE_S` (paused, hung) or gone (killed), the guardian stops the robot. There are two ways to watch:
+The driver sends its guardian a packet each 50 ms over a packet socket. When none has come for :data:`SILENCE_S` (the
+driver is paused or hangs), or the socket closes (it was killed), the guardian stops the robot. There are two ways:
 
-- :class:`GuardedPort` has a serial port held by the guardian alone. For a robot that keeps its last command for ever
-  and whose stop is always the same bytes (Create). A guardian that dies or hangs is a lost link: the driver goes to
-  FAULT and starts another one.
-- :class:`Guardian` leaves the port to the driver and a duplicate of it to the guardian, with the frames that stop the
-  robot as it is driven now. For any descriptor: serial, UDP, TCP, CAN. Without a guardian that watches, the driver
-  says why (:attr:`Guardian.trouble`) and does not drive.
+- :class:`GuardedPort`: the guardian alone holds a serial port. For a robot that keeps its last command for ever and
+  whose stop is always the same bytes (Create). A guardian that dies or hangs is a lost link: the driver goes to FAULT
+  and starts another one.
+- :class:`Guardian`: the port stays with the driver, and the guardian has a duplicate of its descriptor, with the frames
+  that stop the robot as it is driven now. For any descriptor: serial, UDP, TCP, CAN. While no guardian watches,
+  :attr:`Guardian.trouble` says why, and the driver does not drive.
 
 A guardian may take :data:`START_S` to start: a slow board, busy with its boot, needs seconds for a Python.
 """
@@ -19,42 +19,47 @@ import errno
 import socket
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers import guardian_process as process
 from fullswarm.drivers.base import Description
-from fullswarm.drivers.link import HolderLost, claim
+from fullswarm.drivers.ports import Port, claim
 from fullswarm.errors import DriverError
 
 SILENCE_S = 0.3
 START_S = 30.0
-"""A guardian may be silent for so long before its first word."""
+"""A guardian may take so long before its first packet."""
 HANGS_S = 0.5
-"""One that falls silent for so long later is ended: it could not stop the robot."""
-LEAVE_S = process.FAREWELL_S + 0.5
+"""One that sends nothing for so long later is ended: it could not stop the robot."""
+LEAVE_S = process.DRAIN_S + 0.5
 LONG_WATCHDOG_S = 0.5
-"""A device that stops by itself within this time after the driver's last word needs no guardian."""
+"""A device that stops by itself within this time after the driver's last command needs no guardian."""
 BACKLOG = 64
 AGAIN_S, LONGEST_S = 0.25, 5.0
 """From one guardian that does not start to the next try: at first, and at most."""
 NO_ROOM = "end other programs: this computer may be short of memory, processes or open files"
 STARTING = "the process that guards this port is still starting: this computer is busy or slow"
 
+C = TypeVar("C")
+D = TypeVar("D")
+
+
+class HolderLost(OSError):
+    """The guardian process that holds or watches a port is gone, not the port."""
+
 
 @runtime_checkable
 class TakesGuardian(Protocol):
-    """A driver that can have its robot stopped by a guardian, from any package."""
+    """A driver whose robot a guardian can stop, from any package."""
 
     def guard(self) -> None:
         """Have a guardian from the next `open` on, unless the URL says ``guardian=0``."""
         ...
-
-
-D = TypeVar("D")
 
 
 def needs_guardian(description: Description) -> bool:
@@ -63,7 +68,7 @@ def needs_guardian(description: Description) -> bool:
 
 
 def guarded(driver: D) -> D:
-    """Return the driver, told to have a guardian where its device needs one and it can have one."""
+    """Return the driver; ask it for a guardian where its device needs one and it can have one."""
     description = getattr(driver, "description", None)
     if isinstance(description, Description) and needs_guardian(description) and isinstance(driver, TakesGuardian):
         driver.guard()
@@ -71,26 +76,28 @@ def guarded(driver: D) -> D:
 
 
 @dataclass(frozen=True, slots=True)
-class StopPlan:
-    """What a guardian sends in a driver's place; times in seconds from when it falls silent or is gone.
+class StopPlan(Generic[C]):
+    """What a guardian sends in a driver's place; times in seconds from when the driver falls silent or dies.
 
     Parameters
     ----------
     stop
-        Each time with a whole frame: brings the robot to rest, and is repeated in here as often as it takes.
+        Each time with a whole chunk of the port: brings the robot to rest, and is repeated in here as often as needed.
     leave
-        What follows if the driver is gone: takes the drive away for good.
-    to
-        Host and port to send to, for a socket that is not connected.
+        What follows if the driver has died: takes the drive away for good.
     """
 
-    stop: process.Frames
-    leave: process.Frames = ()
-    to: tuple[str, int] | None = None
+    stop: tuple[tuple[float, C], ...]
+    leave: tuple[tuple[float, C], ...] = ()
+
+    def packed(self, pack: Callable[[C], bytes]) -> StopPlan[bytes]:
+        """Return the plan with its chunks as bytes."""
+        stop, leave = (tuple((at_s, pack(chunk)) for at_s, chunk in each) for each in (self.stop, self.leave))
+        return StopPlan(stop, leave)
 
 
 class Attempts:
-    """Spaces out the starts of guardians that end before they have said a word."""
+    """Spaces out the starts of guardians that end before their first packet."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -99,13 +106,13 @@ class Attempts:
         self.why = ""
 
     def failed(self, why: str) -> None:
-        """Take note of one that did not start."""
+        """Note one that did not start."""
         self._failed += 1
         self._next_s = self._clock.now_s() + min(LONGEST_S, AGAIN_S * 2.0 ** min(self._failed - 1, 8))
         self.why = why
 
     def worked(self) -> None:
-        """Take note of one that said something."""
+        """Note one that has started."""
         self._failed, self._next_s, self.why = 0, 0.0, ""
 
     @property
@@ -115,7 +122,7 @@ class Attempts:
 
 
 class _Process:
-    """A guardian's process and our end of its link; ``OSError`` when there is no room for one.
+    """A guardian's process and this end of its socket; ``OSError`` when there is no room for one.
 
     It lives in a session of its own, where no Ctrl-C and no killed process group reaches it.
     """
@@ -137,11 +144,11 @@ class _Process:
         ours.setblocking(False)
         self.socket = ours
         self.pid = self._process.pid
-        self.has_spoken = False
-        self._heard_s = self._clock.now_s()
+        self.has_started = False
+        self._received_s = self._clock.now_s()
         self._beat_s = 0.0
 
-    def hear(self) -> list[bytes]:
+    def receive(self) -> list[bytes]:
         """Return its packets; raise ``HolderLost`` when it has ended."""
         packets: list[bytes] = []
         for _ in range(BACKLOG):
@@ -152,19 +159,19 @@ class _Process:
             except ConnectionError:
                 packet = b""
             if not packet and packets:
-                break  # what it said last comes first
+                break  # its last packets come before its end
             if not packet:
                 raise self._lost("ended")
-            if not self.has_spoken:
-                self.has_spoken = True
+            if not self.has_started:
+                self.has_started = True
                 self._attempts.worked()
-            self._heard_s = self._clock.now_s()
+            self._received_s = self._clock.now_s()
             packets.append(packet)
         return packets
 
     def overdue(self) -> bool:
-        """Tell whether it has been silent for too long."""
-        return self._clock.now_s() - self._heard_s > (HANGS_S if self.has_spoken else START_S)
+        """Return whether it has been silent for too long."""
+        return self._clock.now_s() - self._received_s > (HANGS_S if self.has_started else START_S)
 
     def hangs(self) -> HolderLost:
         """End it; return what to raise."""
@@ -172,7 +179,7 @@ class _Process:
         return self._lost("does not respond")
 
     def _lost(self, how: str) -> HolderLost:
-        if self.has_spoken:
+        if self.has_started:
             return HolderLost(errno.EPIPE, f"its guardian process {how}")
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVE_S)  # its end of the link is closed: it is ending
@@ -183,7 +190,7 @@ class _Process:
         return HolderLost(errno.EPIPE, why)
 
     def send(self, packet: bytes) -> None:
-        """Say something; ``BlockingIOError`` when it does not take it now, ``HolderLost`` when it has ended."""
+        """Send a packet; ``BlockingIOError`` when it is not taken now, ``HolderLost`` when the guardian has ended."""
         try:
             self.socket.send(packet)
         except BlockingIOError:
@@ -193,20 +200,20 @@ class _Process:
         self._beat_s = self._clock.now_s()
 
     def beat(self) -> None:
-        """Say "I am alive" if nothing else was said lately."""
+        """Send ALIVE unless something was sent within the last :data:`~.guardian_process.BEAT_S`."""
         if self._clock.now_s() - self._beat_s >= process.BEAT_S:
-            with suppress(BlockingIOError):  # so much waits for it that it knows, or hangs
+            with suppress(BlockingIOError):  # so many packets wait for it that one more changes nothing
                 self.send(process.ALIVE)
 
     def leave(self) -> None:
-        """Let it do its last work and go."""
+        """Let it stop the robot as planned and end."""
         try:
             self.socket.send(process.BYE)
         except OSError:
-            self.socket.close()  # closed before, or it went first: its end says the same
+            self.socket.close()  # closed before, or it ended first
         self.socket.close()
-        if not self.has_spoken:
-            self._process.kill()  # it may take long to start, only to hear that it is over
+        if not self.has_started:
+            self._process.kill()  # it may take long to start, for nothing
         try:
             self._process.wait(LEAVE_S)
         except subprocess.TimeoutExpired:
@@ -214,22 +221,24 @@ class _Process:
             self._process.wait()
 
 
-class GuardedPort:
-    """A :class:`~fullswarm.drivers.link.Port` behind a guardian.
+class GuardedPort(Port[bytes]):
+    """A serial port held by a guardian.
 
     Parameters
     ----------
     park
-        The bytes that stop the robot: sent at once, and by the guardian when this side is silent or gone.
+        The bytes that stop the robot: sent at once, and by the guardian when the driver is silent or has died.
     attempts
         Of this robot's guardians so far.
 
     Raises
     ------
     DriverError
-        See :func:`~fullswarm.drivers.link.claim`: the port is opened here and handed over. Or this computer has no
-        room for a guardian, or the last ones ended before they said a word.
+        See :func:`~fullswarm.drivers.ports.claim`: the port is opened here and handed over. Or this computer has no
+        room for a guardian, or the last ones ended before their first packet.
     """
+
+    gone_hint = "plug it in again"
 
     def __init__(
         self, path: str, baud: int, park: bytes, clock: Clock | None = None, attempts: Attempts | None = None
@@ -240,10 +249,10 @@ class GuardedPort:
             hint = f"the next try is in {attempts.left_s:.1f} s"
             what = f"the process that guards this port does not start: {attempts.why}"
             raise DriverError(what, where=path, hint=hint)
-        # Before the guardian: whoever holds the port, and why it does not open, is said as without one.
+        # Before the guardian starts: a port that does not open is reported as it would be without one.
         with claim(path, baud) as port:
             with suppress(OSError):
-                port.write(park)  # its last guardian may have died while it drove, and the next one takes its time
+                port.write(park)  # the last guardian may have died while the robot drove, and the next one takes time
             try:
                 self._guardian = _Process("relay", port.fileno(), park.hex(), clock=clock, attempts=attempts)
             except OSError as error:
@@ -257,47 +266,49 @@ class GuardedPort:
 
     @property
     def waits_for(self) -> str:
-        """What it still waits for: its guardian's start."""
-        return "" if self._guardian.has_spoken else STARTING
+        """The guardian's start, while that lasts."""
+        return "" if self._guardian.has_started else STARTING
 
     @property
-    def out_waiting(self) -> int:
-        """Bytes that have not left yet: the guardian sees to them."""
-        return 0
+    def guardable(self) -> None:
+        """None: it has a guardian."""
+        return
 
     def fileno(self) -> int:
         """Return what to wait on."""
         return self._guardian.socket.fileno()
 
-    def read(self, size: int) -> bytes:
-        """Return what the robot said, empty if nothing; raise ``OSError`` when the port or the guardian is gone."""
-        del size
-        said = b""
-        for packet in self._guardian.hear():
+    def read(self) -> Sequence[bytes]:
+        """Return what the robot sent; raise ``OSError`` when the port or the guardian is gone."""
+        received: list[bytes] = []
+        for packet in self._guardian.receive():
             if packet[:1] == process.GONE:
                 raise OSError(errno.EIO, packet[1:].decode(errors="replace"))
             if packet[:1] == process.BYTES:
-                said += packet[1:]
-        return said
+                received.append(packet[1:])
+        return received
 
-    def write(self, data: bytes | bytearray) -> int:
-        """Hand over bytes; raise ``BlockingIOError`` when they are not taken now."""
-        piece = bytes(data[: process.MOUTHFUL])
-        self._guardian.send(process.BYTES + piece)
-        return len(piece)
+    def write(self, chunk: bytes) -> bytes | None:
+        """Hand over bytes."""
+        piece = chunk[: process.CHUNK]
+        try:
+            self._guardian.send(process.BYTES + piece)
+        except BlockingIOError:
+            return chunk
+        return chunk[len(piece) :] or None
 
     def beat(self) -> None:
-        """Tell the guardian that this side is alive, and see that it is; raise ``OSError`` when not."""
+        """Send the guardian a sign of life, and check that it lives; raise ``OSError`` when not."""
         if self._guardian.overdue():
-            # A pause of this process looks the same; then the guardian's words are waiting here.
-            self.read(process.MOUTHFUL)
+            # A pause of this process looks the same; then the guardian's packets are waiting here.
+            self.read()
             if self._guardian.overdue():
                 raise self._guardian.hangs()
-        if self._guardian.has_spoken:
+        if self._guardian.has_started:
             self._guardian.beat()
 
     def close(self) -> None:
-        """Let the guardian stop the robot and go. Closing twice is fine."""
+        """Let the guardian stop the robot and end. Closing twice is fine."""
         self._guardian.leave()
 
 
@@ -313,7 +324,7 @@ class Guardian:
         self._process: _Process | None = None
         self._descriptor: int | None = None
         self._packet = process.plan(())
-        self._told = False  # the process knows the newest plan
+        self._sent = False  # the process has the newest plan
         self.trouble = ""
         """Why nothing watches now, for people; empty while it does."""
 
@@ -325,19 +336,22 @@ class Guardian:
     def watch(self, descriptor: int) -> None:
         """Begin to watch over a port that has been opened; nothing is to be stopped yet."""
         self.release()
-        self._descriptor, self._packet, self._told = descriptor, process.plan(()), False
+        self._descriptor, self._packet, self._sent = descriptor, process.plan(()), False
         self.trouble = STARTING
         self._start()
 
-    def stop_with(self, plan: StopPlan | None) -> None:
-        """Leave with the guardian what stops the robot now; None: it is not being driven."""
-        packet = process.plan(()) if plan is None else process.plan(plan.stop, plan.leave, plan.to)
+    def stop_with(self, plan: StopPlan[bytes] | None, to: tuple[str, int] | None = None) -> None:
+        """Leave with the guardian what stops the robot now; None: it is not being driven.
+
+        `to` is the host and port to send to, for a socket that is not connected.
+        """
+        packet = process.plan(()) if plan is None else process.plan(plan.stop, plan.leave, to)
         if packet != self._packet:
-            self._packet, self._told = packet, False
-            self._tell()
+            self._packet, self._sent = packet, False
+            self._send()
 
     def beat(self) -> bool:
-        """Tell the guardian that the driver is alive; return whether it has stopped the robot meanwhile.
+        """Send the guardian a sign of life; return whether it has stopped the robot meanwhile.
 
         A guardian that has ended or hangs is replaced; meanwhile :attr:`trouble` says so.
         """
@@ -346,12 +360,12 @@ class Guardian:
             if guardian is None:
                 self._start()
                 return False
-            stopped = process.STOPPED in guardian.hear()
+            stopped = process.STOPPED in guardian.receive()
             if guardian.overdue():
                 raise guardian.hangs()
-            if guardian.has_spoken:
+            if guardian.has_started:
                 guardian.beat()
-                self._tell()
+                self._send()
         except OSError as error:
             self.trouble = f"{error.strerror or error}; another one is being started"
             self._end()
@@ -371,15 +385,15 @@ class Guardian:
             self._attempts.failed(error.strerror or str(error))
             self.trouble = f"the process that guards this port does not start: {self._attempts.why} ({NO_ROOM})"
 
-    def _tell(self) -> None:
+    def _send(self) -> None:
         guardian = self._process
-        if guardian is None or not guardian.has_spoken or self._told:
+        if guardian is None or not guardian.has_started or self._sent:
             return
         with suppress(BlockingIOError):  # then with the next beat
             guardian.send(self._packet)
-            self._told, self.trouble = True, ""
+            self._sent, self.trouble = True, ""
 
     def _end(self) -> None:
-        guardian, self._process, self._told = self._process, None, False
+        guardian, self._process, self._sent = self._process, None, False
         if guardian is not None:
             guardian.leave()

@@ -1,4 +1,4 @@
-"""A swarm of real processes as a trial uses it: started, waited for, watched for deaths, ended whatever happens."""
+"""Runs a trial through real processes in real time (``--live``): starts and watches them, ends them in any case."""
 
 from __future__ import annotations
 
@@ -7,16 +7,22 @@ import shutil
 from collections.abc import Callable, Mapping
 from types import TracebackType
 
+from fullswarm import kernels
 from fullswarm.bus.base import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
-from fullswarm.errors import ConfigError
-from fullswarm.evaluate.summaries import Summaries
-from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, TrialFailed, TrialHeld
+from fullswarm.drivers.make import emulated
+from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.evaluate.experiment.plan import Trial, scenario_of
+from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.trial import configure, drive, request_of, terms
+from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_network
 from fullswarm.launch.nodes import process_id
+from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value
@@ -339,3 +345,55 @@ class LiveSwarm:
             tail = self.supervisor.log_tail(name, TAIL_LINES).replace("\n", " | ")
             words.append(f"the process of '{name}' ended with code {code}" + (f": {tail}" if tail else ""))
         return "; ".join(words)
+
+
+EMULATED_MARGIN_M = 0.08
+"""Odometry and fixes are a few centimetres off, and a rover needs time to brake."""
+
+
+def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
+    """Run a trial with a process for each robot; none is left afterwards.
+
+    Parameters
+    ----------
+    emulate : the robots are of this make, behind emulated ports with their real drivers; None: simulated ones
+
+    Raises
+    ------
+    ConfigError
+        The trial's settings are wrong, the make is unknown, or so many robots do not fit.
+    MissingExtra
+        The make's library, or that of the estimator, is not installed.
+    TrialFailed
+        A process ended, a robot is in FAULT, or the swarm did not do what it was asked.
+    """
+    scenario = scenario_of(trial)
+    config, goals = configure(trial, scenario)
+    config = on_free_ports(with_make(config, trial, emulate), wished=False)
+    config, limit_s, limit_reason = terms(trial, scenario, config)
+    kernels.compile_all()
+    with LiveSwarm(config) as swarm:
+        swarm.start()
+        world = swarm.bodies
+        safe = in_safe_set(world, config.agent.safety_margin_m)
+        request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
+        cell_m = config.performance.coverage_cell_m
+        return drive(swarm, request, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
+
+
+def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmConfig:
+    """Put every robot behind an emulated port; agents keep the cell's limits where the make could do more."""
+    if emulate is None:
+        return config
+    if emulate not in (known := emulated()):
+        raise ConfigError(f"no emulated robot '{emulate}'", where="--emulate", hint=did_you_mean(emulate, known))
+    body, asked = dict(trial.body), dict(trial.agent)
+    usual = {
+        "estimator": "ekf",
+        "safety_margin_m": EMULATED_MARGIN_M,
+        "speed_limit_m_s": body["speed_limit_m_s"],
+        "turn_limit_rad_s": body["turn_limit_rad_s"],
+    }
+    agent = config.agent.model_copy(update={name: value for name, value in usual.items() if name not in asked})
+    robots = tuple(each.model_copy(update={"emulate": emulate}) for each in config.robot)
+    return config.model_copy(update={"agent": agent, "robot": robots})

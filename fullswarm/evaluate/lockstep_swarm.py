@@ -1,4 +1,4 @@
-"""A swarm in lockstep as a trial uses it: one process, a simulated clock, the same result each time."""
+"""Runs a trial in lockstep: one process, a simulated clock, the same result each time."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ import itertools
 from collections.abc import Callable, Mapping
 
 from fullswarm.bus.base import OPERATOR
+from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
-from fullswarm.evaluate.summaries import Summaries
-from fullswarm.evaluate.swarm import LOOK_S, Report, TrialFailed
+from fullswarm.evaluate.experiment.outcomes import TrialResult
+from fullswarm.evaluate.experiment.plan import Trial, scenario_of
+from fullswarm.evaluate.swarm import LOOK_S, Report, Summaries, TrialFailed
+from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive, request_of, result_of
+from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
@@ -109,7 +114,7 @@ class LockstepSwarm:
         if newest is None or newest.phase in ("refused", "superseded"):
             raise TrialFailed(f"the core refused: {newest.reason}" if newest else "the core did not answer")
         agents = self._lockstep.agents
-        errors = {why.text for agent in agents for why in agent.wishes.law_error if why}
+        errors = {why.text for agent in agents for why in agent.desired.law_error if why}
         if errors:
             raise TrialFailed("; ".join(sorted(errors)))
         ran = sum(task is not None for agent in agents for task in agent.tasks.of)
@@ -126,3 +131,33 @@ def widened(limits: Limits) -> Limits:
         turn_accel_rad_s2=limits.turn_accel_rad_s2,
         can_reverse=limits.can_reverse,
     )
+
+
+def run_trial(trial: Trial) -> TrialResult:
+    """Run a trial and keep nothing of it but its result; whatever goes wrong in it is its result."""
+    clock = MonotonicClock()
+    began_s = clock.now_s()
+    return result_of(trial, attempt(trial, measure), clock.now_s() - began_s)
+
+
+def measure(trial: Trial) -> Measurement:
+    """Run a trial in lockstep.
+
+    Raises
+    ------
+    ConfigError
+        Its behaviour, scenario or settings are wrong, or so many robots do not fit.
+    TrialFailed
+        The core refused the request, or not every robot ran it.
+    """
+    scenario = scenario_of(trial)
+    config, goals = configure(trial, scenario)
+    swarm = LockstepSwarm(config)
+    try:
+        safe = in_safe_set(swarm.world, config.agent.safety_margin_m)
+        limit = trial.time_limit_s or scenario.time_limit_s, TIME_LIMIT
+        request = request_of(trial, scenario, goals, config, limit, safe)
+        cell_m = config.performance.coverage_cell_m
+        return drive(swarm, request, WorldWitness(swarm.world, goals, scenario.goal.radius_m, cell_m))
+    finally:
+        swarm.close()

@@ -1,4 +1,4 @@
-"""Where a trial's figures come from: commit, versions, machine."""
+"""Records where a trial's figures come from: commit, versions, machine."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+import msgspec
+
 import fullswarm
 from fullswarm.clock import wall_time_s
-from fullswarm.evaluate.experiment.record import Provenance
 
 PACKAGES = ("msgspec", "numba", "numpy", "osqp", "pybullet", "pydantic", "scipy", "shapely")
 """What computes figures."""
@@ -96,3 +97,19 @@ def _processor() -> str:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, "") or platform.processor() or platform.machine()
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """``provenance.json``: nothing in it may change a figure."""
+
+    started: str = ""  # ISO 8601, UTC
+    wall_s: float = 0.0
+    attempts: int = 1
+    host: str = ""
+    machine: str = ""  # processor and system
+    python: str = ""
+    fullswarm: str = ""
+    git: str = ""  # commit, with "+changes" when the work tree had any; empty outside a repository
+    packages: dict[str, str] = {}  # name → version of what computes figures
+    configuration: str = ""  # sha256 of trial.toml
+    runner: str = "pool"  # pool, dask, live, fleet

@@ -1,4 +1,4 @@
-"""One trial over any swarm: a request through the whole stack, and a witness that watches the bodies.
+"""Runs one trial over any swarm: a request through the whole stack, and a witness that watches the bodies.
 
 The steps are the same in lockstep, through live processes and on real robots: settle, request, watch until the trial
 is over, stop, report. What differs is behind the port of ``swarm.py``.
@@ -7,43 +7,29 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.clock import MonotonicClock
+from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.errors import FullswarmError
-from fullswarm.evaluate.experiment.plan import Trial, scenario_of, world_of
-from fullswarm.evaluate.experiment.record import Contacts, Trajectory
-from fullswarm.evaluate.experiment.results import Outcome, TrialResult
-from fullswarm.evaluate.lockstep_swarm import LockstepSwarm
+from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
+from fullswarm.evaluate.experiment.plan import Trial, world_of
+from fullswarm.evaluate.provenance import Provenance, provenance
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
-from fullswarm.evaluate.summaries import joined
-from fullswarm.evaluate.swarm import SAMPLE_S, Coverage, Numbers, Swarm, TrialStopped
-from fullswarm.evaluate.witness import Witness, WorldWitness, in_safe_set
+from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
+from fullswarm.evaluate.trial_folder import FAILED, Measurement, Record, Trajectory, launch_text, trial_id, write_trial
+from fullswarm.evaluate.witness import Witness
 from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
 TOLERANCE_S = 1e-9
 ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
-
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """All that one trial measured: what a results folder keeps of it."""
-
-    outcome: Outcome
-    end_reason: str = ""
-    onboard: Numbers = field(default_factory=dict)
-    truth: Numbers = field(default_factory=dict)
-    per_robot: Mapping[str, Numbers] = field(default_factory=dict)
-    trajectory: Trajectory | None = None
-    coverage: Coverage | None = None  # the swarm's own
-    contacts: Contacts | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,48 +203,14 @@ Measure = Callable[[Trial], Measurement]
 """Runs a trial."""
 
 
-def run_trial(trial: Trial) -> TrialResult:
-    """Run a trial and keep nothing of it but its result; whatever goes wrong in it is its result."""
-    clock = MonotonicClock()
-    began_s = clock.now_s()
-    found = attempt(trial)
-    wall_s = clock.now_s() - began_s
-    if isinstance(found, str):
-        return TrialResult(seed=trial.seed, outcome=None, failure=found, wall_s=wall_s)
-    return TrialResult(seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason)
-
-
-def attempt(trial: Trial, run: Measure | None = None) -> Measurement | str:
-    """Return what `run`, by default `measure`, makes of a trial, or why it failed."""
+def attempt(trial: Trial, run: Measure) -> Measurement | str:
+    """Return what `run` measures of a trial, or why it failed."""
     try:
-        return (run or measure)(trial)
+        return run(trial)
     except FullswarmError as error:
         return str(error)
     except Exception as error:  # a law or an engine is outside code: one trial must not end the experiment
         return f"{type(error).__name__}: {error}"
-
-
-def measure(trial: Trial) -> Measurement:
-    """Run a trial in lockstep.
-
-    Raises
-    ------
-    ConfigError
-        Its behaviour, scenario or settings are wrong, or so many robots do not fit.
-    TrialFailed
-        The core refused the request, or not every robot ran it.
-    """
-    scenario = scenario_of(trial)
-    config, goals = configure(trial, scenario)
-    swarm = LockstepSwarm(config)
-    try:
-        safe = in_safe_set(swarm.world, config.agent.safety_margin_m)
-        limit = trial.time_limit_s or scenario.time_limit_s, TIME_LIMIT
-        request = request_of(trial, scenario, goals, config, limit, safe)
-        cell_m = config.performance.coverage_cell_m
-        return drive(swarm, request, WorldWitness(swarm.world, goals, scenario.goal.radius_m, cell_m))
-    finally:
-        swarm.close()
 
 
 # ---------------------------------------------------------------------------------------------------- settings
@@ -302,3 +254,73 @@ def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmC
     radius_m = judged.arrive_radius_m or scenario.goal.radius_m
     judged = judged.model_copy(update={"max_execution_s": None, "arrive_radius_m": radius_m})
     return config.model_copy(update={"performance": judged}), limit_s, reason
+
+
+@dataclass(frozen=True, slots=True)
+class Keeper:
+    """Runs trials and keeps them in `out`: what a worker process does.
+
+    Parameters
+    ----------
+    run : measures a trial; importable by its name
+    """
+
+    out: Path
+    experiment: str
+    run: Measure
+    runner: str = "pool"
+
+    def __call__(self, trial: Trial, attempts: int = 1) -> TrialResult:
+        """Run a trial; a failure is its result, also when it cannot be kept."""
+        result, found, about = perform(trial, self.experiment, attempts, self.run, self.runner)
+        try:
+            write_trial(self.out, record_of(trial, self.experiment, found), about, found)
+        except OSError as error:
+            return not_kept(result, self.out, error)
+        return result
+
+
+def perform(
+    trial: Trial, experiment: str, attempts: int, run: Measure, runner: str
+) -> tuple[TrialResult, Measurement | str, Provenance]:
+    """Run a trial; return its result, all that it measured or why it failed, and where from."""
+    started_s, clock = wall_time_s(), MonotonicClock()
+    began_s = clock.now_s()
+    found = attempt(trial, run)
+    wall_s = clock.now_s() - began_s
+    about = provenance(started_s, wall_s, attempts, launch_text(trial, experiment), runner)
+    return result_of(trial, found, wall_s, attempts), found, about
+
+
+def result_of(trial: Trial, found: Measurement | str, wall_s: float, attempts: int = 1) -> TrialResult:
+    """Return what a report needs of a trial."""
+    if isinstance(found, str):
+        return TrialResult(
+            seed=trial.seed, outcome=None, failure=found, wall_s=wall_s, end_reason=FAILED, attempts=attempts
+        )
+    return TrialResult(
+        seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason, attempts=attempts
+    )
+
+
+def record_of(trial: Trial, experiment: str, found: Measurement | str) -> Record:
+    """Return ``result.json`` of a trial, or of one that failed."""
+    name = trial_id(trial)
+    if isinstance(found, str):
+        return Record(id=name, experiment=experiment, trial=trial, outcome=None, failure=found, end_reason=FAILED)
+    return Record(
+        id=name,
+        experiment=experiment,
+        trial=trial,
+        outcome=found.outcome,
+        end_reason=found.end_reason,
+        onboard=dict(found.onboard),
+        truth=dict(found.truth),
+        per_robot={key: dict(values) for key, values in found.per_robot.items()},
+    )
+
+
+def not_kept(result: TrialResult, out: Path, error: OSError) -> TrialResult:
+    """Return the result of a trial whose directory could not be written: it failed, and is run again another time."""
+    failure = f"{out}: cannot keep the trial: {error.strerror or error}"
+    return msgspec.structs.replace(result, outcome=None, failure=failure, end_reason=FAILED)

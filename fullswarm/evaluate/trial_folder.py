@@ -1,113 +1,240 @@
-"""The directory of a trial: written beside its place and moved there, so that it is whole or not there at all."""
+"""Writes and reads the directory of one trial: its files, and what they contain.
+
+    <out>/trials/<id>/trial.toml        all that is needed to run this trial again, alone; it holds the scenario, too
+                      result.json       a `Record`: the same bytes whenever and wherever the trial is run
+                      provenance.json   a `Provenance`: when, where, with what, how long
+                      trajectory.npz    where all bodies were, see `Trajectory`
+                      contacts.npz      contacts between bodies, and how near each pair came: `Contacts`
+                      coverage.npz      `frame` (5,) origin x, y, cell in m, rows, columns; `covered` (rows, columns)
+                                        0 or 1: what the swarm's own summarizer has joined
+
+A directory appears whole or not at all: it is written beside its place and moved there.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import re
 import shutil
 import socket
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import msgspec
 import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from fullswarm.clock import MonotonicClock, wall_time_s
+from fullswarm.clock import wall_time_s
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.plan import Trial
-from fullswarm.evaluate.experiment.record import (
-    CONTACTS_FILE,
-    COVERAGE_FILE,
-    PROVENANCE_FILE,
-    RESULT_FILE,
-    TRAJECTORY_FILE,
-    TRIAL_FILE,
-    TRIALS,
-    Provenance,
-    Record,
-    trial_id,
-)
-from fullswarm.evaluate.experiment.results import TrialResult
-from fullswarm.evaluate.provenance import provenance
-from fullswarm.evaluate.trial import Measure, Measurement, attempt, measure
-from fullswarm.evaluate.trial_file import launch_text
+from fullswarm.evaluate.experiment.model import Parameter
+from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
+from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
+from fullswarm.evaluate.provenance import Provenance
+from fullswarm.evaluate.scenarios import Scenario
+from fullswarm.evaluate.swarm import Coverage, Numbers
+
+FORMAT = "fullswarm.trial/1"
+TRIALS = "trials"
+TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE = "trial.toml", "result.json", "provenance.json"
+TRAJECTORY_FILE, COVERAGE_FILE, CONTACTS_FILE = "trajectory.npz", "coverage.npz", "contacts.npz"
+GRAIN_M = 1e-5
+"""Positions in `Contacts` are whole numbers of this."""
+ID_HASH = 8
+ID_WORDS = 120
+"""The hash keeps ids apart; a name of a directory may have 255 letters, also with host and process behind it."""
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``result.json``: what came of a trial."""
+
+    format: str = FORMAT
+    id: str
+    experiment: str
+    trial: Trial
+    outcome: Outcome | None  # None: it failed
+    failure: str = ""
+    end_reason: str = ""  # "all arrived", "time limit", a termination condition's name, or "failed"
+    onboard: dict[str, float] = {}  # what the swarm's summarizers say: "work.total_m", "coverage.fraction", …
+    truth: dict[str, float] = {}  # the same names where the true bodies tell it too
+    per_robot: dict[str, dict[str, float]] = {}  # "onboard work.distance_m" or "truth …" → robot → value
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Where all bodies were. In the file: the fields by their names, ids as text."""
+
+    ids: tuple[str, ...]
+    time_s: NDArray[np.float64]  # (t,) since the request
+    pose: NDArray[np.float32]  # (t, n, 3) m, m, rad
+    touching: NDArray[np.bool_]  # (t, n) touched anything since the sample before
+    goals: NDArray[np.float64]  # (n, 2)
+    goal_radius_m: float
+    radius_m: NDArray[np.float64]  # (n,)
+    boxes: NDArray[np.float64]  # (k, 5) centre x, y, size x, y, yaw
+    bounds_m: NDArray[np.float64]  # (4,)
+
+    def save(self, path: Path) -> None:
+        """Write the file."""
+        fields = {name: getattr(self, name) for name in self.__slots__ if name != "ids"}
+        np.savez_compressed(path, ids=np.array(self.ids), **fields)
+
+    @classmethod
+    def load(cls, path: Path) -> Trajectory:
+        """Read the file."""
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            fields = {name: file[name] for name in file.files}
+        fields["ids"] = tuple(fields["ids"].tolist())
+        fields["goal_radius_m"] = float(fields["goal_radius_m"])
+        return cls(**fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """What is needed to count contacts again: in the file, the fields by their names, ids as text.
+
+    Two robots, or a robot and an obstacle, touch in a step when their rims come within `touch_m` anywhere on their
+    paths. Step s (from 1) leads from position s - 1 to s of `xy`; a robot that touched nothing in it went straight,
+    one that touched went by way of its row in `bend`. Positions are kept for trials with a contact only, in whole
+    grains of 10 µm and as changes, which compress well.
+    """
+
+    ids: tuple[str, ...]
+    radius_m: NDArray[np.float64]  # (n,)
+    obstacles: NDArray[np.float64]  # (k, 6) centre x, y, half sizes, yaw, 0: boxes, then walls
+    touch_m: float
+    step_s: float
+    closest_m: NDArray[np.float32]  # (n (n - 1) / 2,) least gap of the pairs (0, 1), (0, 2), …, (1, 2), …; inf: no step
+    closest_s: NDArray[np.float64]  # when: the end of the step, since the request
+    part_s: NDArray[np.float64]  # (p,) when the parts of a step end, since its start
+    xy: NDArray[np.int32]  # (t, n, 2) the first position, then changes from step to step
+    bend_step: NDArray[np.int32]  # (b,)
+    bend_robot: NDArray[np.int32]  # (b,)
+    bend: NDArray[np.int32]  # (b, p, 2) changes from part to part, the first from where the step began
+
+    def save(self, path: Path) -> None:
+        """Write the file."""
+        fields = {name: getattr(self, name) for name in self.__slots__ if name != "ids"}
+        np.savez_compressed(path, ids=np.array(self.ids), **fields)
+
+
+def trial_id(trial: Trial) -> str:
+    """Return the name of a trial's directory: readable, and unlike that of any other trial."""
+    cell = trial.cell
+    words = (cell.label, cell.scenario, f"n{cell.robots}", cell.engine, cell.limits, f"s{trial.seed}")
+    text = re.sub(r"[^A-Za-z0-9_.=]+", "-", "-".join(words)).strip("-.")
+    return f"{text[:ID_WORDS].rstrip('-.')}-{hashlib.sha256(msgspec.json.encode(trial)).hexdigest()[:ID_HASH]}"
+
+
+LAUNCH_FORMAT = "fullswarm.launch/1"
+HEAD = "# Runs one trial again: fullswarm experiment trial trial.toml\n"
+
+Table = dict[str, Parameter]
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """What a trial's file holds."""
+
+    experiment: str
+    trial: Trial
+
+
+class _Document(msgspec.Struct, forbid_unknown_fields=True):
+    """The tables of the file; `body`, `agent` and `stop` are settings of world, agents and summarizers."""
+
+    format: str
+    id: str
+    experiment: str
+    seed: int
+    cell: dict[str, Any]
+    body: Table
+    scenario: dict[str, Any]
+    time_limit_s: float | None = None
+    agent: Table = {}
+    stop: Table = {}
+
+
+def launch_text(trial: Trial, experiment: str) -> str:
+    """Return the file of a trial; `ConfigError` when its scenario cannot be read."""
+    cell = asdict(trial.cell)
+    cell["parameters"] = dict(trial.cell.parameters)  # last in the file: a table within a table
+    head: dict[str, Any] = {
+        "format": LAUNCH_FORMAT,
+        "id": trial_id(trial),
+        "experiment": experiment,
+        "seed": trial.seed,
+    }
+    if trial.time_limit_s is not None:
+        head["time_limit_s"] = trial.time_limit_s
+    settings = {name: dict(getattr(trial, name)) for name in ("body", "agent", "stop")}
+    try:
+        arena = {"scenario": json.loads(trial.arena or _arena(scenario_of(trial)))}
+    except ConfigError:
+        arena = {"scenario": {"name": trial.cell.scenario}}  # that is why it failed
+    return HEAD + tomlkit.dumps({**head, "cell": cell, **settings, **arena})
+
+
+def load_trial(path: Path) -> Launch:
+    """Read a trial from its file, or from the directory that holds one.
+
+    Raises
+    ------
+    ConfigError
+        No such file, or it is not that of a trial.
+    """
+    path = path / TRIAL_FILE if path.is_dir() else path
+    try:
+        return parse_trial(path.read_text("utf-8"), str(path))
+    except OSError as error:
+        raise ConfigError(
+            f"cannot read the trial: {error.strerror or error}",
+            where=str(path),
+            hint="name a trial.toml, or the folder that holds it: FOLDER/trials/ID of `fullswarm experiment run --out`",
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError("the trial is not UTF-8 text", where=str(path)) from error
+
+
+def parse_trial(text: str, where: str) -> Launch:
+    """Return the trial that TOML `text` describes; `ConfigError` as `load_trial`."""
+    try:
+        document = msgspec.convert(tomllib.loads(text), _Document)
+        if document.format != LAUNCH_FORMAT:
+            raise ConfigError(f"format '{document.format}' is not {LAUNCH_FORMAT}", where=where)
+        cell = {**document.cell, "parameters": list(dict(document.cell.get("parameters", {})).items())}
+        trial = Trial(
+            cell=msgspec.convert(cell, Cell),
+            seed=document.seed,
+            time_limit_s=document.time_limit_s,
+            body=tuple(document.body.items()),
+            agent=tuple(document.agent.items()),
+            stop=tuple(document.stop.items()),
+            arena=_arena(Scenario.model_validate_json(json.dumps(document.scenario), strict=True)),
+        )
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not valid TOML: {error}", where=where) from error
+    except (msgspec.ValidationError, ValidationError, TypeError, ValueError) as error:
+        raise ConfigError(f"not the file of a trial: {error}", where=where) from error
+    return Launch(document.experiment, trial)
+
+
+def _arena(scenario: Scenario) -> str:
+    return scenario.model_dump_json(exclude_none=True)
+
 
 FAILED, OLD = "failed", ".old"
 OLD_S = 86400.0
 """Parts of directories of another machine are removed when they are older."""
 Files = Mapping[str, bytes]
-
-
-@dataclass(frozen=True, slots=True)
-class Keeper:
-    """Runs trials and keeps them in `out`: what a worker process does.
-
-    Parameters
-    ----------
-    run : measures a trial; importable by its name
-    """
-
-    out: Path
-    experiment: str
-    run: Measure = measure
-    runner: str = "pool"
-
-    def __call__(self, trial: Trial, attempts: int = 1) -> TrialResult:
-        """Run a trial; a failure is its result, also when it cannot be kept."""
-        result, found, about = perform(trial, self.experiment, attempts, self.run, self.runner)
-        try:
-            write_trial(self.out, record_of(trial, self.experiment, found), about, found)
-        except OSError as error:
-            return not_kept(result, self.out, error)
-        return result
-
-
-def perform(
-    trial: Trial, experiment: str, attempts: int, run: Measure, runner: str
-) -> tuple[TrialResult, Measurement | str, Provenance]:
-    """Run a trial; return its result, all that it measured or why it failed, and where from."""
-    started_s, clock = wall_time_s(), MonotonicClock()
-    began_s = clock.now_s()
-    found = attempt(trial, run)
-    wall_s = clock.now_s() - began_s
-    about = provenance(started_s, wall_s, attempts, launch_text(trial, experiment), runner)
-    return result_of(trial, found, wall_s, attempts), found, about
-
-
-def result_of(trial: Trial, found: Measurement | str, wall_s: float, attempts: int = 1) -> TrialResult:
-    """Return what a report needs of a trial."""
-    if isinstance(found, str):
-        return TrialResult(
-            seed=trial.seed, outcome=None, failure=found, wall_s=wall_s, end_reason=FAILED, attempts=attempts
-        )
-    return TrialResult(
-        seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason, attempts=attempts
-    )
-
-
-def record_of(trial: Trial, experiment: str, found: Measurement | str) -> Record:
-    """Return ``result.json`` of a trial, or of one that failed."""
-    name = trial_id(trial)
-    if isinstance(found, str):
-        return Record(id=name, experiment=experiment, trial=trial, outcome=None, failure=found, end_reason=FAILED)
-    return Record(
-        id=name,
-        experiment=experiment,
-        trial=trial,
-        outcome=found.outcome,
-        end_reason=found.end_reason,
-        onboard=dict(found.onboard),
-        truth=dict(found.truth),
-        per_robot={key: dict(values) for key, values in found.per_robot.items()},
-    )
-
-
-def not_kept(result: TrialResult, out: Path, error: OSError) -> TrialResult:
-    """Return the result of a trial whose directory could not be written: it failed, and is run again another time."""
-    failure = f"{out}: cannot keep the trial: {error.strerror or error}"
-    return msgspec.structs.replace(result, outcome=None, failure=failure, end_reason=FAILED)
 
 
 # ---------------------------------------------------------------------------------------------------- writing
@@ -246,3 +373,17 @@ def _is_dead(folder: Path) -> bool:
     except PermissionError:
         return False
     return int(pid) == os.getpid()
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """All that one trial measured: what a results folder keeps of it."""
+
+    outcome: Outcome
+    end_reason: str = ""
+    onboard: Numbers = field(default_factory=dict)
+    truth: Numbers = field(default_factory=dict)
+    per_robot: Mapping[str, Numbers] = field(default_factory=dict)
+    trajectory: Trajectory | None = None
+    coverage: Coverage | None = None  # the swarm's own
+    contacts: Contacts | None = None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from fullswarm.bus.base import PROCESSES, NamedBus, SenderBus
-from fullswarm.bus.faulty import faulty
-from fullswarm.bus.network import Network, check_names, parse_network
+from fullswarm.bus.network_faults import Network, check_names, faulty, parse_network
 from fullswarm.config import SwarmConfig
 from fullswarm.runtime import Scheduler
 

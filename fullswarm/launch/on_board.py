@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import structlog
 
 import fullswarm
-from fullswarm.agent import health_file
-from fullswarm.agent.health_file import Process, Rate
+from fullswarm.agent.telemetry import health_file
+from fullswarm.agent.telemetry.health_file import Process, Rate
 from fullswarm.config import AgentConfig
 from fullswarm.launch import HEALTH
 from fullswarm.launch.notify import Notifier

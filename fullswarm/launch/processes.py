@@ -59,7 +59,7 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
 
 def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     """Serve as the agent of one robot."""
-    from fullswarm.agent.latch_folder import LatchFolder
+    from fullswarm.agent.orders.estops import LatchFolder
     from fullswarm.agent.state import Identity
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded

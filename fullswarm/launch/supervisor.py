@@ -14,7 +14,7 @@ from pathlib import Path
 import structlog
 
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
 from fullswarm.launch.latching import RUN
 from fullswarm.launch.processes import PARENT

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.ports import free_port
 from fullswarm.launch.supervisor import CONSOLE, Supervisor
-from fullswarm.operator.console.door import Door
+from fullswarm.operator.console.serve import RedirectPage
 from fullswarm.runtime import Scheduler
 
 PORT = 8807
@@ -86,8 +86,8 @@ class WebConsole:
         self._on_address(self.address)
 
 
-def open_browser(door: Door) -> str:
+def open_browser(redirect: RedirectPage) -> str:
     """Show the page in the user's browser; return what to say if that cannot be done, else nothing."""
     if not graphical() and "BROWSER" not in os.environ:
         return "there is no screen for a browser here: open the address yourself"
-    return "" if door.open() else "found no browser to open: open the address yourself"
+    return "" if redirect.open() else "found no browser to open: open the address yourself"

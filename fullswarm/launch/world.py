@@ -21,8 +21,7 @@ from fullswarm.launch import nodes
 from fullswarm.launch.ports import emulated_url, port_folder
 from fullswarm.messages import Heartbeat, PoseFix
 from fullswarm.perf.coverage import Bounds
-from fullswarm.perf.supervisor import SupervisorCalculator
-from fullswarm.perf.truth import Truth
+from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
 from fullswarm.simulation.bodies import SKIN_RATE_HZ, Body, SteppedBodies
 from fullswarm.simulation.server import WorldServer

@@ -18,11 +18,10 @@ from fullswarm.bus.endpoint import is_loopback
 from fullswarm.clock import Clock
 from fullswarm.config import DEFAULT_HUB, HubConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.keys import Keys
+from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.localization.mocap import UNITS, Format, Refused, Sighting
 from fullswarm.messages import HealthReport, PoseFix
 from fullswarm.runtime import Mailbox, Runtime, Scheduler
-from fullswarm.words import ROBOT_ID
 
 if TYPE_CHECKING:
     from fullswarm.launch.nodes import Node

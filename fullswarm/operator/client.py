@@ -1,4 +1,4 @@
-"""Asks the core and the robots: requests until answered, stops in a burst, e-stops until confirmed."""
+"""Sends requests until answered, stops in a burst, and e-stops until confirmed."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
+from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Scheduler, Timer
-from fullswarm.words import STOP
 
 RESEND_S = 0.2
 STOP_SENDS = 5
 STOP_SPACING_S = 0.1
 AFTER_LOSS_SENDS = 20
-"""A stop goes on for two seconds after the hub was away: the robots may come back to it later than we do."""
-STOP_PATIENCE_S = 10.0
+"""A stop is repeated for two seconds after the hub was lost: the robots may reconnect later than this process."""
+STOP_TIMEOUT_S = 10.0
 FINAL_PHASES = frozenset({"refused", "superseded", "ended"})
 
 StatusHandler = Callable[[RequestStatus], None]
@@ -31,8 +30,8 @@ def short_id() -> str:
 
 
 @dataclass(slots=True)
-class Asked:
-    """A request on its way; `status` is the newest answer."""
+class PendingRequest:
+    """A request and its newest answer, `status`."""
 
     request: BehaviourRequest
     on_status: StatusHandler | None = None
@@ -46,7 +45,7 @@ class Asked:
         return self._timer is not None
 
     def close(self) -> None:
-        """Do not send it again. What the core already has goes on."""
+        """Do not send it again. What the core has received goes on."""
         if self._timer is not None:
             self._timer.cancel()
 
@@ -55,7 +54,7 @@ class Asked:
 class Burst:
     """A message that is sent a few times because it has no answer.
 
-    `left` is what a hub has yet to take; not zero at the end: there was none, and the message may not have got through.
+    `left` is how often it must still be sent; not zero at the end: no hub was connected, and it may not have arrived.
     """
 
     left: int
@@ -68,16 +67,16 @@ class Burst:
 
 
 class Operator:
-    """One operator's line to a swarm. All calls return at once; answers come through the callbacks.
+    """One operator's requests to a swarm. All calls return at once; answers come through the callbacks.
 
     Parameters
     ----------
     source
-        Which process asks; unlike any other's.
+        The process that sends; unlike any other's.
     name
-        In whose name it asks, for leases; none: `source`.
+        The operator's name, for leases; empty: `source`.
     clock
-        Which clock `scheduler` reads, see :func:`~fullswarm.clock.clock_id`; empty: one that only `source` reads.
+        The clock that `scheduler` reads, see :func:`~fullswarm.clock.clock_id`; empty: one that only `source` reads.
     """
 
     def __init__(
@@ -94,7 +93,7 @@ class Operator:
         self._bus, self._keys, self._scheduler, self.source = bus, keys, scheduler, source
         self.name, self._clock = name or source, clock
         self._new_id = new_id
-        self._asked: dict[str, Asked] = {}
+        self._pending: dict[str, PendingRequest] = {}
         self._orders: dict[str, EStopOrder] = {}
         self._subscriptions = [
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
@@ -110,12 +109,12 @@ class Operator:
         *,
         resend: bool = True,
         take: bool = False,
-    ) -> Asked:
-        """Ask for `behaviour`; send again every 0.2 s until the core has answered that id once.
+    ) -> PendingRequest:
+        """Request `behaviour`; send again every 0.2 s until the core has answered that id once.
 
         No `robots` means the whole swarm. `on_status` receives every status of the request until a final one.
         With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
-        the robots are taken over from an operator who holds them.
+        the robots are taken over from an operator that holds them.
         """
         request = BehaviourRequest(
             id=self._new_id(),
@@ -128,29 +127,29 @@ class Operator:
             clock=self._clock,
             stamp_s=self._scheduler.now_s(),
         )
-        asked = Asked(request, on_status)
-        self._asked[request.id] = asked
+        pending = PendingRequest(request, on_status)
+        self._pending[request.id] = pending
 
         def send() -> None:
-            asked.sent += 1
+            pending.sent += 1
             self._bus.publish(self._keys.behaviour_request, request)
 
         send()
         if resend:
-            asked._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
-        return asked
+            pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
+        return pending
 
-    def forget(self, asked: Asked) -> None:
+    def forget(self, pending: PendingRequest) -> None:
         """Stop sending a request and unsubscribe from its status."""
-        asked.close()
-        self._asked.pop(asked.request.id, None)
+        pending.close()
+        self._pending.pop(pending.request.id, None)
 
     def stop(self, robots: Iterable[str] = (), on_done: Callable[[], None] | None = None) -> Burst:
-        """Tell robots to stand still: five times over 0.4 s with one id, since a stop is not acknowledged.
+        """Stop robots: send five times over 0.4 s with one id, since a stop is not acknowledged.
 
-        While there is no hub it goes on, for 10 s at most: robots that lost it drive on when it is back.
+        While there is no hub it is repeated, for 10 s at most: robots that lost it drive on when it is back.
         """
-        self._call_off_all(robots := tuple(robots), "a stop came before the core had it")
+        self._void_all(robots := tuple(robots), "a stop came before the core received it")
         message = StopRequest(id=self._new_id(), robots=robots, source=self.source)
         # The same for the core alone, with the time: requests that were made before it must not start robots after it.
         dated = BehaviourRequest(
@@ -177,12 +176,12 @@ class Operator:
     ) -> EStopOrder:
         """Engage or release the latched e-stop; repeat until all robots have confirmed or `deadline_s` is over.
 
-        No `robots` means all: then `known` tells which must confirm, asked anew each time, because robots may
-        be heard of after the order went out.
+        No `robots` means all: then `known` returns which must confirm; called each time, because robots may
+        appear after the order was sent.
         """
         robots = tuple(robots)
         if engaged:
-            self._call_off_all(robots, "an e-stop came before the core had it")
+            self._void_all(robots, "an e-stop came before the core received it")
         message = EStop(id=self._new_id(), engaged=engaged, robots=robots, source=self.source, reason=reason)
         order = EStopOrder(
             message,
@@ -199,8 +198,8 @@ class Operator:
 
     def close(self) -> None:
         """Stop sending and unsubscribe."""
-        for asked in self._asked.values():
-            asked.close()
+        for pending in self._pending.values():
+            pending.close()
         for order in self._orders.values():
             order.close()
         for subscription in self._subscriptions:
@@ -212,7 +211,7 @@ class Operator:
         def send() -> None:
             publish()
             burst.left = burst.left - 1 if self._bus.connected() else AFTER_LOSS_SENDS
-            if not burst.done and self._scheduler.now_s() - began_s < STOP_PATIENCE_S:
+            if not burst.done and self._scheduler.now_s() - began_s < STOP_TIMEOUT_S:
                 self._scheduler.after(STOP_SPACING_S, send)
             elif burst.on_done is not None:
                 burst.on_done()
@@ -221,51 +220,115 @@ class Operator:
         return burst
 
     def _on_status(self, status: RequestStatus) -> None:
-        asked = self._asked.get(status.request_id)
-        if asked is None:
+        pending = self._pending.get(status.request_id)
+        if pending is None:
             return
-        asked.close()
-        if asked.status is None and status.phase != "refused":
-            self._overtake(asked)
-        asked.status = status
+        pending.close()
+        if pending.status is None and status.phase != "refused":
+            self._overtake(pending)
+        pending.status = status
         if status.phase in FINAL_PHASES:
-            del self._asked[status.request_id]
-        if asked.on_status is not None:
-            asked.on_status(status)
+            del self._pending[status.request_id]
+        if pending.on_status is not None:
+            pending.on_status(status)
 
-    def _overtake(self, newer: Asked) -> None:
-        """Call off what was asked before `newer` for no other robots and got lost: it must not come after it.
+    def _overtake(self, newer: PendingRequest) -> None:
+        """Void what was requested before `newer` for no other robots and got lost: it must not come after it.
 
-        What was asked for others too is sent on: the core leaves out robots that have something newer.
+        What was requested for others too is still sent: the core leaves out robots that have something newer.
         """
         robots = newer.request.robots
-        for asked in list(itertools.takewhile(lambda each: each is not newer, self._asked.values())):
-            theirs = asked.request.robots
+        for pending in list(itertools.takewhile(lambda each: each is not newer, self._pending.values())):
+            theirs = pending.request.robots
             if not robots or (theirs and set(theirs) <= set(robots)):
-                self._call_off(asked, f"{newer.request.id} came before the core had it")
+                self._void(pending, f"{newer.request.id} came before the core received it")
 
-    def _call_off_all(self, robots: tuple[str, ...], why: str) -> None:
-        """Call off what concerns any of `robots`; none: all."""
-        for asked in list(self._asked.values()):
-            theirs = asked.request.robots
+    def _void_all(self, robots: tuple[str, ...], why: str) -> None:
+        """Void what concerns any of `robots`; none: all."""
+        for pending in list(self._pending.values()):
+            theirs = pending.request.robots
             if not robots or not theirs or not set(theirs).isdisjoint(robots):
-                self._call_off(asked, why)
+                self._void(pending, why)
 
-    def _call_off(self, asked: Asked, why: str) -> None:
+    def _void(self, pending: PendingRequest, why: str) -> None:
         """Stop sending a request that is still unanswered, and notify its caller."""
-        if asked.status is not None or not asked.repeats:
+        if pending.status is not None or not pending.repeats:
             return
-        self.forget(asked)
-        asked.status = RequestStatus(
-            request_id=asked.request.id,
-            behaviour=asked.request.behaviour,
+        self.forget(pending)
+        pending.status = RequestStatus(
+            request_id=pending.request.id,
+            behaviour=pending.request.behaviour,
             phase="superseded",
             reason=why,
-            robots=asked.request.robots,
+            robots=pending.request.robots,
         )
-        if asked.on_status is not None:
-            asked.on_status(asked.status)
+        if pending.on_status is not None:
+            pending.on_status(pending.status)
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
         for order in tuple(self._orders.values()):
             order.receive(receipt)
+
+
+class MockPublisher:
+    """The paper's mock publisher (III.A): sends `count` separate requests at `rate_hz`; 0 means without end.
+
+    Attributes
+    ----------
+    sent, answered : int
+        Requests sent, and those that the core has answered at least once.
+    refused : list of RequestStatus
+        Those that it refused.
+    """
+
+    def __init__(
+        self,
+        operator: Operator,
+        scheduler: Scheduler,
+        behaviour: str,
+        robots: Iterable[str] = (),
+        parameters: Mapping[str, Value] | None = None,
+        *,
+        rate_hz: float = 1.0,
+        count: int = 1,
+        on_status: Callable[[RequestStatus], None] | None = None,
+        on_answered: Callable[[], None] | None = None,
+    ) -> None:
+        self.sent = self.answered = 0
+        self.refused: list[RequestStatus] = []
+        self._operator, self._scheduler = operator, scheduler
+        self._behaviour, self._robots, self._parameters = behaviour, tuple(robots), dict(parameters or {})
+        self._period_s, self._count = 1.0 / rate_hz, count
+        self._on_status, self._on_answered = on_status, on_answered
+        self._open: dict[str, PendingRequest] = {}
+        self._timer: Timer | None = None
+
+    def start(self) -> None:
+        """Send the first request now."""
+        self._timer = self._scheduler.every(self._period_s, self._send)
+        self._send()
+
+    def stop(self) -> None:
+        """Send nothing more and stop repeating what was not answered."""
+        if self._timer is not None:
+            self._timer.cancel()
+        for pending in self._open.values():
+            self._operator.forget(pending)
+        self._open.clear()
+
+    def _send(self) -> None:
+        self.sent += 1
+        if self.sent == self._count and self._timer is not None:
+            self._timer.cancel()
+        pending = self._operator.request(self._behaviour, self._robots, self._parameters, self._receive)
+        self._open[pending.request.id] = pending
+
+    def _receive(self, status: RequestStatus) -> None:
+        first = self._open.pop(status.request_id, None) is not None
+        self.answered += first
+        if status.phase == "refused":
+            self.refused.append(status)
+        if self._on_status is not None:
+            self._on_status(status)
+        if first and self._count and self.answered == self._count and self._on_answered is not None:
+            self._on_answered()

@@ -1,4 +1,4 @@
-"""Holding robots: the operator's side of the leases that the core keeps."""
+"""Holds robots: the operator's side of the leases that the core keeps."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from fullswarm.runtime import Scheduler
 
 RENEW_S = 1.0
 SETTLE_S = 1.5
-"""What the core says of a robot is its answer once so much time has passed since it was asked for; before, its word
-may have been under way already. It speaks each second."""
+"""A report of the core counts as its answer once this much time has passed since the request; an earlier one may have
+been sent before it arrived. The core reports each second."""
 GROUP = "@"
 
-Told = Callable[[tuple[str, ...], str], None]
+LossHandler = Callable[[tuple[str, ...], str], None]
 
 
 @dataclass(slots=True)
-class Wish:
+class Claim:
     """A robot, or a group, that this operator wants to hold."""
 
     asked_s: float
-    take: bool  # until the core has granted it: the word that takes it over may be lost
-    held: bool = False  # the core has said so
+    take: bool  # until the core has granted it: the request that takes it over may be lost
+    held: bool = False  # as the core reports
     of_group: bool = False  # not named by an operator
 
 
 class LeaseHolder:
-    """Keeps one operator's leases alive and tells when one is lost.
+    """Renews one operator's leases and reports when one is lost.
 
     After a loss or a refusal the robot must be requested again, deliberately: nothing is waited for.
 
@@ -42,9 +42,9 @@ class LeaseHolder:
     on_change
         Called with all leases whenever an operator holds what they did not hold before.
     on_lost
-        Called with (robots, operator who took them) when another operator took over what was held here: once per loss.
+        Called with (robots, operator that took them) when another operator took over what was held here: once per loss.
     on_refused
-        Called with (robots, operator who holds them) when they were asked for in vain.
+        Called with (robots, operator that holds them) when they were requested in vain.
 
     Attributes
     ----------
@@ -59,28 +59,28 @@ class LeaseHolder:
         name: str,
         *,
         on_change: Callable[[dict[str, Lease]], None] | None = None,
-        on_lost: Told | None = None,
-        on_refused: Told | None = None,
+        on_lost: LossHandler | None = None,
+        on_refused: LossHandler | None = None,
     ) -> None:
         self._bus, self._keys, self._scheduler, self.name = bus, keys, scheduler, name
         self._on_change, self._on_lost, self._on_refused = on_change, on_lost, on_refused
         self.leases: dict[str, Lease] = {}
-        self._wanted: dict[str, Wish] = {}
+        self._wanted: dict[str, Claim] = {}
         self._core, self._sequence = "", -1
-        self._past: deque[str] = deque(maxlen=8)  # cores before this one: what they said may still be on the way
-        self._subscription = bus.subscribe(keys.leases, Leases, self._heard)
+        self._past: deque[str] = deque(maxlen=8)  # earlier cores: their reports may still be on the way
+        self._subscription = bus.subscribe(keys.leases, Leases, self._on_leases)
         self._timer = scheduler.every(RENEW_S, self._renew)
 
     def held(self) -> tuple[str, ...]:
-        """Return the robots that the core says this operator holds."""
+        """Return the robots that this operator holds, as the core reports."""
         return tuple(robot for robot, lease in self.leases.items() if lease.operator == self.name)
 
     def wanted(self) -> tuple[str, ...]:
-        """Return what this operator holds or waits to be granted, groups as they were named."""
+        """Return what this operator holds or has requested, groups as they were named."""
         return tuple(self._wanted)
 
     @property
-    def heard(self) -> bool:
+    def received(self) -> bool:
         """Whether the core has reported the leases."""
         return self._sequence >= 0
 
@@ -93,24 +93,24 @@ class LeaseHolder:
         """Ask for the leases of `robots` ("@name": of a group) and keep them; with `take` also from their holders."""
         robots, now_s = tuple(robots), self._scheduler.now_s()
         for robot in robots:
-            wish = self._wanted.get(robot)
-            if wish is None or not wish.held:
-                self._wanted[robot] = Wish(now_s, take)
+            claim = self._wanted.get(robot)
+            if claim is None or not claim.held:
+                self._wanted[robot] = Claim(now_s, take)
         if robots:
             self._ask(robots, hold=True, take=take)
 
     def release(self, robots: Iterable[str] | None = None) -> None:
-        """Give back `robots`; None: all. Of groups all goes back at once: who was in which is the core's to know."""
+        """Release `robots`; None: all. With a group all its robots are released: only the core knows its members."""
         given = tuple(self._wanted) if robots is None else tuple(robots)
         if any(name.startswith(GROUP) for name in given):
-            given += tuple(robot for robot, wish in self._wanted.items() if wish.of_group and robot not in given)
+            given += tuple(robot for robot, claim in self._wanted.items() if claim.of_group and robot not in given)
         for robot in given:
             self._wanted.pop(robot, None)
         if given:
             self._ask(given, hold=False)
 
     def close(self) -> None:
-        """Give everything back and unsubscribe."""
+        """Release all robots and unsubscribe."""
         self.release()
         self._timer.cancel()
         self._subscription.close()
@@ -121,23 +121,23 @@ class LeaseHolder:
 
     def _renew(self) -> None:
         for take in (False, True):
-            robots = tuple(robot for robot, wish in self._wanted.items() if wish.take is take)
+            robots = tuple(robot for robot, claim in self._wanted.items() if claim.take is take)
             if robots:
                 self._ask(robots, hold=True, take=take)
 
-    def _heard(self, message: Leases) -> None:
-        anew = self.heard and message.core != self._core
+    def _on_leases(self, message: Leases) -> None:
+        restarted = self.received and message.core != self._core
         if self._is_old(message):
             return
-        if anew:  # a restarted core has no leases: none shall come first by chance
+        if restarted:  # it has no leases: no other operator may come first by chance
             self._renew()
         before, self.leases = self.leases, {lease.robot: lease for lease in message.leases}
         self._adopt_groups()
         lost, refused = self._compare()
-        for tell, found in ((self._on_lost, lost), (self._on_refused, refused)):
-            if tell is not None:
+        for notify, found in ((self._on_lost, lost), (self._on_refused, refused)):
+            if notify is not None:
                 for operator, robots in found.items():
-                    tell(tuple(robots), operator)
+                    notify(tuple(robots), operator)
         changed = {robot: lease.operator for robot, lease in before.items()} != {
             robot: lease.operator for robot, lease in self.leases.items()
         }
@@ -154,29 +154,29 @@ class LeaseHolder:
         return False
 
     def _adopt_groups(self) -> None:
-        """Want what was granted of a group robot by robot: so a loss is one robot's, and nothing comes back later."""
+        """Claim the robots of a granted group one by one: each can be lost alone, and none is claimed again later."""
         now_s = self._scheduler.now_s()
-        groups = {name: wish for name, wish in self._wanted.items() if name.startswith(GROUP)}
+        groups = {name: claim for name, claim in self._wanted.items() if name.startswith(GROUP)}
         if not groups:
             return
         for robot in self.held():
-            self._wanted.setdefault(robot, Wish(now_s, take=False, of_group=True))
-        for name, wish in groups.items():
-            if now_s - wish.asked_s >= SETTLE_S:
+            self._wanted.setdefault(robot, Claim(now_s, take=False, of_group=True))
+        for name, claim in groups.items():
+            if now_s - claim.asked_s >= SETTLE_S:
                 del self._wanted[name]
 
     def _compare(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-        """Return what was lost and what was refused, by the operator who has it; want it no more."""
+        """Return what was lost and what was refused, by the operator that has it; claim it no more."""
         now_s = self._scheduler.now_s()
         lost: dict[str, list[str]] = {}
         refused: dict[str, list[str]] = {}
-        for robot, wish in tuple(self._wanted.items()):
+        for robot, claim in tuple(self._wanted.items()):
             lease = self.leases.get(robot)
             if lease is None:
                 continue  # the core was restarted, or has not received it yet
             if lease.operator == self.name:
-                wish.held, wish.take = True, False
-            elif wish.held or now_s - wish.asked_s >= SETTLE_S:
+                claim.held, claim.take = True, False
+            elif claim.held or now_s - claim.asked_s >= SETTLE_S:
                 del self._wanted[robot]
-                (lost if wish.held else refused).setdefault(lease.operator, []).append(robot)
+                (lost if claim.held else refused).setdefault(lease.operator, []).append(robot)
         return lost, refused

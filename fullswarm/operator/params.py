@@ -1,4 +1,4 @@
-"""Asks a layer's local database over the bus (paper II.A)."""
+"""Reads and writes a layer's local database over the bus (paper II.A)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ from collections.abc import Callable
 from typing import Literal
 
 from fullswarm.bus.base import Bus, Subscription
+from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys
 from fullswarm.messages import ParamChanged, ParamEntry, ParamReply, ParamRequest, Value
+from fullswarm.operator import session
 from fullswarm.operator.client import RESEND_S, short_id
+from fullswarm.operator.session import Target
 from fullswarm.runtime import Scheduler
 
 Stored = Value | dict[str, object] | None
+Operation = Literal["get", "set", "history"]
+CORE = "core"
 
 
 class ParamClient:
@@ -32,7 +37,7 @@ class ParamClient:
 
     def ask(
         self,
-        op: Literal["get", "set", "history"],
+        op: Operation,
         key: str,
         on_reply: Callable[[ParamReply], None],
         value: Stored = None,
@@ -62,3 +67,37 @@ class ParamClient:
                 on_change(changed.entry)
 
         return self._bus.subscribe(self._keys.param_changed(self._layer), ParamChanged, receive)
+
+
+def ask(
+    target: Target, layer: str, op: Operation, key: str, timeout_s: float, value: Stored = None
+) -> tuple[ParamEntry, ...]:
+    """Connect to a swarm, ask the database of one layer, and return the entries of its answer.
+
+    Raises
+    ------
+    ConfigError
+        The layer refuses, with its reason.
+    Unreachable
+        No hub or no such layer answers within `timeout_s`.
+    """
+    answer: ParamReply | None = None
+    with session.connect(target) as connection:
+
+        def receive(reply: ParamReply) -> None:
+            nonlocal answer
+            answer = reply
+            connection.finish()
+
+        client = ParamClient(connection.bus, connection.keys, connection.runtime, connection.source, layer=layer)
+        client.ask(op, key, receive, value)
+        connection.run(timeout_s)
+        if answer is None:
+            if layer == CORE:
+                raise connection.no_core(timeout_s)
+            hint = f"the one with a database is '{CORE}'"
+            raise Unreachable(f"no layer '{layer}' answers", where=connection.hub, hint=hint)
+    if not answer.ok:
+        reason = answer.reason or "refused without a reason"
+        raise ConfigError(reason, where="" if reason.startswith((key, f"'{key}'")) else key)
+    return answer.entries

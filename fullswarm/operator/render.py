@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from rich.markup import escape
 from rich.table import Table
 
 from fullswarm.messages import Summary
-from fullswarm.operator.known import natural
-from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot
-from fullswarm.reasons import DELIBERATE, Code
+from fullswarm.operator.robot_state import row_state
+from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, natural
 
 _UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
-STANDS_M_S = 0.005
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
 """Width kept free for the holders of the robots."""
@@ -61,49 +58,6 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     if len(rows) < len(snapshot.robots):
         table.add_row("…", f"{len(snapshot.robots) - len(rows)} more")
     return table
-
-
-@dataclass(frozen=True, slots=True)
-class RowState:
-    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
-
-    word: str
-    why: str = ""
-    attention: bool = False
-
-    @property
-    def text(self) -> str:
-        """Both in one line."""
-        return f"{self.word}: {self.why}" if self.why else self.word
-
-
-def row_state(row: RobotRow) -> RowState:
-    """Return what a robot is doing."""
-    health = row.health
-    if row.silent:
-        return RowState(f"SILENT for {row.age_s:.0f} s", attention=True)
-    if health is None:
-        return RowState("no health report", attention=True)
-    if health.fault or health.lifecycle == "FAULT":
-        latched = "E-STOP, " if health.estop else ""
-        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
-        word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
-        return RowState(latched + word, health.fault or "no reason given", attention=True)
-    if health.estop:
-        # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
-        rolls = health.moving and not abs(row.speed_m_s) < STANDS_M_S
-        return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
-    alarm = health.behaviour or health.stop_code not in DELIBERATE
-    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
-        return RowState("STOPPED", health.stop_reason, attention=True)
-    doing = "moving" if health.moving else "standing"
-    if health.lifecycle not in ("READY", "ACTIVE"):
-        doing = f"{health.lifecycle.lower()}, not ready"
-    if health.contacts:
-        return RowState(f"{doing}, TOUCHING", attention=True)
-    if 0.0 <= health.battery < 0.2:
-        return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
-    return RowState(doing)
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
 from fullswarm.messages import RequestStatus, Value
-from fullswarm.operator.client import Asked, Operator
+from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.runtime import Scheduler, Timer
 
 BEHAVIOUR = "drive"
@@ -42,7 +42,7 @@ class Teleop:
         self._behaviour, self._sticks = BEHAVIOUR, dict[str, float]()
         self._fixed: dict[str, Value] = {}
         self._told: tuple[str, dict[str, float]] | None = None  # what the newest frame said
-        self._recent: deque[Asked] = deque()
+        self._recent: deque[PendingRequest] = deque()
         self._sent_s = -math.inf
         self._timer: Timer | None = None
 

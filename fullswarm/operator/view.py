@@ -201,6 +201,13 @@ class FleetView:
         self._leases = self._scheduler.now_s(), message.leases
 
 
+def natural(name: str) -> tuple[str, int, str]:
+    """Return a key that sorts r2 before r10."""
+    head = name.rstrip("0123456789")
+    digits = name[len(head) :]
+    return head, int(digits) if digits else -1, name
+
+
 def _robot_as_dict(row: RobotRow) -> dict[str, object]:
     numbers = {
         name: value if math.isfinite(value := float(getattr(row, name))) else None

@@ -2,7 +2,7 @@
 
 A column is a number per robot (or per host) that an agent publishes at its measurement rate, see
 `RobotMeasurement`; a quantity joins a column of all robots to one number of the swarm. A new metric needs a column
-that some calculator fills (``agent/gauges.py`` says which array) and its record here.
+that some calculator fills (``agent/telemetry/metrics.py`` says which array) and its record here.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ COLUMNS = {
     "draws": Column("", "how often it was found blocked and stepped aside", "add"),
     "aside_s": Column("s", "time spent on stepping aside", "add"),
     "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
-    "energy_j": Column("J", "what driving cost, see `perf/energy.py`", "add"),
+    "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
     "late": Column("", "of them later than 1 ms", "add", per_host=True),
     "missed": Column("", "whole periods skipped", "add", per_host=True),

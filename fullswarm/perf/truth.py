@@ -1,7 +1,11 @@
-"""What the true bodies did. In: poses and twists after each step of the world. Out: numbers, named as a summary's.
+"""Measures what the true bodies did: poses and twists after each step of the world, numbers named as a summary's.
 
-A referee's account, free of noise, of odometry's drift and of the network: what the swarm says of itself is compared
-with it. One call of one kernel per step; nothing is allocated.
+A referee's account, free of noise, of odometry's drift and of the network: what the swarm reports of itself is compared
+with it. One call of one kernel per step; nothing is allocated. A supervisory process (paper II.F.1) publishes it as the
+measurement of the host ``truth``:
+
+    truth = Truth(...)                                       # fed with `look` after each step of the world
+    node = SupervisorCalculator(bus, keys, scheduler, truth)
 """
 
 from __future__ import annotations
@@ -12,12 +16,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.bus.base import Bus
 from fullswarm.kernels import Array, kernel
+from fullswarm.keys import TRUTH, Keys
+from fullswarm.messages import RobotMeasurement
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import Counts, CoverageCalculator, Grid, cover, touch
+from fullswarm.perf.calculators import MASS_KG, Counts, CoverageCalculator, Grid, cover, spend, touch
 from fullswarm.perf.coverage import Bounds
-from fullswarm.perf.energy import MASS_KG, spend
 from fullswarm.perf.metrics import SHAPE
+from fullswarm.runtime import Scheduler
 
 # Columns of the state, one row per robot.
 X, Y, HEADING, DISTANCE, ENTERED, SPENT, KINETIC = range(7)
@@ -225,3 +232,35 @@ class Truth:
             values["arrival.mean_s"] = math.fsum(times_s) / len(times_s)
             values["arrival.last_s"] = float(times_s.max())
         return values
+
+
+PERIOD_S = 0.5
+
+
+class SupervisorCalculator:
+    """Publishes work, collisions, coverage, energy and arrival of all true bodies, twice a second.
+
+    Parameters
+    ----------
+    process
+        Unique per start of the process that sees the bodies.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, truth: Truth, process: str = TRUTH) -> None:
+        self._bus, self._keys, self._scheduler, self._truth = bus, keys, scheduler, truth
+        self._process = process
+        self._timer = scheduler.every(PERIOD_S, self.publish)
+
+    def publish(self) -> None:
+        """Publish everything now."""
+        truth, now_s, keys = self._truth, self._scheduler.now_s(), self._keys
+        ids = truth.ids
+        self._bus.publish(keys.measurement("coverage", TRUTH), truth.coverage.message(TRUTH, ids, now_s))
+        columns = {name: tuple(column.tolist()) for name, column in truth.columns().items()}
+        numbers = RobotMeasurement(host=TRUTH, process=self._process, robots=ids, columns=columns, stamp_s=now_s)
+        self._bus.publish(keys.measurement("robots", TRUTH), numbers)
+
+    def close(self) -> None:
+        """Tell the last of the story. Closing twice is fine."""
+        self.publish()
+        self._timer.cancel()

@@ -12,38 +12,23 @@ node by itself, in no time::
     runtime.run(10.0)
     assert bus.sent(Summary)[-1].finished
 
-Further files:
+Files:
 
-``behaviour.py``  What every law must hold: a pure function of each robot's own view, finite whatever the neighbours
-                  do
-``claims.py``     What a description claims, held against what the robot does
-``clock.py``      Time that passes when the test says so
-``contract.py``   What every driver must hold while nothing is broken: lifecycle, limits, signs, silence, promptness
-``drives_on.py``  Drives a robot straight on until it is killed: ``python -m fullswarm.testing.drives_on module:Class
-                  URL SPEED``
-``faults.py``     What a driver does when its link breaks: it says so, in time, and moves again only when told anew
-``jumps.py``      Time that jumps: a machine that was suspended, and a wall clock that is set
-``pad.py``        A virtual gamepad for tests: SDL's own, without hardware or display
-``process.py``    A driver in a process of its own that is paused and killed while it drives: what its device does
-                  then
-``rig.py``        What a check may do to a robot, and what came of it
-``sight.py``      A look at one reading or one answer of a driver: returns what is wrong with it, empty when nothing
-                  is
-``trial.py``      A driver under check: the one place that waits, and a look at each reading and each answer on the
-                  way
-``wire.py``       A cable to break: a relay between a driver and its device that is pulled, muted, talked into, cut in
-                  mid-frame
-``bus.py``        A bus for the test of one node: what is said goes through the wire format, and is kept to be looked
-                  at
-``driver.py``     The check that every driver must pass, built-in or from outside: as it lives, as it breaks, as it
-                  says of itself
+``behaviour.py``  the check that every behaviour on board must pass: a pure function of each robot's own view
+``driver.py``     the check that every driver must pass: its lifecycle, the claims of its description, its faults
+``trial.py``      a driver under check: the rig that may break it, the report, and the one place that waits
+``faults.py``     breaks the link and lets time jump
+``process.py``    pauses and kills a driver's process while it drives
+``drives_on.py``  the process that is paused and killed; run as ``python -m fullswarm.testing.drives_on``
+``wire.py``       a cable to break: a relay between a driver and its device
+``node.py``       a bus and a clock for the test of one node
+``pad.py``        a virtual gamepad
 """
 
 from fullswarm.testing.behaviour import check_behaviour
-from fullswarm.testing.bus import LoopbackBus
-from fullswarm.testing.clock import FakeClock, simulated_runtime
 from fullswarm.testing.driver import check_driver
-from fullswarm.testing.rig import Report, Rig
+from fullswarm.testing.node import FakeClock, LoopbackBus, simulated_runtime
+from fullswarm.testing.trial import Report, Rig
 from fullswarm.testing.wire import Wire, serial_wire, udp_wire
 
 __all__ = [

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from fullswarm import registry
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import Value

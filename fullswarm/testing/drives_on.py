@@ -1,6 +1,6 @@
 """Drives a robot straight on until it is killed: ``python -m fullswarm.testing.drives_on module:Class URL SPEED``.
 
-When its clock shows a gap (it was paused) it says nothing more: the driver has to know by itself what to do.
+When its clock shows a gap (it was paused) it sends nothing more: the driver has to detect that by itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A driver in a process of its own that is paused and killed while it drives: what its device does then."""
+"""Pauses and kills a driver's process while it drives, and checks what its device does then."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import subprocess
 import sys
 
 from fullswarm.drivers.base import Twist
-from fullswarm.testing.contract import SILENCE_S
-from fullswarm.testing.trial import Trial
+from fullswarm.testing.trial import SILENCE_S, Trial
 
 PROCESS = ("controller's process paused", "watchdog_s")
 PAUSE_S = 1.0

@@ -1,19 +1,192 @@
-"""A driver under check: the one place that waits, and a look at each reading and each answer on the way."""
+"""A driver under check: the rig that may break it, the one place that waits, the check of each reading and answer."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Driver, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.geometry import wrap
-from fullswarm.testing.rig import Report, Rig
-from fullswarm.testing.sight import check_applied, check_reading
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """One robot or emulator, and the hands that break it. What is None is not checked, and the report says so.
+
+    Callables are called on the checking thread and may return anything, except where a type is given.
+    """
+
+    make: Callable[[], Driver]
+    """Constructs a driver for this robot; each time a new one, the last of which is open."""
+    make_on: Callable[[Clock], Driver] | None = None
+    """The same with a clock of ours in place of the machine's."""
+    pump: Callable[[], object] | None = None
+    """Called at 50 Hz while the check waits, for an emulator without a thread of its own."""
+    body_speed: Callable[[], Twist] | None = None
+    """How the body truly moves now, whatever the driver says."""
+    body_pose: Callable[[], Pose] | None = None
+    """Where the body truly is, in the frame of ``Reading.pose``."""
+    unplug: Callable[[], object] | None = None
+    """Pull the cable, or break the link in both directions; the device keeps its power."""
+    replug: Callable[[], object] | None = None
+    """Put the cable back."""
+    mute: Callable[[bool], object] | None = None
+    """Let the device hear, but say nothing; with False speak again."""
+    garbage: Callable[[bytes], object] | None = None
+    """Bring these bytes (noise) to the driver, between what the device says."""
+    cut: Callable[[], object] | None = None
+    """Lose the second half of the next frame that the device sends; the frames after it are whole."""
+    bump: Callable[[bool], object] | None = None
+    """Press or release the bumper."""
+    obstacle: Callable[[], object] | None = None
+    """Put an obstacle within reach of the robot's senses, or do nothing if one is there."""
+    motors_on: Callable[[], bool] | None = None
+    """Whether the device itself would obey a set-point now: armed, in closed loop, in Safe mode."""
+    other_process: bool = False
+    """Whether another process may open the driver's URL: then one is started, paused and killed while it drives."""
+    fault_s: float = 1.5
+    """The driver's stated time: it is in FAULT so long after the device's last word."""
+    ready_s: float = 2.0
+    """It is READY so long after the link is whole again."""
+    rest_m_s: float = 0.0
+    """How fast the device creeps although told zero."""
+    odometry_share: float = 0.06
+    """By which share of the way its odometry may be wrong."""
+
+
+@dataclass
+class Report:
+    """What was checked, and what was not; ``print`` it."""
+
+    url: str
+    checked: dict[str, str] = field(default_factory=dict)
+    """Name → what was measured on the way."""
+    skipped: dict[str, str] = field(default_factory=dict)
+    """Name → why it was not checked: so that it is not taken for checked."""
+
+    def add(self, name: str, measured: str = "") -> None:
+        """Note what holds."""
+        self.checked[name] = measured
+
+    def skip(self, name: str, reason: str) -> None:
+        """Note what was not looked at."""
+        self.skipped[name] = reason
+
+    def lacks(self, name: str, **callables: object) -> bool:
+        """Tell whether one of the rig's `callables` is missing, and note that `name` is skipped for want of it."""
+        missing = [each for each, value in callables.items() if value is None]
+        if missing:
+            self.skip(name, f"the rig has no {', no '.join(missing)}")
+        return bool(missing)
+
+    def __str__(self) -> str:
+        """One line per check, those left out last."""
+        width = max(map(len, [*self.checked, *self.skipped]), default=0)
+        lines = [f"  checked  {name:{width}}  {measured}".rstrip() for name, measured in self.checked.items()]
+        lines += [f"  skipped  {name:{width}}  {reason}" for name, reason in self.skipped.items()]
+        return "\n".join([self.url, *lines])
+
+
+AGE_S, EARLY_S = 2.0, 0.02
+QUANTUM = 1e-3
+"""Share of a limit by which the rounding to what the device can express may go beyond it."""
+REST = 0.04
+"""Share of a limit that the rounding of a zero may come to."""
+LEAP, LEAP_M, LEAP_RAD = 2.0, 0.1, 0.3
+"""Odometry goes from one reading to the next at most this many times the limit's way, and this much more."""
+
+
+def check_reading(
+    reading: Reading, before: Reading | None, description: Description, now_s: float, opened_s: float
+) -> str:
+    """Look at a reading that follows `before`."""
+    return next(_wrong_reading(reading, before, description, now_s, opened_s), "")
+
+
+def check_applied(wished: Twist, applied: object, limits: Limits) -> str:
+    """Look at what command() says that it applied."""
+    return next(_wrong_answer(wished, applied, limits), "")
+
+
+def _wrong_reading(
+    reading: Reading, before: Reading | None, description: Description, now_s: float, opened_s: float
+) -> Iterator[str]:
+    age_s = now_s - reading.stamp_s
+    if not (-EARLY_S <= age_s <= AGE_S and reading.stamp_s >= opened_s):
+        yield (
+            f"a reading is stamped {age_s:.3f} s before it was read and {reading.stamp_s - opened_s:.3f} s after "
+            "open(); stamp it with the monotonic clock's time of arrival, and forget the readings of an earlier life"
+        )
+    if before is not None and reading.stamp_s <= before.stamp_s:
+        yield "stamps of readings go back; drop what arrives out of order"
+    poses = [reading.odometry] + ([reading.pose] if reading.pose is not None else [])
+    numbers = [reading.twist.linear_m_s, reading.twist.angular_rad_s]
+    for pose in poses:
+        numbers += [pose.x_m, pose.y_m, pose.heading_rad]
+        if abs(pose.heading_rad) > math.pi:
+            yield f"heading {pose.heading_rad} is not in [-pi, pi]; wrap it"
+    if not all(map(math.isfinite, numbers)):
+        yield f"a reading is not finite: {reading}; unknown values are None"
+    yield from _wrong_senses(reading, description)
+    if before is not None:
+        yield from _leap(before, reading, description.limits)
+
+
+def _wrong_senses(reading: Reading, description: Description) -> Iterator[str]:
+    battery, obstacles = reading.battery, reading.obstacles
+    if battery is not None and not 0.0 <= battery <= 1.0:
+        yield f"battery {battery} is not None or 0 to 1"
+    if obstacles.ndim != 2 or obstacles.shape[1] != 6:
+        yield f"obstacles have shape {obstacles.shape}, not (k, 6)"
+    if reading.contacts < 0:
+        yield f"contacts are {reading.contacts}"
+    told = (reading.pose is not None, len(obstacles) > 0, Hazard.BUMP in reading.hazards)
+    senses = (description.senses_pose, description.senses_obstacles, description.senses_bumps)
+    for what, tells, claims in zip(("pose", "obstacles", "bumps"), told, senses, strict=True):
+        if tells and not claims:
+            yield f"it tells {what}, but its description denies it; set senses_{what}"
+
+
+def _leap(before: Reading, after: Reading, limits: Limits) -> Iterator[str]:
+    """Compare the way between two readings with what the wheels can do in that time."""
+    passed_s, old, new = after.stamp_s - before.stamp_s, before.odometry, after.odometry
+    gone_m, turned = math.hypot(new.x_m - old.x_m, new.y_m - old.y_m), wrap(new.heading_rad - old.heading_rad)
+    if gone_m > LEAP * limits.speed_m_s * passed_s + LEAP_M or abs(turned) > (
+        LEAP * limits.turn_rad_s * passed_s + LEAP_RAD
+    ):
+        yield (
+            f"odometry leaps by {gone_m:.2f} m, {turned:.2f} rad in {passed_s:.3f} s; check its scale (m, rad) and "
+            "each frame's checksum and length; begin anew at the next one instead of believing an impossible step"
+        )
+
+
+def _wrong_answer(wished: Twist, applied: object, limits: Limits) -> Iterator[str]:
+    said = f"command({wished}) returns {applied}"
+    if not isinstance(applied, Twist):
+        yield f"{said}, not a Twist: return what was really applied"
+        return
+    for name, wish, value, limit in (
+        ("linear", wished.linear_m_s, applied.linear_m_s, limits.speed_m_s),
+        ("angular", wished.angular_rad_s, applied.angular_rad_s, limits.turn_rad_s),
+    ):
+        if not math.isfinite(value):
+            yield f"{said}, which is not finite; clip before you calculate"
+        if abs(value) > limit * (1.0 + QUANTUM):
+            yield f"{said}, {name} beyond {limit}; clip to description.limits"
+        if value * wish < 0.0:
+            yield f"{said}, {name} the other way round"
+        if wish == 0.0 and abs(value) > REST * limit:
+            yield f"{said}, {name} although zero was wished"
+    if not limits.can_reverse and applied.linear_m_s < 0.0:
+        yield f"{said}, but its description says: no reversing"
+
 
 STEP_S = 0.02
+SILENCE_S = 0.3
+"""A set-point holds for so long; after that the driver itself sets zero, whatever watchdog the device has."""
 IDLE_S = 0.1
 """How long a robot is watched that should not move."""
 PACE = 0.5

@@ -29,8 +29,6 @@ from fullswarm.simulation.world import World
 from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
 from tests.emulated.rover_link import IN_THE_WORLD
 
-pytestmark = pytest.mark.alone
-
 START = Pose(2.0, -1.0, 2.5)
 """No axis is the robot's heading, and it does not stand at the origin."""
 SIDE_BY_SIDE = 4

@@ -123,7 +123,8 @@ def walk(
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_one_small_square(direction: float) -> None:
-    off_m, off_rad, rolled_m = walk(CREATE2, 1, 0.4, direction, factor=2.0)  # 5: a busy machine loses corners
+    # At a multiple of the real time a busy machine loses corners.
+    off_m, off_rad, rolled_m = walk(CREATE2, 1, 0.4, direction, factor=1.0)
     assert direction * rolled_m >= 1.58
     assert off_m < 0.01 * 1.6
     assert off_rad < 0.02

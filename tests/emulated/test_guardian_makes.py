@@ -40,8 +40,6 @@ from tests.emulated.rover_link import CLOCK, PAUSE, free_port
 from tests.emulated.test_can_driver import GROUP, multicast_refusal
 from tests.emulated.test_can_driver import free_port as free_can_port
 
-pytestmark = pytest.mark.alone
-
 BOUND_S = 1.3
 """From the kill to rest, from 1 m/s."""
 START_S = 20.0

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from fullswarm import output
 from fullswarm.cli.main import app
 from fullswarm.operator.joystick import devices, mapping
-from fullswarm.operator.joystick.wizard import CONTROLS
+from fullswarm.operator.joystick.mapping import CONTROLS
 from fullswarm.testing.pad import VirtualPad
 
 
@@ -64,7 +64,7 @@ def test_wrong_bindings_end_with_2_before_anything_else(tmp_path: Path) -> None:
     path.write_text('[buttons]\nstop = "q"\n')
     code, out, err = run("--bindings", str(path))
     assert (code, out) == (2, "")
-    assert "mine.toml:2: buttons.stop: 'q' is no button" in err
+    assert "mine.toml:2: buttons.stop: 'q' is not a button" in err
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_map_leaves_out_what_is_not_moved_and_says_what_lacks(home: Path, monkey
     [line] = mapping.read_file(home)
     assert line.text == out.strip()
     assert line.controls == {"leftshoulder": "b4"}
-    assert "the default bindings lack: leftx, lefty, a, b" in said[-1]
+    assert "the default bindings need leftx, lefty, a, b" in said[-1]
     odd.unplug()
 
 
@@ -91,7 +91,7 @@ def test_map_without_a_pad_or_with_two_says_so(pad: VirtualPad) -> None:
     other = VirtualPad("Other", product=2)
     code, _, err = run("map")
     assert code == 2
-    assert "which pad? (give its number: 1: Known, 2: Other)" in err
+    assert "several pads are plugged in (give a number: 1: Known, 2: Other)" in err
     other.unplug()
     pad.unplug()
     code, _, err = run("map")

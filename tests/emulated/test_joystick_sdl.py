@@ -9,9 +9,9 @@ import pytest
 
 from fullswarm.errors import ConfigError
 from fullswarm.operator.joystick import mapping
+from fullswarm.operator.joystick.mapping import CONTROLS, Wizard
 from fullswarm.operator.joystick.pads import Pads
 from fullswarm.operator.joystick.state import PadState, RawState
-from fullswarm.operator.joystick.wizard import CONTROLS, Wizard
 from fullswarm.testing.pad import VirtualPad
 
 

@@ -6,15 +6,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.simulation.bodies import FreeBody
 from tests.unit.rover_agent import FASTEST, RoverAgent
-
-pytestmark = pytest.mark.alone
 
 CONFIRMED_S, TRIES = 1.0, 20
 CREEP_M_S, WATCHED_S = 0.05, 3.0

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -30,52 +31,49 @@ CLOCK = MonotonicClock()
 PACKAGE = Path(__file__).parents[2] / "examples" / "outside_driver"
 
 
-@pytest.fixture
-def installed(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder that holds what pip would put there: the package and its entry points."""
+    folder = tmp_path_factory.mktemp("installed")
     project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    (tmp_path / "fullswarm_acme").symlink_to(PACKAGE / "fullswarm_acme")
-    record = tmp_path / f"fullswarm_acme-{project['version']}.dist-info"
+    (folder / "fullswarm_acme").symlink_to(PACKAGE / "fullswarm_acme")
+    record = folder / f"fullswarm_acme-{project['version']}.dist-info"
     record.mkdir()
     head = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
     (record / "METADATA").write_text(head, encoding="utf-8")
     lines = [f"[{group}]\n{name} = {target}\n" for group, table in project["entry-points"].items()
              for name, target in table.items()]  # fmt: skip
     (record / "entry_points.txt").write_text("".join(lines), encoding="utf-8")
-    return tmp_path
-
-
-def test_its_own_tests_pass_and_the_check_leaves_nothing_out(installed: Path) -> None:
-    paths = os.pathsep.join([str(installed), str(PACKAGE), str(PACKAGE.parents[1])])
-    command = [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "tests"]
-    run = subprocess.run(
-        command, cwd=PACKAGE, env=os.environ | {"PYTHONPATH": paths}, check=False, capture_output=True, text=True,
-        timeout=120,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "passed" in run.stdout
-    assert "skipped" not in run.stdout
-
-
-def test_one_command_checks_it_with_all_its_hands(installed: Path) -> None:
-    command = [sys.executable, "-m", "fullswarm", "robots", "check", "--rig", "fullswarm_acme.rig:rig", "--json"]
-    paths = os.pathsep.join([str(installed), str(PACKAGE.parents[1])])
-    run = subprocess.run(
-        command, env=os.environ | {"PYTHONPATH": paths}, check=False, capture_output=True, text=True, timeout=120
-    )
-    assert run.returncode == 0, run.stdout + run.stderr
-    told = json.loads(run.stdout)
-    assert told["skipped"] == {}
-    assert "after open(), deactivate() and close()" in told["checked"].values()
+    return folder
 
 
 def paths(installed: Path) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), str(PACKAGE.parents[1])])}
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), str(PACKAGE), str(PACKAGE.parents[1])])}
+
+
+def python(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a module with the package installed."""
+    return subprocess.run(
+        [sys.executable, "-m", *arguments], cwd=PACKAGE, env=paths(installed), check=False, capture_output=True,
+        text=True, timeout=120,
+    )  # fmt: skip
 
 
 def fullswarm(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "fullswarm", *arguments]
-    return subprocess.run(command, env=paths(installed), check=False, capture_output=True, text=True, timeout=120)
+    return python(installed, "fullswarm", *arguments)
+
+
+LONG = {
+    "own tests": ("pytest", "-q", "-rs", "-p", "no:cacheprovider", "tests"),
+    "robots check": ("fullswarm", "robots", "check", "--rig", "fullswarm_acme.rig:rig", "--json"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def runs(installed: Path) -> Iterator[dict[str, Future[subprocess.CompletedProcess[str]]]]:
+    """Run what takes long beside the tests: it waits for real time most of it."""
+    with ThreadPoolExecutor(len(LONG)) as pool:
+        yield {name: pool.submit(python, installed, *arguments) for name, arguments in LONG.items()}
 
 
 def test_every_command_knows_the_outside_make_as_a_built_in_one(installed: Path, tmp_path: Path) -> None:
@@ -193,3 +191,22 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
     rig = Rig(make=lambda: kind(emulator.url), body_speed=speed, other_process=True)
     with pytest.raises(AssertionError, match=r"still moves .* paused; its description says watchdog_s=1\.0"):
         check_driver(rig, settle_s=1.0)
+
+
+def test_its_own_tests_pass_and_the_check_leaves_nothing_out(
+    runs: dict[str, Future[subprocess.CompletedProcess[str]]],
+) -> None:
+    run = runs["own tests"].result()
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "passed" in run.stdout
+    assert "skipped" not in run.stdout
+
+
+def test_one_command_checks_it_with_all_its_hands(
+    runs: dict[str, Future[subprocess.CompletedProcess[str]]],
+) -> None:
+    run = runs["robots check"].result()
+    assert run.returncode == 0, run.stdout + run.stderr
+    told = json.loads(run.stdout)
+    assert told["skipped"] == {}
+    assert "after open(), deactivate() and close()" in told["checked"].values()

@@ -22,7 +22,7 @@ from fullswarm.messages import PoseFix
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
-from fullswarm.testing.jumps import JumpClock
+from fullswarm.testing.faults import JumpClock
 
 CONFIG = WorldConfig(engine="kinematic", address="127.0.0.1:0", bounds_m=(0.0, 0.0, 8.0, 8.0), speed_limit_m_s=0.4)
 

@@ -10,7 +10,7 @@ from typing import Any
 from tests.fleet.lab import Done, Lab
 from tests.fleet.tools import until
 
-WORDS = "fullswarm/words.py"
+MODULE = "fullswarm/keys.py"
 BROKEN = "\nimport a_module_that_is_not_there\n"
 
 
@@ -51,7 +51,7 @@ class Fleet:
     @cached_property
     def broken(self) -> str:
         """A release whose agent cannot be imported."""
-        return self.lab.bundle({WORDS: BROKEN})
+        return self.lab.bundle({MODULE: BROKEN})
 
     def changed(self, name: str, *, kilobytes: int = 0) -> str:
         """Make a release that differs from the first by a line, and by so much that cannot be packed.
@@ -59,7 +59,7 @@ class Fleet:
         A test that wants robots to lack the release makes its own: who had `second` before may still have it.
         """
         ballast = f"_BALLAST = '{secrets.token_hex(512 * kilobytes)}'\n" if kilobytes else ""
-        return self.lab.bundle({WORDS: f"\n# {name}\n{ballast}"})
+        return self.lab.bundle({MODULE: f"\n# {name}\n{ballast}"})
 
     # ------------------------------------------------------------------ states
     def settle(self) -> None:

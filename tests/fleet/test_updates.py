@@ -8,8 +8,8 @@ import statistics
 import time
 from pathlib import Path
 
-from fullswarm.deploy.release import pack
-from tests.fleet.fleet import WORDS, Fleet, results, row_of
+from fullswarm.deploy.release.store import head_archive
+from tests.fleet.fleet import MODULE, Fleet, results, row_of
 from tests.fleet.lab import when
 from tests.fleet.tools import until
 
@@ -75,7 +75,7 @@ def test_a_broken_release_goes_back_by_itself(fleet: Fleet) -> None:
 def test_a_foreign_signature_is_refused_before_anything_is_written(fleet: Fleet, tmp_path: Path) -> None:
     lab, before = fleet.lab, fleet.listing()
     keys, releases = tmp_path / "keys", tmp_path / "releases"
-    foreign = lab.bundle({WORDS: "\n# somebody else's\n"}, FULLSWARM_KEYS=str(keys), FULLSWARM_RELEASES=str(releases))
+    foreign = lab.bundle({MODULE: "\n# of another key\n"}, FULLSWARM_KEYS=str(keys), FULLSWARM_RELEASES=str(releases))
     done = lab.cli("update", "--release", releases / foreign, "--json", code=None)
     assert done.code in (1, 2, 3)
     assert "signature" in done.out + done.words
@@ -88,7 +88,7 @@ def test_a_stale_signature_is_refused_before_anything_is_written(fleet: Fleet, t
     lab, before = fleet.lab, fleet.listing()
     forged = tmp_path / fleet.second
     shutil.copytree(lab.folder / "releases" / fleet.second, forged)
-    file, sums = forged / "app/fullswarm/words.py", forged / "SHA256SUMS"
+    file, sums = forged / "app/fullswarm/keys.py", forged / "SHA256SUMS"
     old = hashlib.sha256(file.read_bytes()).hexdigest()
     file.unlink()  # it is a hard link
     file.write_text("import os\n")
@@ -105,7 +105,7 @@ def test_a_stale_signature_is_refused_before_anything_is_written(fleet: Fleet, t
 def _refused_on_board(fleet: Fleet, release: Path) -> None:
     """A base that lies about the signature gets no further: the robot looks itself."""
     robot, head = fleet.lab.computers[fleet.lab.robots[-1]], fleet.lab.folder / "head.tar"
-    head.write_bytes(pack.head(release))
+    head.write_bytes(head_archive(release))
     want = f'/opt/fullswarm/bin/fullswarm-robot want {release.name} 2>&1 || echo "exit $?"'
     answer = robot.do("sh", "-c", want, feed=head)
     assert "exit 3" in answer

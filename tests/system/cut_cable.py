@@ -17,7 +17,7 @@ from pathlib import Path
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
 from fullswarm.keys import Keys
 from fullswarm.operator.client import Operator
 from fullswarm.runtime import Mailbox, Runtime

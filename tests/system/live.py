@@ -20,7 +20,7 @@ from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value
-from fullswarm.operator.client import Asked, Operator
+from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.simulation.server import WorldServer
@@ -134,7 +134,7 @@ class LiveSwarm:
         *,
         missing: tuple[str, ...] = (),
         timeout_s: float = 10.0,
-    ) -> Asked:
+    ) -> PendingRequest:
         """Ask for a behaviour and wait until all robots but the `missing` ones confirmed."""
         asked = self.operator.request(behaviour, (), parameters)
 
@@ -146,7 +146,7 @@ class LiveSwarm:
         self.until(confirmed, timeout_s, f"{behaviour} is confirmed")
         return asked
 
-    def status(self, asked: Asked) -> RequestStatus:
+    def status(self, asked: PendingRequest) -> RequestStatus:
         assert asked.status is not None
         return asked.status
 

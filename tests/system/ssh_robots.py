@@ -23,8 +23,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fullswarm.deploy.release import manifest, signing, sums
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.keys import Keys, sign_release
 from fullswarm.deploy.release.manifest import Manifest, Target
 from fullswarm.deploy.release.store import Store
 
@@ -260,10 +260,10 @@ def make_release(
         (fresh / path).parent.mkdir(parents=True, exist_ok=True)
         (fresh / path).write_bytes(data)
     nameless = Manifest("", version, target)
-    name = manifest.id_for(nameless, sums.of(fresh))
-    (fresh / manifest.FILE).write_text(Manifest(name, version, target).to_json())
-    (fresh / sums.FILE).write_text(sums.of(fresh))
-    signing.sign(fresh, keys.release_key())
+    name = manifest.id_for(nameless, manifest.sums_of(fresh))
+    (fresh / manifest.MANIFEST).write_text(Manifest(name, version, target).to_json())
+    (fresh / manifest.SUMS).write_text(manifest.sums_of(fresh))
+    sign_release(fresh, keys.release_key())
     store.add(fresh)
     return name
 

@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
-from fullswarm.deploy.release import layers, own, signing, sums, uv
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.contents import OWN
+from fullswarm.deploy.release.keys import Keys, verify_release
 from fullswarm.deploy.release.manifest import Manifest
+from fullswarm.deploy.release.packages import requirements, run_uv
 from fullswarm.deploy.release.targets import THIS_PYTHON
 from fullswarm.errors import Unreachable
 
@@ -28,13 +30,13 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     place = tmp_path_factory.mktemp("base")
     (place / "wanted.in").write_text("tomlkit\n")
     try:
-        uv.run(place, "pip", "compile", "--quiet", "--refresh", "wanted.in", why="ask the index")
+        run_uv(place, "pip", "compile", "--quiet", "--refresh", "wanted.in", why="ask the index")
     except Unreachable as error:
         pytest.skip(f"no package index can be reached; connect this machine to one: {error}")
     source = place / "source"
-    shutil.copytree(layers.OWN, source / "fullswarm", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(OWN, source / "fullswarm", ignore=shutil.ignore_patterns("__pycache__"))
     for each in ("pyproject.toml", "LICENSE"):
-        shutil.copy(layers.OWN.parent / each, source)
+        shutil.copy(OWN.parent / each, source)
     return {
         **os.environ,
         "PYTHONPATH": str(source),
@@ -62,8 +64,8 @@ def _bare(release: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_a_pi_gets_a_small_release_and_then_only_what_changed(base: dict[str, str]) -> None:
     first = _bundle(base, "--target", "rpi-arm64", "--with", "mavlink,can")
     release = Path(first["folder"])
-    signing.verify(release, Keys(Path(base["FULLSWARM_KEYS"])).allowed_signers())
-    lowest = own.requirements().lowest(("can", "mavlink"))
+    verify_release(release, Keys(Path(base["FULLSWARM_KEYS"])).allowed_signers())
+    lowest = requirements().lowest(("can", "mavlink"))
     assert set(lowest) <= set(first["packages"])
     assert not (NEVER | {"scipy", "lxml"}) & set(first["packages"])
     assert first["bytes"] < 110 * MEGABYTE
@@ -75,7 +77,7 @@ def test_a_pi_gets_a_small_release_and_then_only_what_changed(base: dict[str, st
     assert second["packages"] == first["packages"]
     assert second["changed_bytes_gzipped"] < MEGABYTE
     place = Path(second["folder"])
-    fresh = [each for each in sums.files(place) if (place / each).stat().st_nlink == 1]
+    fresh = [each for each in manifest.files_of(place) if (place / each).stat().st_nlink == 1]
     assert sum((place / each).stat().st_size for each in fresh) < MEGABYTE, "bytes that the disk holds for it alone"
 
 
@@ -115,9 +117,9 @@ def test_other_computers(base: dict[str, str], options: tuple[str, ...], must: s
 def test_an_installed_fullswarm_bundles_as_a_checkout_does(base: dict[str, str], tmp_path: Path) -> None:
     source, place = Path(base["PYTHONPATH"]), tmp_path / "installed"
     (source / "README.md").touch()
-    uv.run(tmp_path, "build", "--quiet", "--wheel", "--out-dir", tmp_path, source, why="build fullswarm")
+    run_uv(tmp_path, "build", "--quiet", "--wheel", "--out-dir", tmp_path, source, why="build fullswarm")
     wheel = next(tmp_path.glob("*.whl"))
-    uv.run(tmp_path, "pip", "install", "--quiet", "--no-deps", "--target", place, wheel, why="install it")
+    run_uv(tmp_path, "pip", "install", "--quiet", "--no-deps", "--target", place, wheel, why="install it")
     there = {**base, "FULLSWARM_RELEASES": str(tmp_path / "one"), "PYTHONPATH": str(place)}
     here = {**base, "FULLSWARM_RELEASES": str(tmp_path / "two")}
     assert _bundle(there, "--target", "rpi-arm64")["id"] == _bundle(here, "--target", "rpi-arm64")["id"]
@@ -125,7 +127,7 @@ def test_an_installed_fullswarm_bundles_as_a_checkout_does(base: dict[str, str],
 
 @pytest.mark.slow
 def test_the_examples_go_on_board(base: dict[str, str]) -> None:
-    examples = layers.OWN.parent / "examples"
+    examples = OWN.parent / "examples"
     options = [f"--package={examples / each}" for each in ("outside_driver", "outside_behaviour")]
     release = Path(_bundle(base, "--target", "x86_64", *options)["folder"])
     ask = "from fullswarm import registry; print(registry.driver_class('acme://127.0.0.1:1').__name__)"

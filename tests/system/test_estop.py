@@ -99,9 +99,9 @@ def test_a_deaf_robot_is_named_and_confirms_when_it_hears_again(swarm: LiveSwarm
     out, err = pressing.communicate()
     assert pressing.returncode == 0, err
     assert "after 0.5 s" in err
-    assert "r7; trying on" in err
-    assert "r7: stands, rolled" in out
-    assert out.count("stands, rolled") == COUNT
+    assert "r7; still trying" in err
+    assert "r7: at standstill after" in out
+    assert out.count("at standstill after") == COUNT
     assert latched(swarm, "r7")
     clear(swarm)
 
@@ -112,7 +112,7 @@ def test_without_a_core(swarm: LiveSwarm) -> None:
     assert len(press(swarm).receipts) == COUNT
     pressed = swarm.cli("estop")  # by another operator, while it is latched already
     assert pressed.returncode == 0, pressed.stderr
-    assert pressed.stdout.count("stands, rolled 0.000 m") == COUNT
+    assert pressed.stdout.count("at standstill after 0.000 m") == COUNT
     swarm.supervisor.revive("core")
     swarm.until(swarm.ready, 30.0, "the core is back")
     swarm.rest(2.0)
@@ -163,8 +163,8 @@ def test_a_dead_hub_stops_all_and_the_operator_is_told(swarm: LiveSwarm) -> None
     swarm.until(lambda: pressing.poll() is not None, 30.0, "it gets through when the hub is back")
     out, err = pressing.communicate()
     assert pressing.returncode == 0, err
-    assert "robots without a hub stand by themselves, but they are not latched; trying on" in err
-    assert out.count("stands, rolled") == COUNT
+    assert "robots without a hub stop by themselves, but they are not latched; still trying" in err
+    assert out.count("at standstill after") == COUNT
     swarm.until(lambda: latched(swarm), 5.0, "all are latched")
     clear(swarm)
     drive(swarm)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError, Unreachable
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, TRIALS
 from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, TRIALS
 from tests.unit.experiment_work import Trouble
 
 pytest.importorskip("distributed")

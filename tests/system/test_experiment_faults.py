@@ -19,8 +19,8 @@ import pytest
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import load_experiment, plan
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS, Record, trial_id
 from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS, Record, trial_id
 from tests.unit.experiment_work import Trouble, answer
 
 CELL = "robots=4,empty,move_to_goal_bc"

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.bus.hub import Hub
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
@@ -20,10 +20,10 @@ from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.evaluate.experiment import Trial, TrialResult, scenario_of
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, Provenance, Record, trial_id
-from fullswarm.evaluate.fleet_setup import fit, starts_of
-from fullswarm.evaluate.fleet_trial import FleetRunner, run_fleet
+from fullswarm.evaluate.fleet_swarm import FleetRunner, fit, run_fleet, starts_of
+from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.swarm import TrialFailed
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, Record, trial_id
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.latching import STATE, latch_folder
@@ -216,6 +216,6 @@ def test_a_latched_estop_ends_the_experiment(
 
 
 def test_robots_in_the_wrong_place_do_not_start(simulated: SwarmConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fullswarm.evaluate.fleet_setup.NEAR_M", -1.0)
+    monkeypatch.setattr("fullswarm.evaluate.fleet_swarm.NEAR_M", -1.0)
     with pytest.raises(TrialFailed, match=r"a stands .* from its place; b stands"):
         FleetRunner(simulated, yes=True)(trial(2))

@@ -143,7 +143,7 @@ def test_ctrl_c_is_zero_gives_the_leases_back_and_ends_with_0(live: LiveSwarm, g
     live.until(lambda: bool(held) and held[-1] == {"anna@lab"}, 5.0, "the gamepad holds its robots")
     code, err = gamepad.end()
     assert code == 0, err
-    assert "robots let go" in err
+    assert "robots released" in err
     live.until(lambda: held[-1] == set(), 2.5, "the leases are given back, not lapsed")
     subscription.close()
     live.until(live.stands, LOOK_S, "all stand")

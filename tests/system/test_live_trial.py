@@ -15,10 +15,10 @@ import pytest
 from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import scenario_of
-from fullswarm.evaluate.live_swarm import LiveSwarm
-from fullswarm.evaluate.live_trial import measure_live, with_make
+from fullswarm.evaluate.live_swarm import LiveSwarm, measure_live, with_make
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld
-from fullswarm.evaluate.trial import Measurement, TrialRequest, configure, drive, parameters
+from fullswarm.evaluate.trial import TrialRequest, configure, drive, parameters
+from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.ports import on_free_ports
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
@@ -151,7 +151,7 @@ def test_what_happens_in_mid_trial_ends_it_and_is_named(
 
 
 ALONE = """
-from fullswarm.evaluate.live_trial import measure_live
+from fullswarm.evaluate.live_swarm import measure_live
 from tests.system.live_room import FAR, trial
 measure_live(trial(2, FAR))
 """

@@ -6,7 +6,7 @@ cable is back. All others stop by themselves within the time that their driver's
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -56,72 +56,101 @@ def lifecycle(swarm: LiveSwarm, robot: str) -> str:
     return health.lifecycle if health else ""
 
 
-def set_off(swarm: LiveSwarm, robot: str) -> None:
-    """Ask for a drive that is long enough for all tests."""
-    swarm.operator.request("flocking", (robot,), {"cruise_m_s": 0.35})
-    swarm.until(lambda: speed(swarm, robot) > 0.25, 15.0, f"{robot} drives")
-
-
 def stands(swarm: LiveSwarm, robot: str) -> bool:
     return speed(swarm, robot) < STOPPED_M_S
 
 
-def comes_back(swarm: LiveSwarm, robot: str) -> None:
-    """READY within 2 s, standing, and on again only when asked again."""
-    swarm.until(lambda: lifecycle(swarm, robot) == "READY", READY_S + LOOK_S, f"{robot} is READY again")
-    swarm.until(lambda: stands(swarm, robot), 1.5, f"{robot} stands after it is back")
+def all_drive(swarm: LiveSwarm) -> None:
+    """Request a drive that is long enough for all tests."""
+    swarm.operator.request("flocking", (), {"cruise_m_s": 0.35})
+    swarm.until(lambda: all(speed(swarm, robot) > 0.25 for robot in ROBOTS), 15.0, "all robots drive")
+
+
+def within(swarm: LiveSwarm, bounds_s: dict[str, float], happened: Callable[[str], bool], what: str) -> None:
+    """Wait until each of several things has happened once; assert that it did so within its own bound."""
+    began_s, took_s = swarm.clock.now_s(), dict[str, float]()
+
+    def all_seen() -> bool:
+        for each in bounds_s.keys() - took_s.keys():
+            if happened(each):
+                took_s[each] = swarm.clock.now_s() - began_s
+        return took_s.keys() == bounds_s.keys()
+
+    swarm.until(all_seen, max(bounds_s.values()) + LOOK_S, what)
+    assert not {each: took for each, took in took_s.items() if took > bounds_s[each] + LOOK_S}, what
+
+
+def all_stop_and_report(swarm: LiveSwarm, rest_s: dict[str, float]) -> None:
+    """Each robot stands within its bound, and reports a fault within its own after that."""
+    bounds_s = {f"{robot} stops": bound_s for robot, bound_s in rest_s.items()}
+    bounds_s |= {f"{robot} is in FAULT": rest_s.get(robot, 0.0) + FAULT_S[robot] for robot in ROBOTS}
+
+    def happened(step: str) -> bool:
+        robot = step.partition(" ")[0]
+        return stands(swarm, robot) if step.endswith("stops") else lifecycle(swarm, robot) == "FAULT"
+
+    within(swarm, bounds_s, happened, "all stop and report a fault")
+    for robot in ROBOTS:
+        health = swarm.row(robot).health
+        assert health
+        assert health.fault
+
+
+def all_come_back(swarm: LiveSwarm) -> None:
+    """All are READY within 2 s, standing, and drive only when a new request comes."""
+    swarm.until(lambda: all(lifecycle(swarm, robot) == "READY" for robot in ROBOTS), READY_S + LOOK_S, "all are READY")
+    swarm.until(lambda: all(stands(swarm, robot) for robot in ROBOTS), 1.5, "all stand after they are back")
     swarm.rest(1.0)
-    assert stands(swarm, robot), "nobody asked for anything new"
-    assert lifecycle(swarm, robot) == "READY"
-    set_off(swarm, robot)
+    assert all(stands(swarm, robot) for robot in ROBOTS), "there was no new request"
+    assert {lifecycle(swarm, robot) for robot in ROBOTS} == {"READY"}
+    all_drive(swarm)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_a_pulled_cable(swarm: LiveSwarm, robot: str) -> None:
-    set_off(swarm, robot)
-    emulator(swarm, robot).unplug()
-    if robot in AT_REST_S:
-        swarm.until(lambda: stands(swarm, robot), AT_REST_S[robot] + LOOK_S, f"{robot} stops by itself")
-    swarm.until(lambda: lifecycle(swarm, robot) == "FAULT", FAULT_S[robot] + LOOK_S, f"{robot} is in FAULT")
-    health = swarm.row(robot).health
-    assert health
-    assert health.fault
-    emulator(swarm, robot).replug()
-    comes_back(swarm, robot)
+def test_a_pulled_cable(swarm: LiveSwarm) -> None:
+    all_drive(swarm)
+    for robot in ROBOTS:
+        emulator(swarm, robot).unplug()
+    all_stop_and_report(swarm, AT_REST_S)
+    for robot in ROBOTS:
+        emulator(swarm, robot).replug()
+    all_come_back(swarm)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_a_robot_that_falls_silent(swarm: LiveSwarm, robot: str) -> None:
-    """It still hears: the driver must stop it, whoever has a watchdog."""
-    set_off(swarm, robot)
-    emulator(swarm, robot).mute(True)
-    swarm.until(lambda: stands(swarm, robot), 4.0 + LOOK_S, f"{robot} stands")
-    swarm.until(lambda: lifecycle(swarm, robot) == "FAULT", FAULT_S[robot] + LOOK_S, f"{robot} is in FAULT")
-    emulator(swarm, robot).mute(False)
-    comes_back(swarm, robot)
+def test_a_robot_that_falls_silent(swarm: LiveSwarm) -> None:
+    """It still receives: the driver must stop it, with or without a watchdog."""
+    all_drive(swarm)
+    for robot in ROBOTS:
+        emulator(swarm, robot).mute(True)
+    all_stop_and_report(swarm, dict.fromkeys(ROBOTS, 4.0))
+    for robot in ROBOTS:
+        emulator(swarm, robot).mute(False)
+    all_come_back(swarm)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_a_robot_that_starts_anew(swarm: LiveSwarm, robot: str) -> None:
-    set_off(swarm, robot)
-    emulator(swarm, robot).reboot()
-    swarm.until(lambda: stands(swarm, robot), 1.5 + LOOK_S, f"{robot} has no power")
-    swarm.until(lambda: lifecycle(swarm, robot) == "READY", 10.0, f"{robot} is READY again")
+def test_a_robot_that_restarts(swarm: LiveSwarm) -> None:
+    all_drive(swarm)
+    for robot in ROBOTS:
+        emulator(swarm, robot).reboot()
+    within(swarm, dict.fromkeys(ROBOTS, 1.5), lambda robot: stands(swarm, robot), "no robot has power")
+    swarm.until(lambda: all(lifecycle(swarm, robot) == "READY" for robot in ROBOTS), 10.0, "all are READY again")
     swarm.rest(1.0)
-    assert stands(swarm, robot)
+    assert all(stands(swarm, robot) for robot in ROBOTS)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_an_agent_that_is_killed(swarm: LiveSwarm, robot: str) -> None:
-    """What has a watchdog stops by itself; the Create does so when its agent is back."""
-    set_off(swarm, robot)
-    swarm.supervisor.kill(robot)
-    if robot in AT_REST_S:
-        swarm.until(lambda: stands(swarm, robot), AT_REST_S[robot] + LOOK_S, f"{robot} stops by itself")
-    else:
-        assert not stands(swarm, robot), "nothing on this machine can stop it: the README says so"
-    swarm.supervisor.revive(robot)
-    if robot not in AT_REST_S:
-        passive = emulator(swarm, robot).mode.PASSIVE
-        swarm.until(lambda: emulator(swarm, robot).mode is passive, 10.0, "its new agent stops the motors first")
-    swarm.until(lambda: speed(swarm, robot) > 0.25 and swarm.row(robot).age_s < 0.5, 20.0, f"{robot} goes on")
+def test_an_agent_that_is_killed(swarm: LiveSwarm) -> None:
+    """A robot with a watchdog stops by itself; the Create does so when its agent is back."""
+    all_drive(swarm)
+    for robot in ROBOTS:
+        swarm.supervisor.kill(robot)
+    (unwatched,) = set(ROBOTS) - AT_REST_S.keys()
+    assert not stands(swarm, unwatched), "nothing on this machine can stop it: the README says so"
+    within(swarm, AT_REST_S, lambda robot: stands(swarm, robot), "all that have a watchdog stop")
+    for robot in ROBOTS:
+        swarm.supervisor.revive(robot)
+    passive = emulator(swarm, unwatched).mode.PASSIVE
+    swarm.until(lambda: emulator(swarm, unwatched).mode is passive, 10.0, "its new agent stops the motors first")
+    swarm.until(
+        lambda: all(speed(swarm, robot) > 0.25 and swarm.row(robot).age_s < 0.5 for robot in ROBOTS),
+        20.0,
+        "all drive on",
+    )

@@ -9,6 +9,7 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import (
+    STOP,
     BehaviourRequest,
     HealthReport,
     Heartbeat,
@@ -24,10 +25,9 @@ from fullswarm.messages import (
     RobotStates,
 )
 from fullswarm.operator.console import frames
-from fullswarm.operator.console.desk import Desk
 from fullswarm.operator.console.gateway import Gateway, Identity
+from fullswarm.operator.console.sessions import OperatorSession
 from fullswarm.runtime import Runtime
-from fullswarm.words import STOP
 
 KEYS = Keys("lab")
 DATABASE: dict[str, Any] = {
@@ -109,15 +109,15 @@ class ConsoleBench:
     def run(self, seconds: float) -> None:
         self.runtime.run(seconds)
 
-    def join(self, session: str = "session-1", name: str = "anna") -> tuple[Page, Desk]:
+    def join(self, key: str = "session-1", name: str = "anna") -> tuple[Page, OperatorSession]:
         page = Page()
-        return page, self.gateway.join(session, name, page)
+        return page, self.gateway.join(key, name, page)
 
-    def say(self, desk: Desk, page: Page, t: str, **fields: Any) -> dict[str, Any]:
+    def say(self, session: OperatorSession, page: Page, t: str, **fields: Any) -> dict[str, Any]:
         """Send a frame as a page does; return the answer."""
         page.ref += 1
         command = frames.read_command(json.dumps({"t": t, "ref": page.ref, **fields}))
-        answer = command if isinstance(command, frames.Answer) else desk.handle(command, page)
+        answer = command if isinstance(command, frames.Answer) else session.handle(command, page)
         told: dict[str, Any] = json.loads(answer.encoded())
         assert told["t"] == "answer"
         assert told["ref"] == page.ref

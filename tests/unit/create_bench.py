@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Reading, Twist
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.protocol import CREATE2, Generation, Mode
 from fullswarm.drivers.create_oi.session import Session
 from fullswarm.drivers.create_oi.settings import Settings
+from fullswarm.drivers.linked import CommandGate
 from fullswarm.emulators.create_oi.firmware import Firmware, Quirks
 from fullswarm.simulation.bodies import BodyState, FreeBody
 
@@ -36,10 +39,11 @@ class Bench:
         self.session = Session(settings, brc=self.brc if brc else None)
         self.ear = protocol.CommandParser(generation)
         self.wire = bytearray()
+        self.carry: Callable[[bytes], None] = self.wire.extend  # puts what the session sends on the wire
         self.sent = bytearray()
         self.cut = False  # the robot is not heard
         self.pulled = False  # nor does it hear: the cable is out
-        self.session.send = self.wire.extend
+        self.gate = CommandGate(self.session)
         self.session.linked(0.0)
 
     def brc(self, low: bool) -> None:
@@ -59,14 +63,32 @@ class Bench:
             self.clock.advance_to(self.clock.now_s() + step_s)
             now_s = self.clock.now_s()
             if twist is not None:
-                self.session.command(twist, now_s)
+                self.gate.command(twist, now_s)
+            self._flush()
             told = bytes(self.wire)
             self.wire.clear()
             self.sent += told
             said = self.robot.receive(b"" if self.pulled else told, now_s) + self.robot.step(now_s)
             if said and not (self.cut or self.pulled):
                 self.session.received(said, now_s)
-            self.session.tick(now_s)
+            self.gate.check(now_s)
+            for chunk in self.session.tick(now_s):
+                self.carry(chunk)
+
+    def _flush(self) -> None:
+        """Put on the wire what the agent's calls have queued, without doing what is due."""
+        queued, self.session._out = self.session._out, []
+        for chunk in queued:
+            self.carry(chunk)
+
+    def dock(self) -> None:
+        now_s = self.clock.now_s()
+        self.gate.command(Twist(), now_s)
+        self.session.dock(now_s)
+        self._flush()
+
+    def trouble(self) -> str:
+        return self.session.trouble(self.clock.now_s()).text
 
     def activate(self) -> None:
         self.session.activate(self.clock.now_s())

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from fullswarm.agent.belief import Motion, OdometryNoise
-from fullswarm.agent.ekf import EkfEstimator
-from fullswarm.agent.estimator import DirectEstimator, Estimator
-from fullswarm.agent.track import Fix, Verdict
+from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator, Estimator
+from fullswarm.agent.pose.pose_filter import Displacement, Fix, OdometryNoise, Verdict
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading, Pose
 from fullswarm.geometry import wrap
@@ -59,7 +57,7 @@ class Run:
         self.now_s += TICK_S
         turn = 0.6 * math.sin(0.3 * self.now_s)
         ahead = self.speed_m_s * TICK_S
-        position, heading = NOISE.variances(Motion(ahead, 0.0, turn * TICK_S, TICK_S))
+        position, heading = NOISE.variances(Displacement(ahead, 0.0, turn * TICK_S, TICK_S))
         error = self.rng.normal(0.0, np.sqrt([position, position, heading]))
         self.odometry = moved(self.odometry, ahead, 0.0, turn * TICK_S)
         self.truth = moved(self.truth, ahead + error[0], error[1], turn * TICK_S + error[2])

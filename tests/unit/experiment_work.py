@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult
-from fullswarm.evaluate.experiment.record import Trajectory
-from fullswarm.evaluate.trial import Measurement
+from fullswarm.evaluate.trial_folder import Measurement, Trajectory
 from fullswarm.perf.coverage import GridFrame
 
 

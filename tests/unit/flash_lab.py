@@ -19,8 +19,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from fullswarm.cli.main import app
-from fullswarm.deploy.release import signing, sums
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.keys import Keys, sign_release
 from fullswarm.deploy.release.manifest import Manifest, Target, id_for
 from fullswarm.deploy.release.store import Store
 
@@ -121,10 +121,10 @@ def make_release(store: Store, keys: Keys, *, payload: Mapping[str, bytes] | Non
     glibc = platform.libc_ver()[1] or "2.28"
     target = Target("x86_64", platform.machine(), min(glibc, "2.28"), version)
     nameless = Manifest("", "9.0", target)
-    name = id_for(nameless, sums.of(fresh))
+    name = id_for(nameless, manifest.sums_of(fresh))
     (fresh / "manifest.json").write_text(Manifest(name, "9.0", target).to_json())
-    (fresh / "SHA256SUMS").write_text(sums.of(fresh))
-    signing.sign(fresh, keys.release_key())
+    (fresh / "SHA256SUMS").write_text(manifest.sums_of(fresh))
+    sign_release(fresh, keys.release_key())
     store.add(fresh)
     return name
 

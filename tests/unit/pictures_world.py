@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from fullswarm.evaluate.experiment.outcomes import Outcome
 from fullswarm.evaluate.experiment.plan import Cell, Trial
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory, trial_id
-from fullswarm.evaluate.experiment.results import Outcome
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory, trial_id
 
 PERIOD_S = 0.1
 

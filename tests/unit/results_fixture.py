@@ -10,19 +10,19 @@ import msgspec
 import numpy as np
 
 from fullswarm.evaluate.experiment import Cell, Outcome, Trial
-from fullswarm.evaluate.experiment.record import (
+from fullswarm.evaluate.provenance import Provenance
+from fullswarm.evaluate.scenarios import boxes_for, load_scenario, spawn
+from fullswarm.evaluate.trial_folder import (
     COVERAGE_FILE,
     PROVENANCE_FILE,
     RESULT_FILE,
     TRAJECTORY_FILE,
     TRIAL_FILE,
     TRIALS,
-    Provenance,
     Record,
     Trajectory,
     trial_id,
 )
-from fullswarm.evaluate.scenarios import boxes_for, load_scenario, spawn
 
 BEHAVIOURS = ("move_to_goal", "move_to_goal_bc")
 SCENARIOS = ("concave", "uniform")

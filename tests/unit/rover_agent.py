@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.node import AgentNode
-from fullswarm.agent.robot_controller import StopReason
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import Clock, SimClock

@@ -17,7 +17,7 @@ from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Limits
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.keys import Keys
 from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat
-from fullswarm.operator.console.advice import advise
+from fullswarm.operator.robot_state import advise
 from fullswarm.operator.view import RobotRow
 from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime

@@ -10,16 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent.ekf import EkfEstimator
-from fullswarm.agent.estimator import DirectEstimator, Estimator
-from fullswarm.agent.track import Fix, Verdict
+from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator, Estimator
+from fullswarm.agent.pose.pose_filter import Fix, Verdict
 from fullswarm.drivers.base import Pose
 from tests.unit.estimator_run import FIX_M, MAKES, TICK_S, Run, both, reading
 
 
 def covariance(estimator: Estimator) -> np.ndarray:
     assert isinstance(estimator, EkfEstimator | DirectEstimator)
-    return estimator._tracks[0].belief.covariance()
+    return estimator._filters[0].estimate.covariance()
 
 
 # ---------------------------------------------------------------- the filter is as certain as it is right

@@ -8,8 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from fullswarm.agent.ekf import EkfEstimator
-from fullswarm.agent.estimator import DirectEstimator, estimator_for
+from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator, estimator_for
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.drivers.null.driver import NullDriver

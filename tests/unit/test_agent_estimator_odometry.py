@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fullswarm.agent.estimator import DirectEstimator, Estimator
-from fullswarm.agent.track import Fix, Verdict
+from fullswarm.agent.pose.estimator import DirectEstimator, Estimator
+from fullswarm.agent.pose.pose_filter import Fix, Verdict
 from fullswarm.drivers.base import Pose
 from tests.unit.estimator_run import FIX_M, FIX_RAD, MAKES, TICK_S, Run, both, reading
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent.estimator import Estimator
-from fullswarm.agent.track import Fix, Verdict
+from fullswarm.agent.pose.estimator import Estimator
+from fullswarm.agent.pose.pose_filter import Fix, Verdict
 from fullswarm.drivers.base import Pose
 from tests.unit.estimator_run import CONFIG, TICK_S, Run, both, reading
 

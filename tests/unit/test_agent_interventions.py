@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fullswarm import kernels
-from fullswarm.agent.interventions import EDGE, LEAST_M_S, NOTHING, OBSTACLE, PERIOD_S, ROBOT, blame
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.safety.filter import BLIND, EXPLAIN
+from fullswarm.agent.telemetry.interventions import EDGE, LEAST_M_S, NOTHING, OBSTACLE, PERIOD_S, ROBOT, blame
 from fullswarm.messages import Interventions
 from tests.unit.agent_bench import Bench
 from tests.unit.test_safety_silence import go, one_filter, state, table

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from fullswarm import kernels
-from fullswarm.agent import pairs
 from fullswarm.agent.behaviours import voronoi_coverage
-from fullswarm.agent.robot_controller import decide
+from fullswarm.agent.motion.robot_controller import decide
+from fullswarm.agent.neighbours import estimates
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.filter import guard
 
@@ -36,7 +36,7 @@ def test_cells_find_the_pairs_that_trying_all_finds(seed: int, count: int, span_
     position = rng.uniform(-2.0, span_m + 2.0, (5, 2))
     own_row = np.array([0, min(1, count - 1), -1, -1, -1])
     results = []
-    for search in (pairs.all_pairs, pairs.cell_pairs):
+    for search in (estimates.all_pairs, estimates.cell_pairs):
         start, other = np.zeros(6, np.int64), np.zeros(5 * count, np.int64)
         found = search(position, own_row, predicted, count, reach_m, start, other)
         assert start[-1] == found
@@ -47,7 +47,7 @@ def test_cells_find_the_pairs_that_trying_all_finds(seed: int, count: int, span_
 def test_a_list_that_is_too_short_says_how_many_there_are() -> None:
     predicted = np.zeros((10, 2))
     start, other = np.zeros(2, np.int64), np.zeros(3, np.int64)
-    assert pairs.all_pairs(np.zeros((1, 2)), np.array([-1]), predicted, 10, 1.0, start, other) == 10
+    assert estimates.all_pairs(np.zeros((1, 2)), np.array([-1]), predicted, 10, 1.0, start, other) == 10
     assert start[-1] == 3
 
 
@@ -120,7 +120,7 @@ def _guard(seed: int, run: object) -> np.ndarray:
     heard = np.concatenate([pose, rng.uniform(-0.5, 0.5, (count, 2)), np.full((count, 1), 0.17)], axis=1)
     places = np.ascontiguousarray(pose[:, :2])
     start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
-    pairs.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
+    estimates.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
     twists, deviation, zeros = np.zeros((count, 2)), np.zeros((count, 4)), np.zeros(count)
     assert callable(run)
     run(

@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.agent import routes
-from fullswarm.agent.atlas import GIVEN, OWN, SHARED, Atlas
 from fullswarm.agent.behaviours import navigate
+from fullswarm.agent.neighbours.obstacle_map import GIVEN, OWN, SHARED, ObstacleMap
 from fullswarm.agent.safety.deadlock import ANGLE_RAD, BLOCKED_S, Deadlocks, chance
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 
 BOUNDS = (0.0, 0.0, 10.0, 10.0)
 WALL = np.array([[5.0, 4.0, 0.5, 4.0, 0.0, 0.0]])  # x 4.5 to 5.5, y 0 to 8: the way leads around its north end
@@ -61,14 +59,14 @@ def test_a_robot_too_close_to_a_box_first_gets_away() -> None:
 
 @given(st.floats(0.5, 9.5), st.floats(0.5, 9.5))
 def test_the_next_waypoint_is_seen_in_a_straight_line(x: float, y: float) -> None:
-    field = routes.build((8.0, 2.0), WALL, BOUNDS, 0.3)
-    to_x, to_y = routes.waypoint(
+    field = navigate.build((8.0, 2.0), WALL, BOUNDS, 0.3)
+    to_x, to_y = navigate.waypoint(
         x, y, field.x_min, field.y_min, field.cell_m, field.free, field.next_cell, field.distance_m, 8.0, 2.0, 6.0
     )
     row, column = int(y / field.cell_m), int(x / field.cell_m)
     near = math.hypot(to_x - x, to_y - y) <= 2.0 * field.cell_m * math.sqrt(2.0)
     if field.free[row, column] and not near:
-        assert routes.sees(x, y, to_x, to_y, field.x_min, field.y_min, field.cell_m, field.free)
+        assert navigate.sees(x, y, to_x, to_y, field.x_min, field.y_min, field.cell_m, field.free)
 
 
 # ---------------------------------------------------------------- what is known
@@ -76,27 +74,27 @@ BOXES = np.array([[2.0, 2.0, 0.5, 0.5, 0.0, 0.0], [8.0, 8.0, 0.5, 0.5, 0.0, 0.0]
 
 
 def test_each_knows_what_it_has_seen_and_all_what_anybody_has() -> None:
-    atlas = Atlas(2, BOXES)
-    assert atlas.look(np.array([[1.0, 1.0], [9.0, 9.0]]), BOXES, 3.0) == 2
-    assert atlas.known(0, OWN).tolist() == BOXES[:1].tolist()
-    assert atlas.known(1, OWN).tolist() == BOXES[1:].tolist()
-    assert len(atlas.known(0, SHARED)) == len(atlas.known(0, GIVEN)) == 2
-    assert atlas.look(np.array([[5.0, 5.0], [5.0, 5.0]]), BOXES[:0], 3.0) == 0
-    assert len(atlas.known(0, OWN)) == 1, "what is out of sight is not forgotten"
+    obstacle_map = ObstacleMap(2, BOXES)
+    assert obstacle_map.look(np.array([[1.0, 1.0], [9.0, 9.0]]), BOXES, 3.0) == 2
+    assert obstacle_map.known(0, OWN).tolist() == BOXES[:1].tolist()
+    assert obstacle_map.known(1, OWN).tolist() == BOXES[1:].tolist()
+    assert len(obstacle_map.known(0, SHARED)) == len(obstacle_map.known(0, GIVEN)) == 2
+    assert obstacle_map.look(np.array([[5.0, 5.0], [5.0, 5.0]]), BOXES[:0], 3.0) == 0
+    assert len(obstacle_map.known(0, OWN)) == 1, "what is out of sight is not forgotten"
 
 
 def test_what_others_tell_is_shared_and_not_own() -> None:
-    atlas = Atlas(1, BOXES[:0])
-    atlas.tell(BOXES)
-    atlas.tell(BOXES + 1e-5)  # the same ones, rounded elsewhere
-    assert len(atlas.known(0, SHARED)) == 2
-    assert len(atlas.known(0, OWN)) == 0
+    obstacle_map = ObstacleMap(1, BOXES[:0])
+    obstacle_map.tell(BOXES)
+    obstacle_map.tell(BOXES + 1e-5)  # the same ones, rounded elsewhere
+    assert len(obstacle_map.known(0, SHARED)) == 2
+    assert len(obstacle_map.known(0, OWN)) == 0
 
 
 def test_an_atlas_has_an_end() -> None:
-    atlas = Atlas(1, BOXES[:0])
-    atlas.tell(np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5))
-    assert len(atlas.known(0, SHARED)) == 1000
+    obstacle_map = ObstacleMap(1, BOXES[:0])
+    obstacle_map.tell(np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5))
+    assert len(obstacle_map.known(0, SHARED)) == 1000
 
 
 # ---------------------------------------------------------------- stepping aside

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent import ranges
 from fullswarm.agent.behaviours import move_to_goal
+from fullswarm.agent.orders import tasks
 from fullswarm.bus import LocalBus
 from fullswarm.core.behaviours import load_records, make_record
 from fullswarm.drivers.base import Hazard
@@ -200,7 +200,7 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
     driving(bench)
     bench.enable("move_to_goal", {"goal": [1.0, 1.0]})
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    assert "needs a parameter" in bench.agent.wishes.law_error[0].text
+    assert "needs a parameter" in bench.agent.desired.law_error[0].text
     driving(bench)
 
 
@@ -211,7 +211,7 @@ def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench, monkeypatch
     driving(bench)
     broken.append(True)
     assert bench.time_to_zero_s() <= TICK_S + SLACK_S
-    assert "not finite" in bench.agent.wishes.law_error[0].text
+    assert "not finite" in bench.agent.desired.law_error[0].text
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -370,7 +370,7 @@ def test_what_the_records_allow_is_allowed_on_board() -> None:
                         request_id="q", robot="r1", behaviour=name, law=record.law, enable=True,
                         expires_s=record.expires_s, parameters={**record.static, key: value},
                     )  # fmt: skip
-                    ranges.check(request)
+                    tasks.check(request)
             if parameter.type == "number" and parameter.max is not None:
                 with pytest.raises(ConfigError, match=key):
-                    ranges.check(msgspec.structs.replace(request, parameters={key: parameter.max * 1.001 + 0.001}))
+                    tasks.check(msgspec.structs.replace(request, parameters={key: parameter.max * 1.001 + 0.001}))

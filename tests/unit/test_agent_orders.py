@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.tasks import Task, Tasks
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.drivers.base import Hazard
 from fullswarm.messages import ControlRequest, EStopReceipt, Heartbeat, RobotHealth, StopRequest
 from tests.unit.agent_bench import TICK_S, Bench
@@ -207,7 +207,7 @@ def test_an_intent_that_waited_in_a_queue_has_lapsed_when_it_comes(bench: Bench)
 
 
 def test_a_sender_whose_clock_begins_at_zero_is_not_late() -> None:
-    freshness = Freshness()
+    freshness = MessageDelay()
     assert freshness.delay_s("c", 0.0, 0.0) == 0.0
     assert freshness.delay_s("c", 0.1, 0.1) == 0.0
     assert freshness.delay_s("d", 900.0, 0.2) == 0.0

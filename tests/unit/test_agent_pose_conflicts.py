@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fullswarm.agent.pose_conflicts import APART, DWELL_S, OVERLAP
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
+from fullswarm.agent.pose.conflicts import APART, DWELL_S, OVERLAP
 from fullswarm.config import load_swarm
 from fullswarm.drivers.frames import check_frames, in_frame, own_frame
 from fullswarm.errors import ConfigError

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm import reasons
-from fullswarm.agent.reflexes import Reflexes, Thresholds
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.reflexes import Reflexes, Thresholds
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading, Hazard
 from fullswarm.reasons import TEXTS, Code

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from fullswarm.agent.estimator import DirectEstimator, EkfEstimator
-from fullswarm.agent.freshness import Freshness
-from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator
 from fullswarm.bus import LocalBus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
@@ -117,7 +117,7 @@ def test_the_table_grows_with_the_swarm() -> None:
 def test_a_robot_listens_to_the_cells_around_it() -> None:
     mailbox = Mailbox()
     bus, heard = LocalBus(mailbox), []
-    listening = Listening(bus, KEYS, 3.0, lambda message: heard.append(message.host))
+    listening = StateSubscriptions(bus, KEYS, 3.0, lambda message: heard.append(message.host))
     for x, expected in ((1.0, {"near"}), (31.0, {"far"})):
         heard.clear()
         listening.follow(np.array([[x, 1.0]]), 3.0)
@@ -143,7 +143,7 @@ def test_many_robots_publish_by_cell(robots: int, cell_m: float) -> None:
 
 
 def test_delay_is_measured_without_a_common_clock() -> None:
-    freshness = Freshness()
+    freshness = MessageDelay()
     assert freshness.delay_s("core", 1000.0, 5.0) == 0.0
     assert freshness.delay_s("core", 1000.5, 5.9) == pytest.approx(0.4)
     assert freshness.delay_s("core", 1001.0, 6.0) == pytest.approx(0.0)
@@ -151,7 +151,7 @@ def test_delay_is_measured_without_a_common_clock() -> None:
 
 
 def test_a_sender_that_was_suspended_is_believed_again() -> None:
-    freshness = Freshness()
+    freshness = MessageDelay()
     freshness.delay_s("core", 0.0, 0.0)
     delays = [freshness.delay_s("core", 0.1 * tick, 0.1 * tick + 60.0) for tick in range(1, 150)]
     assert delays[0] == pytest.approx(60.0, abs=0.01)
@@ -160,7 +160,7 @@ def test_a_sender_that_was_suspended_is_believed_again() -> None:
 
 def test_clocks_that_went_apart_in_a_long_silence_are_no_delay_but_a_queue_is() -> None:
     for waited_s, delay_s in ((0.0, 0.0), (60.0, 57.7)):
-        freshness, silence_s = Freshness(), 8 * 3600.0
+        freshness, silence_s = MessageDelay(), 8 * 3600.0
         freshness.delay_s("core", 100.0, 0.0)
         arrival_s = silence_s * (1.0 + 20e-6)
         assert freshness.delay_s("core", 100.0 + silence_s - waited_s, arrival_s) == pytest.approx(delay_s, abs=0.1)

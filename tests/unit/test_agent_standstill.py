@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from fullswarm.agent.estops import SETTLE_TIMEOUT_S
-from fullswarm.agent.standstill import Standstill
+from fullswarm.agent.motion.reflexes import Standstill
+from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S
 from fullswarm.drivers.base import EXACT, NO_OBSTACLES, Description, FleetReading, Limits
 from fullswarm.drivers.base import Standstill as Noise
 from fullswarm.drivers.mavlink.autopilot import FILTERED

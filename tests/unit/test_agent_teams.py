@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from fullswarm.agent import pairs
-from fullswarm.agent.neighbours import Neighbours
+from fullswarm.agent.neighbours import estimates
+from fullswarm.agent.neighbours.estimates import Neighbours
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.config import SwarmConfig
 from fullswarm.core.behaviours import load_records, make_record
@@ -201,8 +201,8 @@ def test_the_edge_list_keeps_its_order(compiled: bool) -> None:
     wanted = [[j for j in other[start[i] : start[i + 1]].tolist() if own_team[i] in (0, teams[j])] for i in range(own)]
     if compiled:
         pytest.importorskip("numba")
-        pairs.keep_team.compile()
-    pairs.keep_team.run(start, other, own_team, teams)
+        estimates.keep_team.compile()
+    estimates.keep_team.run(start, other, own_team, teams)
     assert [other[start[i] : start[i + 1]].tolist() for i in range(own)] == wanted
 
 

@@ -11,9 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.bus.base import Bus
-from fullswarm.bus.faulty import DETOUR_S, FaultyBus, faulty
 from fullswarm.bus.local import LocalBus
-from fullswarm.bus.network import EXAMPLE, Network, Partition, check_names, parse_network
+from fullswarm.bus.network_faults import (
+    DETOUR_S,
+    EXAMPLE,
+    FaultyBus,
+    Network,
+    Partition,
+    check_names,
+    faulty,
+    parse_network,
+)
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.messages import Heartbeat

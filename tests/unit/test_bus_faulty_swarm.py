@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.bus.base import NamedBus
-from fullswarm.bus.faulty import FaultyBus
 from fullswarm.bus.local import LocalBus
+from fullswarm.bus.network_faults import FaultyBus
 from fullswarm.config import SwarmConfig, load_swarm
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
 from fullswarm.core.leases import LAPSE_S
 from fullswarm.demo.run import demo_config, run_lockstep
 from fullswarm.errors import ConfigError

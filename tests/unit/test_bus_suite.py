@@ -20,9 +20,7 @@ from fullswarm.bus.base import NamedBus, SenderBus
 from fullswarm.bus.codec import encode
 from fullswarm.bus.endpoint import DEFAULT_HUB, check_endpoint
 from fullswarm.bus.hub import Hub
-from fullswarm.bus.inbox import LONGEST_NAME
-from fullswarm.bus.session import client_config, untyped
-from fullswarm.bus.zenoh_bus import CACHED_KEYS, ZenohBus, is_urgent
+from fullswarm.bus.zenoh_bus import CACHED_KEYS, LONGEST_NAME, ZenohBus, client_config, is_urgent, untyped
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.keys import Keys

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.chaos_faults import DECK, conditions, plan
 from benchmarks.chaos_judge import Ask, Doing, Down, Ran, Record, Told
-from fullswarm.bus.network import parse_network
+from fullswarm.bus.network_faults import parse_network
 
 
 def ran(t: float, request_id: str, sequence: int, agent: str = "r1-a", core: str = "c", **fields: bool) -> Ran:

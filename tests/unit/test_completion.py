@@ -5,8 +5,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.cli.completion import mended
-from fullswarm.operator.known import Known, from_fleet, known_from, resolved
+from fullswarm.cli.completion import Known, from_fleet, joined, known_from, resolved
 
 FLEET = """
 swarm = "lab"
@@ -47,7 +46,7 @@ def test_broken_records_are_passed_over() -> None:
     st.one_of(st.integers(0, 10).map(str), st.text(max_size=3)),
 )
 def test_any_line_is_mended_without_losing_a_letter(words: list[str], at: str) -> None:
-    whole, place, kept = mended(words, at)
+    whole, place, kept = joined(words, at)
     assert "".join(whole) == "".join(words)
     assert 0 <= place < len(whole)
     assert whole[place].startswith(kept)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig, load_swarm
-from fullswarm.config.positions import KeyPath, line_numbers
-from fullswarm.config.write import write_swarm
+from fullswarm.config.fleet_file import write_swarm
+from fullswarm.config.toml_errors import KeyPath, line_numbers
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.starts import start_problems

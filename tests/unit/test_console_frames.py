@@ -102,9 +102,9 @@ def test_any_bytes_are_answered(data: bytes) -> None:
 @given(st.lists(objects, max_size=8))
 def test_any_frames_are_answered_by_a_desk(story: list[Any]) -> None:
     bench = ConsoleBench()
-    page, desk = bench.join()
+    page, session = bench.join()
     for frame in story:
         command = read_command(json.dumps(frame))
-        answer = command if isinstance(command, Answer) else desk.handle(command, page)
+        answer = command if isinstance(command, Answer) else session.handle(command, page)
         assert json.loads(answer.encoded())["t"] == "answer"
         bench.run(0.05)

@@ -13,7 +13,7 @@ from fullswarm.messages import (
     SeenObstacles,
     Summary,
 )
-from fullswarm.operator.console import advice
+from fullswarm.operator import robot_state
 from fullswarm.perf.coverage import pack
 from fullswarm.reasons import Code
 from tests.unit.console_bench import KEYS, ConsoleBench, health
@@ -54,7 +54,7 @@ def test_a_console_without_a_core_says_so_and_catches_up() -> None:
     bench.run(0.5)
     assert page.last("world")["arena"] == [0.0, 0.0, 10.0, 8.0]
     assert page.last("fleet")["core_age_s"] < 1.0
-    assert page.log("link") == ["the core is there"]
+    assert page.log("link") == ["the core is running"]
 
 
 def test_states_come_at_20_hz_while_something_is_heard(bench: ConsoleBench) -> None:
@@ -80,7 +80,7 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     assert 4 <= len(page.all("fleet")) - before <= 5
     first, second = page.last("fleet")["robots"]
     assert first["attention"]
-    assert first["advice"] == advice.UNKNOWN
+    assert first["advice"] == robot_state.UNKNOWN
     assert (first["host"], first["version"], first["radius_m"]) == ("h", "1.2", 0.17)
     assert (second["behaviour"], second["battery"], second["advice"]) == ("flocking", 0.1, "Charge it soon.")
     assert page.log("fault") == ["r1: link lost"]
@@ -93,11 +93,11 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     ("fields", "said"),
     [
         ({"fault": "/dev/ttyUSB0: not activated", "fault_code": Code.CHARGER}, "Take it off its charger."),
-        ({"fault": "the charger is plugged in"}, advice.BARRED),
-        ({"fault": "one that a newer version knows", "fault_code": "flood"}, advice.BARRED),
-        ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, advice.UNKNOWN),
-        ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, advice.UNKNOWN),
-        ({"fault": "no such battery message", "lifecycle": "FAULT"}, advice.UNKNOWN),
+        ({"fault": "the charger is plugged in"}, robot_state.BARRED),
+        ({"fault": "one that a newer version knows", "fault_code": "flood"}, robot_state.BARRED),
+        ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, robot_state.UNKNOWN),
+        ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, robot_state.UNKNOWN),
+        ({"fault": "no such battery message", "lifecycle": "FAULT"}, robot_state.UNKNOWN),
         ({"stop_reason": "two hazards", "stop_code": Code.HAZARD,
           "stop_parameters": {"hazards": "wheel_drop motors_off"}},
          "Put all its wheels on the floor, away from edges. Release its safety switch."),
@@ -124,7 +124,7 @@ def test_a_core_that_falls_silent_is_told_within_one_and_a_half_seconds(bench: C
     assert page.last("fleet")["core_age_s"] <= 0.3
     bench.run(1.4)
     assert page.last("fleet")["core_age_s"] > 1.0
-    assert page.log("link") == ["the core is there", "the core is silent"]
+    assert page.log("link") == ["the core is running", "the core is silent"]
 
 
 def test_a_core_that_was_started_again_is_asked_again(bench: ConsoleBench) -> None:
@@ -169,8 +169,8 @@ def test_goals_are_those_of_the_core_even_after_a_start_in_mid_run(bench: Consol
 
 
 def test_the_goal_of_a_centralised_behaviour_is_that_of_its_request(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    asked = bench.say(desk, page, "request", behaviour="move_to_goal_bc", robots=["r1"], parameters={"goal": [2, 2]})
+    page, session = bench.join()
+    asked = bench.say(session, page, "request", behaviour="move_to_goal_bc", robots=["r1"], parameters={"goal": [2, 2]})
     bench.change("wanted/r1", {"request_id": asked["request_id"], "behaviour": "central", "parameters": {}})
     bench.run(0.2)
     assert page.last("goals")["robots"]["r1"]["goal"] == [2.0, 2.0]
@@ -253,7 +253,7 @@ def test_obstacles_that_two_robots_have_seen_are_one(bench: ConsoleBench) -> Non
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, 1e308])
 def test_an_obstacle_that_cannot_be_ends_nothing_and_is_told_once(bench: ConsoleBench, wild: float) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     good, bad = (1.0, 2.0, 0.5, 0.5, 0.0, 0.0), (3.0, 2.0, wild, 0.5, 0.0, 0.0)
     for _ in range(3):  # as handlers get it: no bus is needed to reach them
         bench.gateway._on_obstacles(SeenObstacles(host="a", rows=(good, bad), stamp_s=0.0))
@@ -261,11 +261,11 @@ def test_an_obstacle_that_cannot_be_ends_nothing_and_is_told_once(bench: Console
     assert page.last("obstacles")["rows"] == [list(good)]
     assert len([text for text in page.log("fault") if "obstacles" in text]) == 1
     assert bench.gateway.undrawn == {"obstacles": 3}
-    assert bench.say(desk, page, "estop")["ok"]
+    assert bench.say(session, page, "estop")["ok"]
 
 
 def test_what_cannot_be_drawn_leaves_the_other_frames_and_the_buttons(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     # A value that no database may hold, and whose fault is found only when the frame is written.
     bench.gateway._world._values["behaviour/wild"] = {"parameters": {}, "summary": object()}
     bench.gateway._changed.add("world")
@@ -273,7 +273,7 @@ def test_what_cannot_be_drawn_leaves_the_other_frames_and_the_buttons(bench: Con
     bench.report(health("r1"))
     bench.run(0.5)
     assert page.last("fleet")["robots"][0]["robot"] == "r1"
-    assert bench.say(desk, page, "estop")["ok"]
+    assert bench.say(session, page, "estop")["ok"]
     bench.run(0.2)
     assert page.last("estop")["engaged"]
     late, _ = bench.join("session-2")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.operator.console import serve
-from fullswarm.operator.console.guard import Bucket, Names, lower, same_token
+from fullswarm.operator.console.access import Bucket, Names, lower, same_token
 from fullswarm.operator.session import Target
 
 LOOPBACK = Names("127.0.0.1", 8807, frozenset({"lab.example", "proxy.example:9000"}))
@@ -89,7 +89,7 @@ def test_where_to_listen(text: str, expected: tuple[str, int]) -> None:
 
 @pytest.mark.parametrize("text", ["", "8807", "127.0.0.1", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:70000", "::1:5"])
 def test_what_is_no_address(text: str) -> None:
-    with pytest.raises(ConfigError, match="is no address"):
+    with pytest.raises(ConfigError, match="invalid address"):
         serve.parse_listen(text, True)
 
 

@@ -12,8 +12,8 @@ from fullswarm.messages import (
     LeaseRequest,
     StopRequest,
 )
-from fullswarm.operator.console.alarms import STOP_WATCH_S
-from fullswarm.operator.console.gateway import KEPT_S, MOST_DESKS
+from fullswarm.operator.console.gateway import KEPT_S, MOST_SESSIONS
+from fullswarm.operator.console.stops import STOP_WATCH_S
 from fullswarm.operator.view import SILENT_S
 from fullswarm.reasons import Code, joined, reason
 from tests.unit.console_bench import KEYS, ConsoleBench, health
@@ -26,9 +26,9 @@ def bench() -> ConsoleBench:
 
 # -------------------------------------------------------------------- requests
 def test_a_request_is_told_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -> None:
-    anna, desk = bench.join()
+    anna, session = bench.join()
     bert, _ = bench.join("session-2", "bert")
-    asked = bench.say(desk, anna, "request", behaviour="move_to_goal_bc", robots=["r1"], parameters={"goal": [1, 2]})
+    asked = bench.say(session, anna, "request", behaviour="move_to_goal_bc", robots=["r1"], parameters={"goal": [1, 2]})
     assert asked["ok"]
     bench.run(0.01)
     sent = bench.requests()[0]
@@ -45,8 +45,8 @@ def test_a_request_is_told_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -
 
 
 def test_a_refusal_reaches_log_and_page_with_its_reason(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    asked = bench.say(desk, page, "request", behaviour="flockign")
+    page, session = bench.join()
+    asked = bench.say(session, page, "request", behaviour="flockign")
     bench.run(0.01)
     bench.status(asked["request_id"], "refused", behaviour="flockign", reason="unknown behaviour")
     bench.run(0.01)
@@ -58,8 +58,8 @@ def test_a_refusal_reaches_log_and_page_with_its_reason(bench: ConsoleBench) -> 
 
 
 def test_a_refusal_advises_the_button_of_the_page_and_no_shell(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    asked = bench.say(desk, page, "request", behaviour="flocking")
+    page, session = bench.join()
+    asked = bench.say(session, page, "request", behaviour="flocking")
     bench.run(0.01)
     why = joined({"r1": reason(Code.ESTOP_LATCHED)})
     told = {"reason": why.text, "code": why.code, "refused_by": ("r1",)}
@@ -70,13 +70,13 @@ def test_a_refusal_advises_the_button_of_the_page_and_no_shell(bench: ConsoleBen
 
 
 def test_authority_comes_with_what_was_accepted_and_not_before(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    refused = bench.say(desk, page, "request", behaviour="x", robots=["r1"])
+    page, session = bench.join()
+    refused = bench.say(session, page, "request", behaviour="x", robots=["r1"])
     bench.run(0.01)
     bench.status(refused["request_id"], "refused", reason="no")
     bench.run(2.0)
     assert not [each for each in bench.sent if isinstance(each, LeaseRequest)]
-    good = bench.say(desk, page, "request", behaviour="move_to_goal_bc", robots=["@scouts"])
+    good = bench.say(session, page, "request", behaviour="move_to_goal_bc", robots=["@scouts"])
     bench.run(0.01)
     bench.status(good["request_id"], "accepted", robots=("r1", "r2"))
     bench.run(0.01)
@@ -85,8 +85,8 @@ def test_authority_comes_with_what_was_accepted_and_not_before(bench: ConsoleBen
 
 
 def test_the_whole_swarm_is_asked_without_a_lease(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    asked = bench.say(desk, page, "request", behaviour="move_to_goal_bc")
+    page, session = bench.join()
+    asked = bench.say(session, page, "request", behaviour="move_to_goal_bc")
     bench.run(0.01)
     bench.status(asked["request_id"], "accepted", robots=("r1", "r2"))
     bench.run(2.0)
@@ -105,11 +105,11 @@ def test_the_log_keeps_the_newest_two_hundred(bench: ConsoleBench) -> None:
 
 # -------------------------------------------------------------------- stops
 def test_a_stop_needs_no_lease_and_tells_who_stands(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.leases(r1="bert@lab")
     bench.report(health("r1", moving=True), health("r2", moving=False))
     bench.run(0.1)
-    assert bench.say(desk, page, "stop")["ok"]
+    assert bench.say(session, page, "stop")["ok"]
     bench.run(0.15)
     assert any(isinstance(each, StopRequest) for each in bench.sent)
     assert page.last("stop") == {
@@ -122,12 +122,12 @@ def test_a_stop_needs_no_lease_and_tells_who_stands(bench: ConsoleBench) -> None
 
 
 def test_a_stop_is_not_done_while_a_robot_is_silent(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.report(health("r1"), health("r2", moving=True))
     bench.run(SILENT_S)
     bench.report(health("r1"))
     bench.run(0.1)
-    assert bench.say(desk, page, "stop")["ok"]
+    assert bench.say(session, page, "stop")["ok"]
     bench.run(0.15)
     told = page.last("stop")
     assert (told["standing"], told["moving"], told["silent"], told["done"]) == (["r1"], [], ["r2"], False)
@@ -138,28 +138,28 @@ def test_a_stop_is_not_done_while_a_robot_is_silent(bench: ConsoleBench) -> None
 
 
 def test_a_robot_that_was_never_heard_is_silent_when_a_stop_names_it(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.report(health("r1"))
     bench.run(0.1)
-    assert bench.say(desk, page, "stop", robots=["r1", "r9"])["ok"]
+    assert bench.say(session, page, "stop", robots=["r1", "r9"])["ok"]
     bench.run(0.15)
     told = page.last("stop")
     assert (told["standing"], told["silent"], told["done"]) == (["r1"], ["r9"], False)
 
 
 def test_a_stop_of_nobody_is_not_done(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    assert bench.say(desk, page, "stop")["ok"]
+    page, session = bench.join()
+    assert bench.say(session, page, "stop")["ok"]
     bench.run(0.15)
     told = page.last("stop")
     assert (told["standing"], told["moving"], told["silent"], told["done"]) == ([], [], [], False)
 
 
 def test_a_robot_that_stays_silent_does_not_bring_an_old_stop_up_again(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.report(health("r1"), health("r2"))
     bench.run(SILENT_S + 0.1)
-    bench.say(desk, page, "stop")
+    bench.say(session, page, "stop")
     for _ in range(round(STOP_WATCH_S) + 1):
         bench.report(health("r1"))
         bench.run(1.0)
@@ -170,10 +170,10 @@ def test_a_robot_that_stays_silent_does_not_bring_an_old_stop_up_again(bench: Co
 
 
 def test_an_estop_shows_each_receipt_and_who_is_silent(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.report(health("r1"), health("r2"), health("r3"))
     bench.run(0.1)
-    pressed = bench.say(desk, page, "estop", reason="a child")
+    pressed = bench.say(session, page, "estop", reason="a child")
     assert pressed["ok"]
     bench.run(0.2)
     for robot, standing, rolled_m in (("r1", True, 0.05), ("r2", False, 0.0)):
@@ -198,18 +198,18 @@ def test_an_estop_shows_each_receipt_and_who_is_silent(bench: ConsoleBench) -> N
 
 
 def test_an_estop_of_another_operator_is_shown_and_blocks_the_stick(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.report(health("r1"))
     bench.run(0.1)
-    assert bench.say(desk, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})["ok"]
+    assert bench.say(session, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})["ok"]
     bench.bus.publish(KEYS.estop, EStop(id="e1", engaged=True, source="cli@other:1"))
     bench.run(0.1)
     assert page.last("estop")["operator"] == "cli@other:1"
-    assert "let the dead-man" in bench.say(
-        desk, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0}
+    assert "release the dead-man" in bench.say(
+        session, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0}
     )["reason"]  # fmt: skip
-    assert bench.say(desk, page, "release")["ok"]
-    assert bench.say(desk, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})["ok"]
+    assert bench.say(session, page, "release")["ok"]
+    assert bench.say(session, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})["ok"]
 
 
 def test_what_robots_and_core_repeat_is_no_new_estop(bench: ConsoleBench) -> None:
@@ -223,11 +223,11 @@ def test_what_robots_and_core_repeat_is_no_new_estop(bench: ConsoleBench) -> Non
 
 
 def test_a_release_ends_the_pressing_of_every_desk(bench: ConsoleBench) -> None:
-    anna, desk = bench.join()
+    anna, session = bench.join()
     bert, other = bench.join("session-2", "bert")
     bench.report(health("r1"))
     bench.run(0.1)
-    bench.say(desk, anna, "estop")
+    bench.say(session, anna, "estop")
     bench.run(1.0)
     assert len([each for each in bench.sent if isinstance(each, EStop)]) >= 10
     bench.say(other, bert, "clear")
@@ -244,39 +244,39 @@ def test_a_release_ends_the_pressing_of_every_desk(bench: ConsoleBench) -> None:
 
 # -------------------------------------------------------------------- leases
 def test_leases_say_which_are_mine_and_a_loss_is_told(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    assert bench.say(desk, page, "lease", robots=["r1"], hold=True)["ok"]
-    bench.leases(r1=desk.name, r2="bert@lab")
+    page, session = bench.join()
+    assert bench.say(session, page, "lease", robots=["r1"], hold=True)["ok"]
+    bench.leases(r1=session.name, r2="bert@lab")
     bench.run(0.1)
     assert {each["robot"]: each["mine"] for each in page.last("leases")["leases"]} == {"r1": True, "r2": False}
     bench.leases(r1="bert@lab", r2="bert@lab")
     bench.run(0.1)
     assert page.last("lost") == {"t": "lost", "robots": ["r1"], "by": "bert@lab"}
-    assert page.log("lease")[-1] == f"bert@lab holds r1, taken from {desk.name}"
+    assert page.log("lease")[-1] == f"bert@lab holds r1, taken from {session.name}"
 
 
 def test_a_robot_of_somebody_else_is_held_only_by_taking_it(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
+    page, session = bench.join()
     bench.leases(r1="bert@lab")
     bench.run(0.1)
-    assert bench.say(desk, page, "lease", robots=["@scouts"], hold=True)["reason"] == "r1 is held by bert@lab"
+    assert bench.say(session, page, "lease", robots=["@scouts"], hold=True)["reason"] == "r1 is held by bert@lab"
     bench.run(2.0)
     assert bench.sent == []
-    assert bench.say(desk, page, "lease", robots=["@scouts"], hold=True, take=True)["ok"]
+    assert bench.say(session, page, "lease", robots=["@scouts"], hold=True, take=True)["ok"]
     bench.run(0.01)
     taken = bench.sent[-1]
     assert isinstance(taken, LeaseRequest)
     assert taken.take
-    assert bench.say(desk, page, "lease", robots=["@nobody"], hold=True)["reason"].startswith("no group 'nobody'")
+    assert bench.say(session, page, "lease", robots=["@nobody"], hold=True)["reason"].startswith("no group 'nobody'")
 
 
 # -------------------------------------------------------------------- sessions
 def test_a_reload_is_the_same_operator_with_the_same_robots(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    bench.say(desk, page, "lease", robots=["r1"], hold=True)
-    bench.gateway.leave(desk, page)
+    page, session = bench.join()
+    bench.say(session, page, "lease", robots=["r1"], hold=True)
+    bench.gateway.leave(session, page)
     bench.run(KEPT_S - 2.0)
-    assert bench.join()[1] is desk
+    assert bench.join()[1] is session
     bench.run(30.0)
     held = [each for each in bench.sent if isinstance(each, LeaseRequest)]
     assert held
@@ -284,34 +284,34 @@ def test_a_reload_is_the_same_operator_with_the_same_robots(bench: ConsoleBench)
 
 
 def test_a_desk_that_nobody_comes_back_to_gives_its_robots_back(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    bench.say(desk, page, "lease", robots=["r1"], hold=True)
-    bench.gateway.leave(desk, page)
+    page, session = bench.join()
+    bench.say(session, page, "lease", robots=["r1"], hold=True)
+    bench.gateway.leave(session, page)
     bench.run(KEPT_S + 2.0)
     last = bench.sent[-1]
     assert isinstance(last, LeaseRequest)
     assert not last.hold
-    assert bench.join()[1] is not desk
+    assert bench.join()[1] is not session
 
 
 def test_desks_without_end_are_not_kept(bench: ConsoleBench) -> None:
-    for number in range(3 * MOST_DESKS):
-        page, desk = bench.join(f"session-{number}")
-        bench.gateway.leave(desk, page)
-    assert len(bench.gateway._desks) <= MOST_DESKS
+    for number in range(3 * MOST_SESSIONS):
+        page, session = bench.join(f"session-{number}")
+        bench.gateway.leave(session, page)
+    assert len(bench.gateway._sessions) <= MOST_SESSIONS
 
 
 def test_read_only_answers_nothing_but_a_ping() -> None:
     bench = ConsoleBench(read_only=True)
-    page, desk = bench.join()
+    page, session = bench.join()
     assert page.frames[0]["read_only"]
-    assert bench.say(desk, page, "ping")["ok"]
+    assert bench.say(session, page, "ping")["ok"]
     commands: dict[str, dict[str, Any]] = {
         "request": {"behaviour": "move_to_goal_bc"}, "stop": {}, "estop": {}, "clear": {}, "release": {},
         "drive": {"behaviour": "drive_bc", "sticks": {"linear": 1}}, "lease": {"hold": True},
     }  # fmt: skip
     for t, fields in commands.items():
-        answer = bench.say(desk, page, t, **fields)
+        answer = bench.say(session, page, t, **fields)
         assert not answer["ok"]
         assert "--read-only" in answer["reason"]
     bench.run(2.0)
@@ -319,8 +319,8 @@ def test_read_only_answers_nothing_but_a_ping() -> None:
 
 
 def test_a_closed_console_lets_go_and_says_nothing_more(bench: ConsoleBench) -> None:
-    page, desk = bench.join()
-    bench.say(desk, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})
+    page, session = bench.join()
+    bench.say(session, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})
     bench.gateway.close()
     bench.run(0.2)
     count = len(page.frames)

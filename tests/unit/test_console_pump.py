@@ -8,8 +8,8 @@ import threading
 import pytest
 
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.operator.console.outbox import LONGEST, Outbox
-from fullswarm.operator.console.pump import Pump
+from fullswarm.operator.console.serve import RuntimeLoop
+from fullswarm.operator.console.server import LONGEST, Outbox
 from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Runtime
 
 
@@ -66,7 +66,7 @@ def test_what_other_threads_put_is_delivered_on_the_loop_in_order() -> None:
             runtime.mailbox.put(take, number)
 
     async def main() -> None:
-        pump = Pump(runtime, asyncio.get_running_loop(), done.append)
+        pump = RuntimeLoop(runtime, asyncio.get_running_loop(), done.append)
         sender = threading.Thread(target=put_all)
         sender.start()
         async with asyncio.timeout(20.0):

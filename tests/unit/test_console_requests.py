@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from fullswarm.messages import BehaviourRequest, RequestStatus
-from fullswarm.operator.console.history import Journal
-from fullswarm.operator.console.requests import RequestBook
+from fullswarm.operator.console.log import EventLog, RequestLog
 from fullswarm.reasons import Code, Reason, given, reason
 
 
 def lines(why: Reason) -> list[str]:
-    journal = Journal(lambda: 0.0, lambda _: None)
-    book = RequestBook(journal, lambda _: False)
-    book.asked(BehaviourRequest(id="a1", behaviour="flocking_bc", operator="anna"), 0.0)
-    book.asked(BehaviourRequest(id="b2", behaviour="rendezvous_bc", operator="bob"), 0.1)
-    book.stopped("c3", "the e-stop", "carl")
+    journal = EventLog(lambda: 0.0, lambda _: None)
+    book = RequestLog(journal, lambda _: False)
+    book.add_request(BehaviourRequest(id="a1", behaviour="flocking_bc", operator="anna"), 0.0)
+    book.add_request(BehaviourRequest(id="b2", behaviour="rendezvous_bc", operator="bob"), 0.1)
+    book.add_stop("c3", "the e-stop", "carl")
     status = RequestStatus(
         request_id="a1", behaviour="flocking_bc", phase="superseded", reason=why.text, code=why.code,
         parameters=dict(why.parameters),
     )  # fmt: skip
-    book.said(status, 0.2)
+    book.add_status(status, 0.2)
     return [entry.text for entry in journal.entries]
 
 

@@ -19,12 +19,10 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.messages import StopRequest
 from fullswarm.operator.console import server as console_server
-from fullswarm.operator.console.connections import MOST_UNVERIFIED, uvicorn_server
+from fullswarm.operator.console.access import MOST_UNVERIFIED, Names, uvicorn_server
 from fullswarm.operator.console.gateway import Gateway, Identity
-from fullswarm.operator.console.guard import Names
-from fullswarm.operator.console.pages import Pages
-from fullswarm.operator.console.pump import Pump
-from fullswarm.operator.console.server import Web
+from fullswarm.operator.console.serve import RuntimeLoop
+from fullswarm.operator.console.server import Pages, Web
 from fullswarm.runtime import Runtime
 from tests.unit.console_bench import KEYS
 
@@ -48,8 +46,8 @@ class Served:
         self.origin = f"http://127.0.0.1:{self.port}"
         identity = Identity("base", "console@base:1", "9.9", read_only)
         self.gateway = Gateway(self.bus, KEYS, self.runtime, identity, lambda: 0.0)
-        self.pump = Pump(self.runtime, asyncio.get_running_loop(), self.errors.append)
-        self.web = Web(self.gateway, TOKEN, self.runtime.now_s, self.pump.poke)
+        self.pump = RuntimeLoop(self.runtime, asyncio.get_running_loop(), self.errors.append)
+        self.web = Web(self.gateway, TOKEN, self.runtime.now_s, self.pump.wake)
         self.server = uvicorn_server(self.web.app(Names("127.0.0.1", self.port), Pages(folder)))
 
     def connect(self, **options: Any) -> Any:
@@ -100,7 +98,7 @@ def run(folder: Path, story: Callable[[Served], Awaitable[None]], **options: Any
     async def main() -> None:
         served = Served(folder, **options)
         serving = asyncio.create_task(served.server.serve([served.listener]))
-        served.pump.poke()
+        served.pump.wake()
         try:
             async with asyncio.timeout(60.0):
                 await story(served)
@@ -345,7 +343,7 @@ def test_a_page_that_takes_nothing_does_not_hold_up_the_others(folder: Path) -> 
             loop = asyncio.get_running_loop()
             worst_s, before_s = 0.0, loop.time()
             while not gone and loop.time() < before_s + PATIENCE_S + 10.0:
-                served.gateway._tell({"t": "chart", "row": ["x" * 100_000]})
+                served.gateway._send({"t": "chart", "row": ["x" * 100_000]})
                 began_s = loop.time()
                 await good.send('{"t":"ping","ref":1}')
                 await frame(good, "answer")
@@ -362,11 +360,11 @@ def test_a_page_that_takes_nothing_does_not_hold_up_the_others(folder: Path) -> 
 def test_a_page_that_is_gone_no_longer_drives(folder: Path) -> None:
     async def story(served: Served) -> None:
         async with served.page() as line:
-            desk = served.gateway._desks["session-1"]
-            assert len(desk.listeners) == 1
+            session = served.gateway._sessions["session-1"]
+            assert len(session.listeners) == 1
             line.transport.abort()
         async with asyncio.timeout(PATIENCE_S):
-            while desk.listeners:
+            while session.listeners:
                 await asyncio.sleep(0.01)
 
     run(folder, story)
@@ -380,7 +378,7 @@ def test_what_a_node_raises_ends_the_server_and_is_not_swallowed(folder: Path) -
             raise RuntimeError("a bug")
 
         served.runtime.after(0.01, broken)
-        served.pump.poke()
+        served.pump.wake()
         async with asyncio.timeout(PATIENCE_S):
             while not served.errors:
                 await asyncio.sleep(0.01)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fullswarm.agent import robot_controller
-from fullswarm.agent.robot_controller import CODES, StopReason
+from fullswarm.agent.motion import robot_controller
+from fullswarm.agent.motion.robot_controller import CODES, StopReason
 from fullswarm.reasons import TEXTS
 
 

@@ -16,7 +16,7 @@ def asked(bench: Bench, duration_s: float) -> set[str]:
     for _ in range(round(duration_s / 0.02)):
         bench.session.activate(bench.clock.now_s())
         bench.run(0.02, GO)
-        told.add(bench.session.trouble(bench.clock.now_s()))
+        told.add(bench.trouble())
     return told
 
 
@@ -25,23 +25,23 @@ def test_what_bars_a_robot_is_its_trouble_while_somebody_asks() -> None:
     bench.run(0.2)
     bench.robot.charger = True
     bench.run(0.2)
-    assert bench.session.trouble(bench.clock.now_s()) == ""  # nobody wants to drive it
+    assert bench.trouble() == ""  # nobody wants to drive it
     assert asked(bench, 5.0) == {"bench: not activated: the charger is plugged in; mend that first"}
     assert bench.at(Lifecycle.READY)
     assert bench.session.fault == ""
     bench.run(NEWS_S + 0.1)
-    assert bench.session.trouble(bench.clock.now_s()) == ""
+    assert bench.trouble() == ""
     assert "charger" in bench.session.blocked  # still there for who asked
     bench.robot.charger = False
     bench.run(0.2)
     asked(bench, 0.2)
     assert bench.at(Lifecycle.ACTIVE)
-    assert bench.session.trouble(bench.clock.now_s()) == ""
+    assert bench.trouble() == ""
     bench.robot.drops[0] = True
     bench.run(0.1)
-    assert "stopped itself: a wheel hangs" in bench.session.trouble(bench.clock.now_s())
+    assert "stopped itself: a wheel hangs" in bench.trouble()
     bench.run(NEWS_S)
-    assert bench.session.trouble(bench.clock.now_s()) == ""
+    assert bench.trouble() == ""
 
 
 def test_an_unconfirmed_activation_is_told_without_a_gap_between_the_tries() -> None:
@@ -67,7 +67,7 @@ def test_a_line_that_loses_bytes_is_not_taken_for_a_charger() -> None:
         receive(bytes(byte for byte in data if luck.random() >= 0.01), now_s)
 
     bench.session.received = lossy  # type: ignore[method-assign]
-    bench.session.send = lambda data: bench.wire.extend(data if luck.random() < 0.02 else b"")
+    bench.carry = lambda data: bench.wire.extend(data if luck.random() < 0.02 else b"")
     told = asked(bench, 5.0)
     assert not any("charger" in each for each in told)
     assert any("Safe mode within 0.5 s: the line is bad, " in each for each in told)
@@ -98,8 +98,8 @@ def test_what_barred_a_robot_is_forgotten_with_the_link() -> None:
     bench.robot.charger = True
     bench.run(0.2)
     asked(bench, 0.1)
-    bench.session.lost("unplugged")
+    bench.session.lost("unplugged", bench.clock.now_s())
     bench.session.linked(bench.clock.now_s())
     bench.run(0.3)
     assert bench.at(Lifecycle.READY)
-    assert bench.session.trouble(bench.clock.now_s()) == ""
+    assert bench.trouble() == ""

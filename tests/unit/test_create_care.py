@@ -45,11 +45,11 @@ def test_a_blocked_wheel_is_no_stuck_sensor() -> None:
 # ---------------------------------------------------------------- dock, battery, extras
 def test_docking_ends_on_the_dock() -> None:
     bench = Bench().active()
-    bench.session.dock(bench.clock.now_s())
+    bench.dock()
     bench.run(2.0, GO)
     assert bench.at(Lifecycle.ACTIVE)
     assert bench.wheels == (0.2, 0.2)  # its own, not what is commanded
-    assert bench.session.command(GO, bench.clock.now_s()) == STAND
+    assert bench.gate.command(GO, bench.clock.now_s()) == STAND
     bench.robot.dock = True
     bench.run(0.1, GO)
     assert bench.at(Lifecycle.READY)
@@ -66,23 +66,23 @@ def test_docking_ends_on_the_dock() -> None:
 
 def test_a_search_for_the_dock_stops_without_a_commander_or_on_demand() -> None:
     bench = Bench().active()
-    bench.session.dock(bench.clock.now_s())
+    bench.dock()
     bench.run(0.25)
     assert bench.wheels != (0.0, 0.0)
     bench.run(0.15)
     assert bench.wheels == (0.0, 0.0)
     assert bench.at(Lifecycle.READY)
-    assert "nobody" in bench.session.blocked
+    assert "no command came" in bench.session.blocked
     bench.activate()
-    bench.session.dock(bench.clock.now_s())
+    bench.dock()
     bench.run(0.1, STAND)
     bench.session.deactivate(bench.clock.now_s())
     bench.run(0.02)
     assert bench.wheels == (0.0, 0.0)
     bench.activate()
-    bench.session.dock(bench.clock.now_s())
-    with pytest.raises(ValueError, match="not a velocity"):
-        bench.session.command(Twist(math.nan, 0.0), bench.clock.now_s())
+    bench.dock()
+    with pytest.raises(ValueError, match="must be finite"):
+        bench.gate.command(Twist(math.nan, 0.0), bench.clock.now_s())
     bench.run(0.1)
     assert bench.wheels == (0.0, 0.0)
     assert bench.at(Lifecycle.READY)
@@ -90,7 +90,7 @@ def test_a_search_for_the_dock_stops_without_a_commander_or_on_demand() -> None:
 
 def test_a_lost_command_to_dock_is_repeated() -> None:
     bench = Bench().active()
-    bench.session.dock(bench.clock.now_s())
+    bench.dock()
     bench.wire.clear()
     bench.run(0.2, STAND)
     assert bench.wheels == (0.2, 0.2)
@@ -100,16 +100,16 @@ def test_extras_need_an_active_robot() -> None:
     bench = Bench()
     bench.run(0.2)
     with pytest.raises(DriverError, match="cannot sing while READY"):
-        bench.session.tell(protocol.play(0), "sing")
+        bench.session.send(protocol.play(0), "sing")
     with pytest.raises(DriverError, match="cannot look for its dock"):
-        bench.session.dock(bench.clock.now_s())
+        bench.dock()
     bench.activate()
-    bench.session.tell(protocol.leds(1, 2, 3), "light its lamps")
+    bench.session.send(protocol.leds(1, 2, 3), "light its lamps")
     bench.run(0.05)
     assert bench.robot.panel.led_bits == 1
-    bench.session.dock(bench.clock.now_s())
+    bench.dock()
     with pytest.raises(DriverError, match="while looking for its dock"):
-        bench.session.tell(protocol.play(0), "sing")
+        bench.session.send(protocol.play(0), "sing")
 
 
 def test_a_robot_on_its_charger_tells_of_it() -> None:
@@ -186,14 +186,14 @@ def test_a_line_left_low_is_let_go() -> None:
     bench.robot.asleep = True
     bench.run(0.7)
     assert bench.pulses == [True]
-    bench.session.lost("unplugged")
+    bench.session.lost("unplugged", bench.clock.now_s())
     assert bench.pulses == [True, False]
 
 
 # ---------------------------------------------------------------- quantised wheels
 def test_speeds_in_steps_are_told_as_they_are() -> None:
     bench = Bench(speed_step_mm_s=28.5, quirks=Quirks(speed_quantum_mm_s=28.5)).active()
-    applied = bench.session.command(Twist(0.2, 0.0), bench.clock.now_s())
+    applied = bench.gate.command(Twist(0.2, 0.0), bench.clock.now_s())
     bench.run(0.05, Twist(0.2, 0.0))
     assert applied.linear_m_s == pytest.approx(bench.body.state().speed_m_s, abs=0.0006)
     assert applied.linear_m_s == pytest.approx(0.1995, abs=0.0006)

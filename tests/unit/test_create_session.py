@@ -66,11 +66,11 @@ def test_a_command_expires_and_the_session_stays_active() -> None:
 
 def test_a_lost_command_is_repeated_until_confirmed() -> None:
     bench = Bench().active()
-    bench.session.command(GO, bench.clock.now_s())
+    bench.gate.command(GO, bench.clock.now_s())
     bench.wire.clear()
     bench.run(0.2, GO)
     assert bench.wheels != (0.0, 0.0)
-    bench.session.command(STAND, bench.clock.now_s())
+    bench.gate.command(STAND, bench.clock.now_s())
     bench.wire.clear()
     bench.run(0.2)
     assert bench.wheels == (0.0, 0.0)
@@ -81,7 +81,7 @@ def test_a_lost_stop_is_repeated_where_a_slow_stream_cannot_confirm_it(generatio
     bench = Bench(generation, baud=19200).active()
     bench.run(0.5, GO)
     assert bench.wheels != (0.0, 0.0)
-    bench.session.command(STAND, bench.clock.now_s())
+    bench.gate.command(STAND, bench.clock.now_s())
     bench.wire.clear()
     bench.run(REPEAT_S + 0.03, STAND)  # the next frame after it
     assert bench.wheels == (0.0, 0.0)
@@ -201,7 +201,7 @@ def test_three_falls_in_ten_seconds_are_a_fault_that_a_reconnect_does_not_clear(
     bench = fallen()
     assert "3 times" in bench.session.fault
     assert bench.robot_in(Mode.PASSIVE)
-    bench.session.lost("unplugged")
+    bench.session.lost("unplugged", bench.clock.now_s())
     bench.session.linked(bench.clock.now_s())
     bench.run(0.3)
     assert bench.at(Lifecycle.FAULT)
@@ -227,7 +227,7 @@ def test_silence_is_a_fault_that_mends_itself_but_never_to_active() -> None:
     assert bench.at(Lifecycle.FAULT)
     assert "silent" in bench.session.fault
     assert bench.wheels == (0.0, 0.0)  # the way to the robot still works: it was told to stop
-    assert bench.session.command(GO, bench.clock.now_s()) == STAND
+    assert bench.gate.command(GO, bench.clock.now_s()) == STAND
     bench.cut = False
     bench.run(1.0, GO)
     assert bench.at(Lifecycle.READY)
@@ -360,7 +360,7 @@ def test_a_cliff_behind_matters_only_in_place_and_full_mode_ignores_all() -> Non
 def test_a_bad_wire_cannot_keep_the_robot_driving(baud: int) -> None:
     bench = Bench(baud=baud).active()
     luck = random.Random(11)
-    bench.session.send = lambda data: bench.wire.extend(data if luck.random() < 0.5 else b"")
+    bench.carry = lambda data: bench.wire.extend(data if luck.random() < 0.5 else b"")
     for round_ in range(20):
         bench.run(0.3, Twist(luck.uniform(-0.5, 0.5), luck.uniform(-2.0, 2.0)))
         bench.session.received(luck.randbytes(5), bench.clock.now_s())

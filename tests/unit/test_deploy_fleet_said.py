@@ -15,7 +15,7 @@ from fullswarm.deploy.fleet.ship import missing_of
 from fullswarm.deploy.fleet.status import line
 from fullswarm.deploy.fleet.terminal import json_line
 from fullswarm.deploy.fleet.untrusted import clean, clean_log_line, last_words, strict_json
-from fullswarm.deploy.release import sums
+from fullswarm.deploy.release import manifest
 from fullswarm.errors import FullswarmError, MessageError
 
 RELEASE, NEWER = "1.0-0123456789ab", "1.1-0123456789ab"
@@ -69,7 +69,7 @@ def test_a_bare_computer_says_what_it_is() -> None:
 
 
 def test_a_robot_may_ask_for_nothing_outside_the_release(tmp_path: Path) -> None:
-    (tmp_path / sums.FILE).write_text(f"{'0' * 64}  lib/a.py\n{'1' * 64}  lib/b.py\n")
+    (tmp_path / manifest.SUMS).write_text(f"{'0' * 64}  lib/a.py\n{'1' * 64}  lib/b.py\n")
     assert missing_of(tmp_path, b"lib/b.py\nlib/a.py\nlib/a.py\n", "r1") == ("lib/a.py", "lib/b.py")
     with pytest.raises(MessageError, match="which is not in the release"):
         missing_of(tmp_path, b"lib/a.py\n../../keys/release_ed25519\n", "r1")

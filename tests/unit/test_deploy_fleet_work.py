@@ -18,7 +18,7 @@ from fullswarm.deploy.fleet.remote import Answer, Remote
 from fullswarm.deploy.fleet.rollout import Stage
 from fullswarm.deploy.fleet.ship import Parcels
 from fullswarm.deploy.fleet.work import Kit, Outcome, Work
-from fullswarm.deploy.release import sums
+from fullswarm.deploy.release import manifest
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.errors import FullswarmError
 from tests.deploy_release import tiny_release
@@ -144,7 +144,7 @@ def stage(robot: Robot, release: Path, folder: Path) -> None:
 
 
 def test_what_turns_out_to_be_damaged_there_is_shipped_once_more(release: Path, tmp_path: Path) -> None:
-    path = sorted(sums.read(release))[0]
+    path = sorted(manifest.read_sums(release))[0]
     good, lacks = Answer(0, b"", b""), Answer(1, f"{path}\n".encode(), b"")
     robot = Robot([good, lacks, good])
     stage(robot, release, tmp_path)

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release import layers, pack, signing, sums, targets, uv
+from fullswarm.deploy.release import contents, manifest, packages, targets
 from fullswarm.deploy.release.bundle import BundleRequest, make, plan
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release.keys import Keys, verify_release
 from fullswarm.deploy.release.manifest import Manifest
-from fullswarm.deploy.release.store import Store
+from fullswarm.deploy.release.packages import run_uv
+from fullswarm.deploy.release.store import Store, plain_archive
 from fullswarm.errors import ConfigError
 from tests.unit import wheelhouse
 
@@ -22,7 +23,7 @@ PI = targets.target("rpi-arm64")
 def ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder of the code that stands for fullswarm's."""
     place = wheelhouse.small_fullswarm(tmp_path / "fullswarm")
-    monkeypatch.setattr(layers, "OWN", place)
+    monkeypatch.setattr(contents, "OWN", place)
     return place
 
 
@@ -44,19 +45,19 @@ def house(tmp_path: Path) -> Path:
 def test_a_release_holds_what_the_design_says(store: Store, keys: Keys, house: Path) -> None:
     told: list[str] = []
     made = make(BundleRequest(PI, wheels=house), store, keys, told.append)
-    signing.verify(made, keys.allowed_signers())
+    verify_release(made, keys.allowed_signers())
     facts = Manifest.read(made)
     assert facts.id == made.name
     assert facts.target == PI
     assert facts.packages["numpy"] == "90.0"
-    files = set(sums.read(made))
+    files = set(manifest.read_sums(made))
     assert {"lib/numpy/core.so", "lib/numpy/__init__.py"} <= files
     assert "lib/numpy/tests/test_it.py" not in files
     assert {each for each in files if each.startswith(("app/fullswarm/", "robot/"))} == {
         "app/fullswarm/__init__.py",
         "app/fullswarm/agent/node.py",
         "app/fullswarm/core/behaviours.toml",
-        "app/fullswarm/deploy/robot/kit.py",
+        "app/fullswarm/deploy/robot/support_package.py",
         "robot/install.sh",
         "robot/agent.service",
     }
@@ -70,7 +71,7 @@ def test_a_store_is_named_from_where_one_stands(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     made = make(BundleRequest(PI, wheels=Path("wheels")), Store(Path("near")), keys)
-    assert {"lib/numpy/core.so", "app/fullswarm/agent/node.py"} <= set(sums.read(made))
+    assert {"lib/numpy/core.so", "app/fullswarm/agent/node.py"} <= set(manifest.read_sums(made))
     far = make(BundleRequest(PI, wheels=house), Store(tmp_path / "far"), keys)
     assert made.name == far.name
 
@@ -78,12 +79,12 @@ def test_a_store_is_named_from_where_one_stands(
 def test_what_was_not_unpacked_is_not_signed(
     store: Store, keys: Keys, house: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = uv.run
+    real = run_uv
 
     def lose(folder: Path, *arguments: str | Path, why: str) -> str:
         return "" if "exact.txt" in arguments else real(folder, *arguments, why=why)
 
-    monkeypatch.setattr(uv, "run", lose)
+    monkeypatch.setattr(packages, "run_uv", lose)
     with pytest.raises(ConfigError, match=r"these packages were not unpacked: .*numpy"):
         make(BundleRequest(PI, wheels=house), store, keys)
     assert store.ids() == []
@@ -97,8 +98,8 @@ def test_two_bases_make_the_same_bytes(tmp_path: Path, keys: Keys, house: Path) 
         for each, store in zip((house, elsewhere), stores, strict=True)
     )
     assert first.name == second.name
-    paths = [*sums.files(first), sums.FILE, sums.SIGNATURE]
-    assert b"".join(pack.plain(first, paths)) == b"".join(pack.plain(second, paths))
+    paths = [*manifest.files_of(first), manifest.SUMS, manifest.SIGNATURE]
+    assert b"".join(plain_archive(first, paths)) == b"".join(plain_archive(second, paths))
     assert [(first / each).stat().st_mode for each in paths] == [(second / each).stat().st_mode for each in paths]
 
 
@@ -120,7 +121,7 @@ def test_a_change_of_fullswarm_carries_only_itself(store: Store, keys: Keys, hou
     first = make(BundleRequest(PI, wheels=house), store, keys)
     (ours / "agent" / "node.py").write_text("RATE_HZ = 30\n")
     second = make(BundleRequest(PI, wheels=house), store, keys)
-    old, new = sums.read(first), sums.read(second)
+    old, new = manifest.read_sums(first), manifest.read_sums(second)
     assert {path for path in new if old.get(path) != new[path]} == {"manifest.json", "app/fullswarm/agent/node.py"}
     assert old.keys() == new.keys()
     linked = [path for path in new if (first / path).stat().st_ino == (second / path).stat().st_ino]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import fullswarm
-from fullswarm.deploy.release import layers, sums, targets
+from fullswarm.deploy.release import contents, manifest, targets
 from fullswarm.deploy.release.bundle import BundleRequest, make, plan
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.manifest import Manifest
@@ -38,7 +38,7 @@ def build_wheel(place, config_settings=None, metadata_directory=None):
 
 @pytest.fixture(autouse=True)
 def _ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layers, "OWN", wheelhouse.small_fullswarm(tmp_path / "fullswarm"))
+    monkeypatch.setattr(contents, "OWN", wheelhouse.small_fullswarm(tmp_path / "fullswarm"))
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def test_a_wheel_goes_into_the_app_layer_and_its_needs_below(store: Store, house
     mine = wheelhouse.wheel(tmp_path, "acme-scout", "1.2", requires=("fullswarm>=0.1", "tinylib"))
     wheelhouse.wheel(house, "tinylib", "3.0")
     made = make(BundleRequest(PI, packages=(mine,), wheels=house), store, Keys(tmp_path / "keys"))
-    files = sums.read(made)
+    files = manifest.read_sums(made)
     assert {"app/acme_scout/__init__.py", "app/acme_scout-1.2.dist-info/METADATA", "lib/tinylib/__init__.py"} <= set(
         files
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from fullswarm.deploy.release import own, targets, wheels
+from fullswarm.deploy.release import targets
+from fullswarm.deploy.release.packages import HEAVY, NEVER, check_extras, check_versions, package_name, requirements
 from fullswarm.errors import ConfigError
 
-NEEDS = own.requirements()
-GOOD = {own.name(each): "99.0" for each in NEEDS.always}
+NEEDS = requirements()
+GOOD = {package_name(each): "99.0" for each in NEEDS.always}
 
 
 def test_the_usual_python_of_a_target_can_be_changed() -> None:
@@ -44,25 +45,25 @@ def test_our_own_requirements_are_known_with_their_bounds() -> None:
 
 
 def test_fullswarm_alone_brings_nothing_heavy() -> None:
-    wheels.check(GOOD, NEEDS, ())
-    assert not {*wheels.NEVER, *wheels.HEAVY} & set(NEEDS.lowest(("can", "mavlink")))
+    check_versions(GOOD, NEEDS, ())
+    assert not {*NEVER, *HEAVY} & set(NEEDS.lowest(("can", "mavlink")))
 
 
 @pytest.mark.parametrize("version", ["0.10.0rc0", "1.9.9", "0.11", "1"])
 def test_an_ancient_zenoh_is_an_error_that_says_so(version: str) -> None:
     with pytest.raises(ConfigError, match=f"eclipse-zenoh {version} is too old: fullswarm needs 1.10"):
-        wheels.check({**GOOD, "eclipse-zenoh": version}, NEEDS, ())
+        check_versions({**GOOD, "eclipse-zenoh": version}, NEEDS, ())
 
 
 @pytest.mark.parametrize("version", ["1.10", "1.10.0", "1.10.2", "2.0rc1", "1.11"])
 def test_a_zenoh_that_does(version: str) -> None:
-    wheels.check({**GOOD, "eclipse-zenoh": version}, NEEDS, ())
+    check_versions({**GOOD, "eclipse-zenoh": version}, NEEDS, ())
 
 
 def test_a_missing_package_is_named() -> None:
     without = {name: version for name, version in GOOD.items() if name != "numpy"}
     with pytest.raises(ConfigError, match="numpy is missing"):
-        wheels.check(without, NEEDS, ())
+        check_versions(without, NEEDS, ())
 
 
 @pytest.mark.parametrize("name", ["pybullet", "numba", "matplotlib"])
@@ -70,16 +71,16 @@ def test_a_missing_package_is_named() -> None:
 def test_simulators_and_plots_stay_ashore(name: str, extras: tuple[str, ...]) -> None:
     plan = {**GOOD, "osqp": "9", "scipy": "9", "shapely": "9", "filterpy": "9", name: "9"}
     with pytest.raises(ConfigError, match=f"{name} must not be on a robot"):
-        wheels.check(plan, NEEDS, extras)
+        check_versions(plan, NEEDS, extras)
 
 
 def test_scipy_only_where_it_was_asked_for() -> None:
     with pytest.raises(ConfigError, match="--with estimation"):
-        wheels.check({**GOOD, "scipy": "1.17"}, NEEDS, ())
-    wheels.check({**GOOD, "scipy": "1.17", "filterpy": "2.0"}, NEEDS, ("estimation",))
+        check_versions({**GOOD, "scipy": "1.17"}, NEEDS, ())
+    check_versions({**GOOD, "scipy": "1.17", "filterpy": "2.0"}, NEEDS, ("estimation",))
 
 
 @pytest.mark.parametrize("name", ["sim", "experiments", "mavlnk"])
 def test_an_extra_of_the_base_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"'{name}' is not an extra for robots"):
-        own.check_extras(("can", name))
+        check_extras(("can", name))

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release import openssh, signing, sums
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.keys import Keys, sign_release, ssh_keygen, verify_release
 from fullswarm.errors import ConfigError
 from tests.deploy_release import tiny_release
 
@@ -26,17 +26,17 @@ def release(tmp_path: Path, keys: Keys) -> Path:
 
 
 def test_our_own_release_is_taken(release: Path, keys: Keys) -> None:
-    signing.verify(release, keys.allowed_signers())
+    verify_release(release, keys.allowed_signers())
 
 
 def test_the_sums_are_what_sha256sum_reads(release: Path) -> None:
-    subprocess.run(["sha256sum", "--check", "--strict", "--quiet", sums.FILE], cwd=release, check=True)
+    subprocess.run(["sha256sum", "--check", "--strict", "--quiet", manifest.SUMS], cwd=release, check=True)
 
 
 def test_the_same_release_has_the_same_signature(release: Path, keys: Keys) -> None:
-    first = (release / sums.SIGNATURE).read_bytes()
-    signing.sign(release, keys.release_key())
-    assert (release / sums.SIGNATURE).read_bytes() == first
+    first = (release / manifest.SIGNATURE).read_bytes()
+    sign_release(release, keys.release_key())
+    assert (release / manifest.SIGNATURE).read_bytes() == first
 
 
 def _change(release: Path) -> None:
@@ -58,19 +58,19 @@ def _link(release: Path) -> None:
 def _hide(release: Path) -> None:
     """Change a file and its sum with it: only the signature can tell."""
     _change(release)
-    (release / sums.FILE).write_text(sums.of(release))
+    (release / manifest.SUMS).write_text(manifest.sums_of(release))
 
 
 def _unsign(release: Path) -> None:
-    (release / sums.SIGNATURE).unlink()
+    (release / manifest.SIGNATURE).unlink()
 
 
 def _scribble(release: Path) -> None:
-    (release / sums.SIGNATURE).write_text("-----BEGIN SSH SIGNATURE-----\nAAAA\n-----END SSH SIGNATURE-----\n")
+    (release / manifest.SIGNATURE).write_text("-----BEGIN SSH SIGNATURE-----\nAAAA\n-----END SSH SIGNATURE-----\n")
 
 
 def _sumless(release: Path) -> None:
-    (release / sums.FILE).unlink()
+    (release / manifest.SUMS).unlink()
 
 
 @pytest.mark.parametrize(
@@ -91,37 +91,37 @@ def test_a_release_that_was_touched_is_refused(
 ) -> None:
     damage(release)
     with pytest.raises(ConfigError, match=reason):
-        signing.verify(release, keys.allowed_signers())
+        verify_release(release, keys.allowed_signers())
 
 
 def test_a_release_of_another_base_is_refused(release: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="verify the signature"):
-        signing.verify(release, Keys(tmp_path / "stranger").allowed_signers())
+        verify_release(release, Keys(tmp_path / "stranger").allowed_signers())
 
 
 def test_a_signature_for_another_purpose_is_refused(release: Path, keys: Keys) -> None:
-    text = (release / sums.FILE).read_bytes()
-    made = openssh.run("-q", "-Y", "sign", "-n", "git", "-f", str(keys.release_key()), feed=text, why="sign")
-    (release / sums.SIGNATURE).write_bytes(made)
+    text = (release / manifest.SUMS).read_bytes()
+    made = ssh_keygen("-q", "-Y", "sign", "-n", "git", "-f", str(keys.release_key()), feed=text, why="sign")
+    (release / manifest.SIGNATURE).write_bytes(made)
     with pytest.raises(ConfigError, match="verify the signature"):
-        signing.verify(release, keys.allowed_signers())
+        verify_release(release, keys.allowed_signers())
 
 
 def test_the_signature_of_another_release_does_not_fit(release: Path, keys: Keys, tmp_path: Path) -> None:
     other = tiny_release(tmp_path / "other", keys, files={"app/hello.py": "other"})
-    shutil.copy(other / sums.SIGNATURE, release / sums.SIGNATURE)
+    shutil.copy(other / manifest.SIGNATURE, release / manifest.SIGNATURE)
     with pytest.raises(ConfigError, match="verify the signature"):
-        signing.verify(release, keys.allowed_signers())
+        verify_release(release, keys.allowed_signers())
 
 
 @pytest.mark.parametrize("path", ["../x", "/etc/passwd", "a//b", "a/./b", "", "a\rb"])
 def test_sums_that_lead_out_of_the_release_are_refused(path: str) -> None:
     with pytest.raises(ConfigError, match="not a line of checksums"):
-        sums.parse(f"{'0' * 64}  {path}\n")
+        manifest.parse_sums(f"{'0' * 64}  {path}\n")
 
 
 @pytest.mark.parametrize("name", ["new\nline", "back\\slash", "tab\t"])
 def test_names_that_tools_misread_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
     with pytest.raises(ConfigError, match="name"):
-        sums.of(tmp_path)
+        manifest.sums_of(tmp_path)

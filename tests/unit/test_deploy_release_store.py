@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release import signing
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release.keys import Keys, verify_release
 from fullswarm.deploy.release.store import ENVIRONMENT, Store
 from fullswarm.errors import ConfigError
 from tests.deploy_release import X86_64, tiny_release
@@ -43,16 +42,16 @@ def test_what_did_not_change_is_on_the_disk_once(store: Store, keys: Keys) -> No
     assert (first / "app/a.py").stat().st_ino != (second / "app/a.py").stat().st_ino
     assert _disk_bytes(store.folder) - alone < 2000
     for each in (first, second):
-        signing.verify(each, keys.allowed_signers())
+        verify_release(each, keys.allowed_signers())
 
 
 def test_damage_of_the_release_before_does_not_spread(store: Store, keys: Keys) -> None:
     first = _make(store, keys, "1")
     (first / "lib/big.py").write_text(BIG.replace("1", "2", 1))
     second = _make(store, keys, "2")
-    signing.verify(second, keys.allowed_signers())
+    verify_release(second, keys.allowed_signers())
     with pytest.raises(ConfigError, match="was changed"):
-        signing.verify(first, keys.allowed_signers())
+        verify_release(first, keys.allowed_signers())
 
 
 def test_the_same_input_makes_the_same_release_and_mends_a_damaged_one(store: Store, keys: Keys) -> None:
@@ -60,7 +59,7 @@ def test_the_same_input_makes_the_same_release_and_mends_a_damaged_one(store: St
     (first / "lib/big.py").write_text("")
     assert _make(store, keys, "1") == first
     assert store.ids() == [first.name]
-    signing.verify(first, keys.allowed_signers())
+    verify_release(first, keys.allowed_signers())
 
 
 def test_the_latest_is_the_one_made_last_even_if_made_before(store: Store, keys: Keys) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release.trim import needed, trim
+from fullswarm.deploy.release.contents import needed, trim
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.agent.estops import SETTLE_TIMEOUT_S
-from fullswarm.agent.latch_folder import LatchFolder
+from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S, LatchFolder
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.latching import RUN, STATE, latch_folder
 from fullswarm.messages import EStop

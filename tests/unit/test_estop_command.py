@@ -72,8 +72,8 @@ def test_a_robot_that_was_never_heard_is_named_by_the_core(swarm: Fleet) -> None
     result = run("estop", "--timeout", "2")
     assert result.exit_code == 4
     assert result.stderr.splitlines() == [
-        "after 0.5 s nothing heard from r9; trying on",
-        "error: after 2 s nothing heard from r9 (go there: they may still move)",
+        "after 0.5 s nothing ever received from r9; still trying",
+        "error: after 2 s nothing ever received from r9 (go there: they may still move)",
     ]
 
 
@@ -84,7 +84,7 @@ def test_without_a_core_the_fleet_file_names_it(swarm: Fleet, tmp_path: Path) ->
     )
     result = run("estop", "--timeout", "1", "--fleet", str(fleet))
     assert result.exit_code == 4
-    assert "nothing heard from r9" in result.stderr
+    assert "nothing ever received from r9" in result.stderr
     assert swarm.targets == [Target("tcp/10.0.0.7:7447", "lab")]
     assert run("estop", "--timeout", "1", "--fleet", str(fleet), "r1").exit_code == 0, "only r1 was asked for"
 
@@ -94,7 +94,7 @@ def test_a_fleet_file_that_is_wrong_stops_nobody_from_stopping(swarm: Fleet, tmp
     fleet.write_text("robot = [")
     result = run("estop", "--fleet", str(fleet))
     assert result.exit_code == 0
-    assert "going on without the fleet file" in result.stderr
+    assert "continuing without the fleet file" in result.stderr
 
 
 def test_it_is_pressed_until_the_deaf_one_wakes_up(swarm: Fleet) -> None:
@@ -103,7 +103,7 @@ def test_it_is_pressed_until_the_deaf_one_wakes_up(swarm: Fleet) -> None:
     assert result.exit_code == 0
     said = [line.split(" no answer")[0] for line in result.stderr.splitlines()]
     assert said == ["after 0.5 s", "after 5.5 s", "after 10.5 s", "after 15.5 s", "after 20.5 s"]
-    assert result.stdout.splitlines()[-1] == "r2: stands, rolled 0.030 m"
+    assert result.stdout.splitlines()[-1] == "r2: at standstill after 0.030 m"
 
 
 def test_ctrl_c_ends_it_with_the_names_and_4(swarm: Fleet) -> None:
@@ -118,7 +118,7 @@ def test_ctrl_c_ends_it_with_the_names_and_4(swarm: Fleet) -> None:
 def test_a_rolling_one_is_told_from_a_silent_one(swarm: Fleet) -> None:
     swarm.standing, swarm.deaf = False, "r2"
     result = run("estop", "--timeout", "1")
-    assert "after 0.5 s no answer from r2; latched, but not seen standing: r1; trying on" in result.stderr
+    assert "after 0.5 s no answer from r2; latched, but standstill not confirmed: r1; still trying" in result.stderr
 
 
 def test_json_has_names_and_times(swarm: Fleet) -> None:
@@ -134,7 +134,7 @@ def test_json_has_names_and_times(swarm: Fleet) -> None:
 def test_nobody_to_press_for_ends_it_by_itself(swarm: Fleet) -> None:
     swarm.robots = ()
     result = run("estop")
-    assert (result.exit_code, "no robot was heard" in result.stderr) == (3, True)
+    assert (result.exit_code, "no robot was received" in result.stderr) == (3, True)
 
 
 def test_clearing_ends_by_itself(swarm: Fleet) -> None:
@@ -157,7 +157,7 @@ def test_a_hub_that_is_away_is_waited_for(swarm: Fleet) -> None:
     assert result.exit_code == 0
     assert swarm.waits_s == [0.5, 3.0, 3.0], "it is said at once"
     assert result.stderr.splitlines() == [
-        "tcp/hub: no hub answers: robots without a hub stand by themselves, but they are not latched; trying on"
+        "tcp/hub: no hub answers: robots without a hub stop by themselves, but they are not latched; still trying"
     ]
 
 
@@ -166,7 +166,7 @@ def test_but_not_longer_than_asked(swarm: Fleet, args: tuple[str, ...]) -> None:
     swarm.refusals = 3
     result = run("estop", *args)
     assert result.exit_code == 3
-    assert "error: tcp/hub: no hub answers (robots without a hub stand by themselves" in result.stderr
+    assert "error: tcp/hub: no hub answers (robots without a hub stop by themselves" in result.stderr
 
 
 def test_a_hub_that_dies_meanwhile_is_said(swarm: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +176,7 @@ def test_a_hub_that_dies_meanwhile_is_said(swarm: Fleet, monkeypatch: pytest.Mon
     monkeypatch.setattr(LocalBus, "connected", lambda bus: not 2.0 < swarm.runtime.now_s() < 3.0)
     result = run("estop", "--timeout", "4")
     assert [line for line in result.stderr.splitlines() if "hub" in line] == [
-        "the hub is lost: robots without a hub stand by themselves, but they are not latched; trying on",
+        "the hub is lost: robots without a hub stop by themselves, but they are not latched; still trying",
         "the hub is back",
     ]
 

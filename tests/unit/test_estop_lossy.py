@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent.latch_folder import LatchFolder
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.agent.state import Identity
 from fullswarm.bus import Subscription
 from fullswarm.clock import SimClock
@@ -29,7 +29,7 @@ from fullswarm.runtime import Runtime
 from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.world import World
 from fullswarm.store import Store
-from fullswarm.testing.bus import LoopbackBus
+from fullswarm.testing.node import LoopbackBus
 
 KEYS = Keys()
 TICK_S = 0.02

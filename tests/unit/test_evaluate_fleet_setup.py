@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
-from fullswarm.evaluate.fleet_setup import NEAR_M, NEAR_RAD, choose, drawing, fit, instructions, names, off, starts_of
+from fullswarm.evaluate.fleet_swarm import NEAR_M, NEAR_RAD, choose, drawing, fit, instructions, names, off, starts_of
 from fullswarm.evaluate.scenarios import parse_scenario
 from fullswarm.evaluate.trial import terms
 

@@ -27,10 +27,10 @@ from fullswarm.evaluate.experiment import (
     summarise,
     world_of,
 )
+from fullswarm.evaluate.experiment.outcomes import closing, table
 from fullswarm.evaluate.experiment.plan import differ_by_group
-from fullswarm.evaluate.experiment.record import trial_id
-from fullswarm.evaluate.experiment.table import closing, table
 from fullswarm.evaluate.scenarios import load_scenario
+from fullswarm.evaluate.trial_folder import trial_id
 
 TEXT = """
 name = "mine"

@@ -11,14 +11,14 @@ import pytest
 
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import Experiment, load_experiment, on_network, parse_experiment, plan
-from fullswarm.evaluate.experiment.check import check_behaviours
-from fullswarm.evaluate.experiment.folder import Asked, configuration_of, open_folder, other_code, read_asked
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, TRIALS, Provenance, trial_id
-from fullswarm.evaluate.experiment.run import Options, run
+from fullswarm.evaluate.experiment.run import Options, check_behaviours, run
+from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.results import read_folder
+from fullswarm.evaluate.results.folder import Asked, configuration_of, open_folder, other_code, read_asked
 from fullswarm.evaluate.scenarios import load_scenario
-from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
-from fullswarm.evaluate.trial_folder import Keeper
+from fullswarm.evaluate.scenarios.model import scenario_to_toml
+from fullswarm.evaluate.trial import Keeper
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, TRIALS, trial_id
 from tests.unit.experiment_work import answer
 
 TEXT = """

@@ -8,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 from fullswarm.cli.experiment import experiment_app
-from fullswarm.evaluate.experiment import one_trial as experiment_trial
 from fullswarm.evaluate.experiment import run as experiment
 
 
@@ -57,7 +56,7 @@ def test_one_trial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         asked.append(words)
         return 0
 
-    monkeypatch.setattr(experiment_trial, "run", run)
+    monkeypatch.setattr(experiment, "run_again", run)
     assert call("trial", "a/trial.toml", "--out", str(tmp_path), "--json") == (0, "")
     assert asked == [(Path("a/trial.toml"), tmp_path, True)]
 

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from fullswarm.cli import experiment as watch
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS
 from fullswarm.evaluate.pictures import Film
 from fullswarm.evaluate.pictures import replay as module
 from fullswarm.evaluate.pictures.replay import Replay, find_trial, read_record, replay
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS
 from tests.unit.pictures_world import a_trial, two_robots, write_trial
 
 app = typer.Typer()

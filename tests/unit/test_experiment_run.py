@@ -14,11 +14,10 @@ import pytest
 from fullswarm.config import WorldConfig
 from fullswarm.evaluate.experiment import Outcome, Trial, TrialResult, load_experiment, plan
 from fullswarm.evaluate.experiment.pool import Pool
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS
 from fullswarm.evaluate.experiment.run import Options, run
-from fullswarm.evaluate.lockstep_swarm import widened
+from fullswarm.evaluate.lockstep_swarm import run_trial, widened
 from fullswarm.evaluate.results.folder import read_records
-from fullswarm.evaluate.trial import run_trial
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS
 from fullswarm.evaluate.witness import Referee, in_safe_set
 from fullswarm.simulation.world import World
 from tests.unit.experiment_work import answer, misbehave

@@ -17,10 +17,8 @@ from typer.testing import CliRunner
 from fullswarm.cli import experiment as commands
 from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRIALS, trial_id
-from fullswarm.evaluate.experiment.watch import Watch, watch
-from fullswarm.evaluate.experiment.watch_folder import ExperimentFolder, progress_of
-from fullswarm.evaluate.experiment.watch_view import headline, span, view
+from fullswarm.evaluate.experiment.watch import ExperimentFolder, Watch, headline, progress_of, span, view, watch
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS, trial_id
 from fullswarm.runtime import Runtime
 from tests.unit.pictures_world import a_trial, write_trial
 

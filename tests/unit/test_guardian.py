@@ -23,9 +23,8 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.create_oi.session import PARK
 from fullswarm.drivers.fleet import OneRobot
-from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, StopPlan, guarded
+from fullswarm.drivers.guardian import SILENCE_S, GuardedPort, Guardian, HolderLost, StopPlan, guarded
 from fullswarm.drivers.guardian_process import REPEATS
-from fullswarm.drivers.link import HolderLost
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import DriverError
 
@@ -165,16 +164,16 @@ def test_why_the_port_is_gone_comes_before_the_guardian_s_own_end() -> None:
     master, slave = os.openpty()
     guarded = GuardedPort(os.ttyname(slave), 115200, PARK)
     try:
-        until(lambda: guarded.read(512) == b"" and not guarded.waits_for, 5.0)
+        until(lambda: guarded.read() == [] and not guarded.waits_for, 5.0)
         os.close(master)
         os.close(slave)
         state = Path(f"/proc/{guarded.pid}/stat")
         until(lambda: state.read_text().rpartition(")")[2].split()[0] == "Z", 2.0)  # its words and its end wait here
         with pytest.raises(OSError, match=r"Input/output error|hung up") as gone:
-            guarded.read(512)
+            guarded.read()
         assert not isinstance(gone.value, HolderLost)
         with pytest.raises(HolderLost):
-            guarded.read(512)
+            guarded.read()
     finally:
         guarded.close()
 
@@ -209,7 +208,7 @@ def test_a_computer_without_room_for_another_guardian_stops_the_robot_and_recove
         until(lambda: wheels(robot) != (0, 0), 2.0, drive)
 
 
-@pytest.mark.parametrize("lacking", ["guardian.subprocess.Popen", "guardian.socket.socketpair", "link.os.pipe2"])
+@pytest.mark.parametrize("lacking", ["guardian.subprocess.Popen", "guardian.socket.socketpair", "linked.os.pipe2"])
 def test_a_computer_without_room_is_a_fault_that_passes(monkeypatch: pytest.MonkeyPatch, lacking: str) -> None:
     with CreateEmulator() as robot:
         fleet = OneRobot("r1", guarded(CreateDriver(robot.url)))
@@ -267,7 +266,7 @@ def test_a_silent_driver_is_told_nothing_old_when_it_speaks_again() -> None:
 
             def look() -> None:
                 nonlocal answer
-                answer += guarded.read(512)
+                answer += b"".join(guarded.read())
                 guarded.beat()
 
             until(lambda: answer.endswith(b"new"), 1.0, look)
@@ -408,7 +407,7 @@ def test_a_guardian_that_ends_before_its_first_word_is_tried_ever_less_often_and
 )
 def test_whose_own_watchdog_is_missing_or_slow_gets_a_guardian(url: str, watched: bool) -> None:
     driver = guarded(registry.driver_class(url)(url))
-    assert getattr(driver, "_guarded", False) is watched
+    assert getattr(driver, "guarded", False) is watched
 
 
 def test_a_driver_from_outside_gets_a_guardian_by_what_it_states() -> None:

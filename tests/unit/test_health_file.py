@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.agent import health_file
-from fullswarm.agent.health_file import Process, Rate, Vitals, why_not
+from fullswarm.agent.telemetry import health_file
+from fullswarm.agent.telemetry.health_file import Process, Rate, Vitals, why_not
 
 GOOD = Vitals(
     robot="r1", lifecycle="READY", behaviour="", moving=False, estop=False, fault="", driver="null://r1",

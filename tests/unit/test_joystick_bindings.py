@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from fullswarm.errors import ConfigError
 from fullswarm.operator.joystick import mapping
 from fullswarm.operator.joystick.bindings import load_bindings, parse_bindings
+from fullswarm.operator.joystick.mapping import CONTROLS
 from fullswarm.operator.joystick.state import AXES, BUTTONS, shaped
-from fullswarm.operator.joystick.wizard import CONTROLS
 
 SHARE = st.floats(-1.0, 1.0)
 STICK = '[[sticks]]\nbehaviour = "drive"\naxes = { linear = "-righty" }\n'
@@ -71,7 +71,7 @@ speed = 1
         parse_bindings(text, "mine.toml")
     lines = str(caught.value).splitlines()
     assert lines[0] == "mine.toml:2: motion.dead_zone: must be less than or equal to 0.9, not 2"
-    assert lines[1].endswith("'leftsholder' is no button, did you mean 'leftshoulder'?")
+    assert lines[1].endswith("'leftsholder' is not a button, did you mean 'leftshoulder'?")
     assert [line.split(":")[1] for line in lines] == ["2", "4", "6", "7", "10", "13", "14"]
     assert "must be a flag, number, word, point or list of points" in lines[4]
     assert "did you mean 'righty'?" in lines[5]
@@ -82,7 +82,7 @@ speed = 1
     [
         (f'[buttons]\nstop = "b"\n{STICK}', "'b' is both buttons.stop and buttons.estop"),
         (f'[requests.a]\nbehaviour = "flocking"\n{STICK}', "'a' is both buttons.stop and requests.a"),
-        (f'[buttons]\ndead_man = ""\n{STICK}', "'' is no button"),
+        (f'[buttons]\ndead_man = ""\n{STICK}', "'' is not a button"),
         ("[motion]\n", "no stick drives"),
         ("[motion\n", "x.toml:1: not valid TOML"),
         ("a = " + "[" * 5000, "x.toml:1: not valid TOML"),

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.behaviours import flocking, formation, move_to_goal, rendezvous, voronoi_coverage
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.messages import Value

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fullswarm.agent.robot_controller import StopReason
+from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.aiding import SIGMA_M, Aiding

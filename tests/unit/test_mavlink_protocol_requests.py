@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 
 from fullswarm.drivers.base import Pose
+from fullswarm.drivers.linked import Odometer
 from fullswarm.drivers.mavlink import protocol
 from fullswarm.drivers.mavlink.autopilot import unsupported
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
 from fullswarm.drivers.mavlink.requests import CommandQueue, EnsureParameter
-from fullswarm.drivers.mavlink.vehicle import Odometer, Vehicle
+from fullswarm.drivers.mavlink.vehicle import Vehicle
 from tests.unit.mavlink_frames import angle, number, only, station
 
 

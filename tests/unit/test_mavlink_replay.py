@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.standstill import Standstill
+from fullswarm.agent.motion.reflexes import Standstill
 from fullswarm.drivers.base import NO_OBSTACLES, Description, FleetReading, Limits, Reading
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.autopilot import FILTERED

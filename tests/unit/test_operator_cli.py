@@ -274,9 +274,9 @@ def test_stop_is_sent_to_the_robots_named(swarm: FakeSwarm) -> None:
 def test_an_estop_names_who_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -> None:
     result = run("estop", "--reason", "smoke", "--timeout", "2")
     assert result.exit_code == 4
-    assert result.stdout == "r1: stands, rolled 0.030 m\n"
+    assert result.stdout == "r1: at standstill after 0.030 m\n"
     assert result.stderr.splitlines() == [
-        "after 0.5 s no answer from r2; trying on",
+        "after 0.5 s no answer from r2; still trying",
         "error: after 2 s no answer from r2 (go there: they may still move)",
     ]
 
@@ -284,8 +284,8 @@ def test_an_estop_names_who_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -
 def test_an_estop_tells_a_rolling_robot_from_a_silent_one(swarm: FakeSwarm) -> None:
     swarm.standing = False
     result = run("estop", "--timeout", "1")
-    assert (result.exit_code, result.stdout) == (4, "r1: stopping\n")
-    assert "after 1 s no answer from r2; latched, but not seen standing: r1 (go there" in result.stderr
+    assert (result.exit_code, result.stdout) == (4, "r1: decelerating\n")
+    assert "after 1 s no answer from r2; latched, but standstill not confirmed: r1 (go there" in result.stderr
 
 
 def test_an_estop_that_all_confirm_is_exit_code_0(swarm: FakeSwarm) -> None:
@@ -306,7 +306,7 @@ def test_an_estop_that_no_robot_hears_is_exit_code_3(swarm: FakeSwarm) -> None:
     swarm.robots = ()
     result = run("estop", "--timeout", "1")
     assert result.exit_code == 3
-    assert "no robot was heard" in result.stderr
+    assert "no robot was received" in result.stderr
 
 
 def test_driving_ends_with_zeros(swarm: FakeSwarm) -> None:

@@ -20,9 +20,8 @@ from fullswarm.messages import (
     RequestStatus,
     StopRequest,
 )
-from fullswarm.operator.client import Operator
+from fullswarm.operator.client import MockPublisher, Operator
 from fullswarm.operator.estop import EStopOrder
-from fullswarm.operator.mock import MockPublisher
 from fullswarm.operator.params import ParamClient
 from fullswarm.operator.teleop import Teleop
 from fullswarm.runtime import Runtime

@@ -50,8 +50,8 @@ def test_the_guard_lets_results_and_exits_through() -> None:
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\n"
-        "from fullswarm.cli.operate import operator_app\n"
-        "try:\n    operator_app(['--help'])\n"
+        "from fullswarm.cli.main import app\n"
+        "try:\n    app(['--help'])\n"
         "except SystemExit as end:\n    assert end.code == 0, end.code\n"
         "heavy = {'numpy', 'scipy', 'pybullet', 'matplotlib', 'pymavlink', 'zenoh', 'msgspec', 'pydantic'}\n"
         "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)\n"

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 import pytest
 from typer.testing import CliRunner, Result
 
-from fullswarm.cli.operate import operator_app
+from fullswarm.cli.leases import duration
+from fullswarm.cli.main import app
 from fullswarm.messages import BehaviourRequest, LeaseRequest, StopRequest
 from fullswarm.operator import session
-from fullswarm.operator.lease_command import duration
 from fullswarm.operator.leases import LeaseHolder
 from fullswarm.operator.session import OPERATOR, Session, Target, usual_name
 from fullswarm.store import Store
@@ -52,7 +52,7 @@ class Lab:
         swarm.runtime.mailbox.drain()  # its last words
 
     def run(self, *arguments: str) -> Result:
-        return CliRunner().invoke(operator_app, list(arguments))
+        return CliRunner().invoke(app, list(arguments))
 
     def requests(self) -> list[BehaviourRequest]:
         assert self.swarm is not None
@@ -101,7 +101,7 @@ def test_holding_lasts_until_ctrl_c_and_is_given_back(lab: Lab) -> None:
     result = lab.run("leases", "hold", "r1", "r2")
     assert result.exit_code == 0
     assert f"{ANNA} holds r1, r2" in result.stderr
-    assert f"{ANNA} gave back r1, r2" in result.stderr
+    assert f"{ANNA} released r1, r2" in result.stderr
     assert [each.hold for each in lab.of_anna()].count(True) >= 6
     assert lab.of_anna()[-1].hold is False
 
@@ -118,7 +118,7 @@ def test_a_group_of_which_a_part_is_held_is_held_in_part(lab: Lab) -> None:
     result = lab.run("leases", "hold", "r0", "r1")
     assert result.exit_code == 0
     assert f"refused: r0 held by {BOB}" in result.stderr
-    assert f"{ANNA} gave back r1" in result.stderr
+    assert f"{ANNA} released r1" in result.stderr
 
 
 def test_being_taken_over_is_told_and_ends_it(lab: Lab) -> None:

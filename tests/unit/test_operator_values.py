@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fullswarm.cli.values import parse_parameters, parse_stored, parse_value
 from fullswarm.errors import ConfigError
 from fullswarm.messages import Value
-from fullswarm.operator.values import parse_parameters, parse_stored, parse_value
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
-from fullswarm.operator.render import fleet_table, footer_lines, row_state
+from fullswarm.operator.render import fleet_table, footer_lines
+from fullswarm.operator.robot_state import row_state
 from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
 from fullswarm.reasons import Code
 from fullswarm.runtime import Runtime

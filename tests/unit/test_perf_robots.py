@@ -15,17 +15,15 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import PerformanceConfig, SwarmConfig
 from fullswarm.errors import MessageError
-from fullswarm.keys import Keys
+from fullswarm.keys import TRUTH, Keys
 from fullswarm.messages import CoverageMeasurement, Message, RobotMeasurement, Summary
 from fullswarm.perf.coverage import pack
 from fullswarm.perf.metrics import COLUMNS, METRICS, SELDOM_S, SHAPE, SHAPE_DOC
-from fullswarm.perf.robot_tally import RobotTally
 from fullswarm.perf.summarizers import CoverageSummarizer, robot_summarizers
-from fullswarm.perf.supervisor import SupervisorCalculator
+from fullswarm.perf.tallies import RobotTally
 from fullswarm.perf.termination import Progress, reason_to_stop
-from fullswarm.perf.truth import Truth
+from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Runtime
-from fullswarm.words import TRUTH
 
 KEYS = Keys("lab")
 ARENA = (0.0, 0.0, 4.0, 3.0)

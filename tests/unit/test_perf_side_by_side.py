@@ -12,8 +12,7 @@ from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
-from fullswarm.perf.supervisor import SupervisorCalculator
-from fullswarm.perf.truth import Truth
+from fullswarm.perf.truth import SupervisorCalculator, Truth
 
 GOALS: list[float | list[float]] = [[7.0, 3.0], [1.0, 3.2], [4.2, 5.5], [4.0, 0.6]]
 STARTS = [(1.0, 3.0, 0.0), (7.0, 3.1, 3.0), (4.0, 0.5, 1.5), (4.1, 5.4, -1.5)]

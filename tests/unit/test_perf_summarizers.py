@@ -15,8 +15,8 @@ from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement, Message, RobotMeasurement, Summary
 from fullswarm.perf.coverage import MAX_CELLS, pack
 from fullswarm.perf.performance_node import PerformanceNode
-from fullswarm.perf.robot_tally import RobotTally
 from fullswarm.perf.summarizers import CoverageSummarizer, robot_summarizers
+from fullswarm.perf.tallies import RobotTally
 from fullswarm.perf.termination import Progress, reason_to_stop
 from fullswarm.runtime import Runtime
 

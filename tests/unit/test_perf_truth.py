@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from fullswarm.kernels import Array
 from fullswarm.perf import shape
-from fullswarm.perf.calculators import CoverageCalculator
-from fullswarm.perf.energy import GRAVITY_M_S2, ROLLING, WHEEL_RADII
+from fullswarm.perf.calculators import GRAVITY_M_S2, ROLLING, WHEEL_RADII, CoverageCalculator
 from fullswarm.perf.truth import Truth
 
 ARENA = (0.0, 0.0, 8.0, 5.0)

@@ -17,7 +17,8 @@ from PIL import Image
 from PIL.GifImagePlugin import GifImageFile
 
 from fullswarm.errors import ConfigError, FullswarmError, MissingExtra
-from fullswarm.evaluate.pictures import Film, Scene, Timeline, colours, write_film
+from fullswarm.evaluate.pictures import Film, Scene, Timeline, write_film
+from fullswarm.evaluate.pictures import scene as colours
 from fullswarm.evaluate.pictures.film import HOLD_MS, durations_ms, frame_times
 from tests.unit.pictures_world import two_robots
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import Trajectory
-from fullswarm.evaluate.pictures import Scene, Timeline, colours, svg_text, write_still
+from fullswarm.evaluate.pictures import Scene, Timeline, svg_text, write_still
+from fullswarm.evaluate.pictures import scene as colours
 from fullswarm.evaluate.pictures.scene import corners
 from fullswarm.evaluate.pictures.timeline import onsets
+from fullswarm.evaluate.trial_folder import Trajectory
 from tests.unit.pictures_world import two_robots
 
 BLUE, SKY = (colours.rgb(each) for each in colours.ROBOTS[:2])

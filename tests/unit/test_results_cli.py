@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from fullswarm.cli.results import results_app
-from fullswarm.evaluate.coverage_map import FREE, OCCUPIED, occupied_cells, read_map
-from fullswarm.evaluate.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
+from fullswarm.evaluate.scenarios.maps import FREE, OCCUPIED, occupied_cells, read_map
+from fullswarm.evaluate.trial_folder import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
 from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
 
 run = CliRunner()

@@ -11,8 +11,8 @@ import pytest
 
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import Trial
-from fullswarm.evaluate.experiment.record import trial_id
 from fullswarm.evaluate.results.compare import Comparison, MetricComparison, compare, compare_by
+from fullswarm.evaluate.trial_folder import trial_id
 from tests.unit.results_fixture import a_record, a_trial, write_folder, write_trial
 
 

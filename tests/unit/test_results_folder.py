@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from fullswarm.evaluate.results import read_folder, read_records
 from fullswarm.evaluate.results.folder import older_in
 from fullswarm.evaluate.results.quantities import values_of
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from fullswarm.units import unit_of
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 

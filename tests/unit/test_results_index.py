@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from fullswarm.evaluate.results.index import INDEX_FILE, is_fresh, open_index, rebuild
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from tests.unit.results_fixture import a_trial, write_folder, write_trial
 
 

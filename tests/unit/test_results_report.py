@@ -12,12 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from fullswarm.evaluate.experiment.record import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
 from fullswarm.evaluate.results import read_records, write_plots, write_report
-from fullswarm.evaluate.results.maps import trajectories_plot
-from fullswarm.evaluate.results.plots import collisions_plot, means_plot
+from fullswarm.evaluate.results.figures import collisions_plot, means_plot, trajectories_plot
+from fullswarm.evaluate.results.report import cells_grid, filter_grid, interval, p_text, trials_grid
 from fullswarm.evaluate.results.sample import bare, conditions, is_filtered
-from fullswarm.evaluate.results.tables import cells_grid, filter_grid, interval, p_text, trials_grid
+from fullswarm.evaluate.trial_folder import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE
 from tests.unit.results_fixture import FAILURE, a_record, a_trial, write_folder, write_trial
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.agent import pairs
-from fullswarm.agent.neighbours import Listening, Neighbours
+from fullswarm.agent.neighbours import estimates
+from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
 from fullswarm.agent.safety.filter import BLIND, CROWDED, EXPLAIN, FREE, SafetyFilter
 from fullswarm.bus.local import LocalBus
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
@@ -129,7 +129,7 @@ def test_a_state_that_is_no_number_does_not_make_a_robot_vanish() -> None:
 def test_silence_where_nobody_listens_says_nothing() -> None:
     mailbox = Mailbox()
     others = table()
-    listening = Listening(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
+    listening = StateSubscriptions(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
     listening.follow(np.array([[1.5, 1.5]]), 3.0)  # cells from -3 to 6 m
     others.hear(state(2.0, 2.0, robot="dead"), 0.0)
     others.hear(state(5.95, 2.0, robot="leaving"), 0.0)
@@ -187,6 +187,6 @@ def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     out = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1)
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():
-        pairs.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
+        estimates.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
         sizes.append(float(out[2][0]))
     assert (np.diff(sizes) >= -1e-12).all()

@@ -12,16 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.coverage_map import (
-    FREE,
-    OCCUPIED,
-    UNKNOWN,
-    Map,
-    coverage_map,
-    read_map,
-    scenario_map,
-    write_map,
-)
 from fullswarm.evaluate.scenarios import (
     Box,
     Goal,
@@ -37,7 +27,17 @@ from fullswarm.evaluate.scenarios import (
 )
 from fullswarm.evaluate.scenarios.export_sdf import scenario_to_sdf
 from fullswarm.evaluate.scenarios.importers import read_world
-from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.scenarios.maps import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    Map,
+    coverage_map,
+    read_map,
+    scenario_map,
+    write_map,
+)
+from fullswarm.evaluate.scenarios.model import scenario_to_toml
 from fullswarm.perf.coverage import GridFrame
 
 pytest.importorskip("defusedxml")

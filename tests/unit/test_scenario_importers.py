@@ -11,7 +11,7 @@ import pytest
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.scenarios import Box, boxes_for, distance_to_box, load_scenario, spawn
 from fullswarm.evaluate.scenarios.importers import FORMATS, Imported, guess_format, read_world
-from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
+from fullswarm.evaluate.scenarios.model import scenario_to_toml
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fullswarm.evaluate.scenarios import Box, distance_to_box
-from fullswarm.evaluate.scenarios.importers.shapes import (
+from fullswarm.evaluate.scenarios.importers.draft import (
     OVERSHOOT_M,
     Planar,
     disc_boxes,

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from fullswarm import registry
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.testing import check_behaviour

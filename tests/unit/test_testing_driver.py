@@ -13,7 +13,7 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.null.driver import LIMITS, NullDriver
-from fullswarm.testing import check_driver, contract, trial
+from fullswarm.testing import check_driver, driver, trial
 
 
 class Remembering(NullDriver):
@@ -236,7 +236,7 @@ BROKEN_DRIVERS: list[tuple[type[NullDriver], str]] = [
 @pytest.fixture
 def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Watch for a shorter time: the template driver has no inertia."""
-    monkeypatch.setattr(contract, "WINDOW_S", 0.06)
+    monkeypatch.setattr(driver, "WINDOW_S", 0.06)
     monkeypatch.setattr(trial, "IDLE_S", 0.05)
 
 

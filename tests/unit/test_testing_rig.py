@@ -11,7 +11,7 @@ import pytest
 
 from fullswarm.drivers.base import Lifecycle, Pose, Reading
 from fullswarm.drivers.null.driver import WATCHDOG_S, NullDriver
-from fullswarm.testing import Report, Rig, check_driver, claims, contract, driver, faults, jumps, process, trial
+from fullswarm.testing import Report, Rig, check_driver, driver, faults, process, trial
 from tests.unit.tethered import (
     BackActive,
     BelievesNoise,
@@ -119,14 +119,14 @@ def rig(kind: type[Tethered] = Tethered) -> Rig:
 @pytest.fixture(autouse=True)
 def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Watch for a shorter time: the robot has no inertia."""
-    monkeypatch.setattr(contract, "WINDOW_S", 0.06)
-    monkeypatch.setattr(contract, "CALLS", 10)
-    for module in (trial, faults, jumps):
+    monkeypatch.setattr(driver, "WINDOW_S", 0.06)
+    monkeypatch.setattr(driver, "CALLS", 10)
+    for module in (trial, faults):
         monkeypatch.setattr(module, "IDLE_S", 0.05)
     monkeypatch.setattr(trial, "STEP_S", 0.005)
-    monkeypatch.setattr(claims, "NEXT_S", 0.2)
-    monkeypatch.setattr(claims, "WAY_S", 0.3)
-    monkeypatch.setattr(claims, "SLOW_S", 0.1)
+    monkeypatch.setattr(driver, "NEXT_S", 0.2)
+    monkeypatch.setattr(driver, "WAY_S", 0.3)
+    monkeypatch.setattr(driver, "SLOW_S", 0.1)
     monkeypatch.setattr(faults, "NOISE_S", 0.1)
     monkeypatch.setattr(faults, "UNHEARD_S", 0.12)
 

@@ -15,20 +15,26 @@ from hypothesis import strategies as st
 
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import Trial, arena_of, load_experiment, plan
-from fullswarm.evaluate.experiment import one_trial as experiment_trial
-from fullswarm.evaluate.experiment.record import (
+from fullswarm.evaluate.experiment import run as experiment
+from fullswarm.evaluate.provenance import Provenance
+from fullswarm.evaluate.trial import Keeper
+from fullswarm.evaluate.trial_folder import (
     COVERAGE_FILE,
     PROVENANCE_FILE,
     RESULT_FILE,
     TRAJECTORY_FILE,
     TRIAL_FILE,
     TRIALS,
-    Provenance,
     Trajectory,
+    launch_text,
+    load_trial,
+    parse_trial,
+    read_kept,
+    read_record,
+    sweep,
     trial_id,
+    write_files,
 )
-from fullswarm.evaluate.trial_file import launch_text, load_trial, parse_trial
-from fullswarm.evaluate.trial_folder import Keeper, read_kept, read_record, sweep, write_files
 from tests.unit.experiment_work import Trouble, answer
 
 ALL_FILES = sorted((TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE, TRAJECTORY_FILE, COVERAGE_FILE))
@@ -185,14 +191,14 @@ def test_no_file(tmp_path: Path) -> None:
 def test_one_trial_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Keeper(tmp_path, "paper", answer)(trial())
     folder = tmp_path / TRIALS / trial_id(trial())
-    assert experiment_trial.run(folder, tmp_path / "again", run_one=answer) == 0
+    assert experiment.run_again(folder, tmp_path / "again", run_one=answer) == 0
     out, err = capsys.readouterr()
     assert "the same result as before" in err
     assert "work.total_m" in out
     again = tmp_path / "again" / TRIALS / folder.name
     for name in (TRIAL_FILE, RESULT_FILE, TRAJECTORY_FILE, COVERAGE_FILE):
         assert (again / name).read_bytes() == (folder / name).read_bytes()
-    assert experiment_trial.run(folder, as_json=True, run_one=Trouble(tmp_path / "notes", raises=0)) == 1
+    assert experiment.run_again(folder, as_json=True, run_one=Trouble(tmp_path / "notes", raises=0)) == 1
     out, err = capsys.readouterr()
     assert '"failure": "ValueError: no law of nature"' in out
     assert "not the result that it had before" in err
@@ -201,12 +207,12 @@ def test_one_trial_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_one_trial_again_says_what_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Keeper(tmp_path, "paper", refuse)(trial())  # type: ignore[arg-type]  # it never answers
     folder = tmp_path / TRIALS / trial_id(trial())
-    assert experiment_trial.run(folder, tmp_path, run_one=answer) == 0
+    assert experiment.run_again(folder, tmp_path, run_one=answer) == 0
     err = capsys.readouterr().err
     assert f"kept in {folder}" in err
     assert "not the result that it had before" in err  # it had failed
     before = (folder / PROVENANCE_FILE).read_bytes()
-    assert experiment_trial.run(folder, tmp_path, run_one=answer) == 0
+    assert experiment.run_again(folder, tmp_path, run_one=answer) == 0
     err = capsys.readouterr().err
     assert "\nkept in" not in f"\n{err}"
     assert f"not kept: it has a result in {folder} already, which stays" in err

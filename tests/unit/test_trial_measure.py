@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
-from fullswarm.evaluate.trial import measure, run_trial
+from fullswarm.evaluate.lockstep_swarm import measure, run_trial
 
 WALL = ("robots=4,scenario=concave,engine=kinematic,behaviour=move_to_goal",)
 OPEN = ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal_bc",)

@@ -9,7 +9,7 @@ import struct
 import zipfile
 from pathlib import Path
 
-from fullswarm.deploy.release import own
+from fullswarm.deploy.release.packages import package_name, requirements
 
 MACHINES = {"aarch64": 183, "x86_64": 62}
 NATIVE = ("eclipse-zenoh", "msgspec", "numpy")
@@ -48,9 +48,9 @@ def wheel(
 def fill(folder: Path, *, version: str = "90.0", extras: tuple[str, ...] = (), arch: str = "aarch64") -> Path:
     """Write a wheel of `version` for each thing that fullswarm requires, with some extras; return the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    needs = own.requirements()
+    needs = requirements()
     for each in [*needs.always, *(line for extra in extras for line in needs.extras[extra])]:
-        name = own.name(each)
+        name = package_name(each)
         wheel(folder, name, version, arch=arch if name in NATIVE else "")
     return folder
 
@@ -67,7 +67,7 @@ def small_fullswarm(folder: Path) -> Path:
         "agent/node.py.orig": "",
         "agent/README.md": "# notes",
         "agent/.node.py.swp": "",
-        "deploy/robot/kit.py": "",
+        "deploy/robot/support_package.py": "",
         "deploy/robot/install.sh": "#!/bin/sh\n",
         "deploy/robot/agent.service": "[Unit]\n",
     }

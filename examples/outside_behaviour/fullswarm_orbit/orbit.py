@@ -7,8 +7,7 @@ Along the tangent at the wished speed, plus a pull towards the circle: ``ṗ = v
 from __future__ import annotations
 
 import numpy as np
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.kernels import Array
 
 

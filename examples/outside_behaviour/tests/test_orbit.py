@@ -8,8 +8,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep

@@ -39,10 +39,10 @@ def test_a_pressed_button_is_a_fault_that_says_so_and_a_reboot_moves_no_odometry
         session = Session("here")
         parser = LineParser()
         firmware = robot._firmware
-        session.linked()
+        session.linked(0.0)
 
         def talk(now_s: float) -> None:
-            for text in parser.feed(session.tick(now_s)):
+            for text in parser.feed(b"".join(session.tick(now_s))):
                 session.received(line(firmware.obey(text, now_s)), now_s)
             session.received(line(firmware.step(now_s)), now_s)
 

@@ -14,8 +14,7 @@ import math
 
 import numpy as np
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.kernels import Array, Index, kernel
 
 

@@ -5,8 +5,7 @@ The direction is fixed in the record, in the operator's map: left is west (-x), 
 
 from __future__ import annotations
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.kernels import Array
 
 

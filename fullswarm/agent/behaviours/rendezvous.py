@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fullswarm.agent.tasks import Params
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Params, View
 from fullswarm.kernels import Array
 
 

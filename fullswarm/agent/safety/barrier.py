@@ -120,7 +120,7 @@ def half_planes(
     Parameters
     ----------
     clearance_m, unsure_m : radius plus margin; how far the robot may be from (x, y)
-    places, spread_m, blur_m : see :func:`fullswarm.agent.pairs.predict`
+    places, spread_m, blur_m : see :func:`fullswarm.agent.neighbours.estimates.predict`
     normal_x, normal_y, limits : out, ``normal[k]·u <= limits[k]``, limits >= 0
     blur : out, by how much the true direction may differ from the normal
     room : out, m that the robot may use up towards there, >= 0: inside the clearance it may stand or leave

@@ -51,7 +51,7 @@ def guard(
     filtered : (n,) behind the filter or straight through the paper's map
     pose, motion, stamp_s : (n, 3), (n, 2) m/s and rad/s, (n,): as measured, and when
     gain, margin_m : (n,) γ in 1/s and the gap to keep
-    start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.pairs`)
+    start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.neighbours.estimates`)
     obstacles, bounds_m : (k, 6) rounded boxes; (4,) x_min, y_min, x_max, y_max
     twists : (n, 2) in and out, m/s and rad/s
     make : (n, 8) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration, and how

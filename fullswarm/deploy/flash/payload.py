@@ -35,13 +35,14 @@ class Shipment:
     @classmethod
     def pack(cls, folder: Path) -> Shipment:
         """Pack a release."""
-        from fullswarm.deploy.release import manifest, pack, sums
+        from fullswarm.deploy.release import manifest
+        from fullswarm.deploy.release.store import HEAD, gzipped_archive, head_archive
 
         facts = manifest.Manifest.read(folder)
-        paths = [path for path in sums.read(folder) if path not in pack.HEAD]
+        paths = [path for path in manifest.read_sums(folder) if path not in HEAD]
         size = sum((folder / path).stat().st_size for path in paths)
-        body = b"".join(pack.gzipped(folder, paths))
-        return cls(facts.id, pack.head(folder), body, len(paths), size, facts.target.python)
+        body = b"".join(gzipped_archive(folder, paths))
+        return cls(facts.id, head_archive(folder), body, len(paths), size, facts.target.python)
 
 
 @dataclass(frozen=True, slots=True)

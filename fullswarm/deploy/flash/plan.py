@@ -15,7 +15,7 @@ from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
 from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
 from fullswarm.deploy.fleet.choose import with_
 from fullswarm.deploy.release.keys import Keys, fingerprint, public
-from fullswarm.deploy.robot import check_hub
+from fullswarm.deploy.robot.support_package import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
 
 _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
@@ -89,8 +89,8 @@ def release_for(
         There is none, it is signed on another base, or was changed; it is for another Python than the image's, or was
         made without what the robots need.
     """
+    from fullswarm.deploy.release.keys import verify_release
     from fullswarm.deploy.release.manifest import Manifest
-    from fullswarm.deploy.release.signing import verify
     from fullswarm.deploy.release.store import Store
 
     store = Store.default()
@@ -101,7 +101,7 @@ def release_for(
     if folder is None:
         what = f"there is no release for {target}" + (f" and Python {python}, as this image has it" if python else "")
         raise ConfigError(what, where=str(store.folder), hint=f"fullswarm bundle --target {target}{option}")
-    verify(folder, keys.allowed_signers())
+    verify_release(folder, keys.allowed_signers())
     shipment = Shipment.pack(folder)
     if python is not None and shipment.python != python:
         hint = f"fullswarm bundle --target {target}{option}"
@@ -158,7 +158,7 @@ def seed_files(
     robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, disk: Path, volume: Volume, wanted: str
 ) -> tuple[dict[str, bytes], str, str]:
     """Return the files for a robot's boot partition, the instance id, and how its first boot is told."""
-    from fullswarm.deploy.robot.kit import kit
+    from fullswarm.deploy.robot.support_package import support_package
 
     access = access_for(robot, around.config.swarm, keys)
     wish = payload.wish_for(robot, access, around)
@@ -168,7 +168,7 @@ def seed_files(
         wish,
         access,
         shipment,
-        kit(robot, around.config, access.signers),
+        support_package(robot, around.config, access.signers),
         around.config.hub.endpoint,
         volume.volume_id,
         lambda path: mtools.get(disk, volume, path),

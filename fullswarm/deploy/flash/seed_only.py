@@ -92,13 +92,13 @@ class _Place:
     def _for_folder(
         self, around: Surroundings, keys: Keys, shipment: Shipment, wanted: str
     ) -> tuple[dict[str, bytes], str, str]:
-        from fullswarm.deploy.robot.kit import kit
+        from fullswarm.deploy.robot.support_package import support_package
 
         there = frozenset(each.name.lower() for each in self.path.iterdir())
         access = plan.access_for(self.robot, around.config.swarm, keys)
         wish = payload.wish_for(self.robot, access, around)
         kind = payload.first_boot_kind(there, self.path.name, wanted)
-        tool = kit(self.robot, around.config, access.signers)
+        tool = support_package(self.robot, around.config, access.signers)
         hub = around.config.hub.endpoint
 
         def read(name: str) -> bytes | None:

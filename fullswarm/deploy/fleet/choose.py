@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fullswarm.deploy.release.manifest import Manifest
-from fullswarm.deploy.release.own import ONBOARD
+from fullswarm.deploy.release.packages import ONBOARD
 from fullswarm.drivers.make import make_of
 from fullswarm.errors import ConfigError
 

@@ -88,14 +88,14 @@ class Fleet:
 
 def deploy(order: Order) -> int:
     """Install what is missing and bring robots to a release, all at a time; return the exit code."""
-    from fullswarm.deploy.robot import check_hub, kit, kit_id
+    from fullswarm.deploy.robot.support_package import check_hub, package_id, support_package
 
     fleet = Fleet.of(order, own_keys=True)
     for each in fleet.robots:
         check_hub(each, fleet.config)
     signers = fleet.keys.allowed_signers()
-    archives = {each.id: kit(each, fleet.config, signers) for each in fleet.robots}
-    kits = {robot: Kit(archive, kit_id(archive)) for robot, archive in archives.items()}
+    archives = {each.id: support_package(each, fleet.config, signers) for each in fleet.robots}
+    kits = {robot: Kit(archive, package_id(archive)) for robot, archive in archives.items()}
     everybody = Plan(canary=0, wave=1.0, stop_at=len(fleet.robots) + 1)
     return _run(order, fleet, everybody, kits)
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fullswarm.deploy.fleet.untrusted import clean
-from fullswarm.deploy.release import pack, sums
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.store import gzipped_archive, plain_archive
 from fullswarm.errors import MessageError
 
 GZIP_LEVEL = 6
@@ -25,7 +26,7 @@ def missing_of(release: Path, said: bytes, robot: str) -> tuple[str, ...]:
     MessageError
         It asks for something that is not in the release.
     """
-    known = sums.read(release)
+    known = manifest.read_sums(release)
     paths = tuple(dict.fromkeys(said.decode("utf-8", "replace").splitlines()))
     for path in paths:
         if path not in known:
@@ -36,7 +37,7 @@ def missing_of(release: Path, said: bytes, robot: str) -> tuple[str, ...]:
 
 def size_of(release: Path) -> int:
     """Bytes that a whole release takes on a disk."""
-    return sum((release / each).stat().st_size for each in sums.read(release))
+    return sum((release / each).stat().st_size for each in manifest.read_sums(release))
 
 
 @dataclass(slots=True)
@@ -66,7 +67,7 @@ class Parcels:
 
 def _gzip(release: Path, missing: Iterable[str], place: Path) -> Path:
     with place.open("wb") as file:
-        file.writelines(pack.gzipped(release, missing, GZIP_LEVEL))
+        file.writelines(gzipped_archive(release, missing, GZIP_LEVEL))
     return place
 
 
@@ -75,7 +76,7 @@ def _zstd(release: Path, missing: Iterable[str], place: Path) -> Path:
         program = subprocess.Popen(["zstd", "-q", "-T0", "-6"], stdin=subprocess.PIPE, stdout=file)  # noqa: S607
         assert program.stdin is not None  # noqa: S101
         with program, program.stdin as stdin:
-            stdin.writelines(pack.plain(release, missing))
+            stdin.writelines(plain_archive(release, missing))
     if program.returncode:
         raise OSError(f"zstd ended with exit code {program.returncode}")
     return place

@@ -13,8 +13,8 @@ from fullswarm.deploy.fleet.facts import Facts, Health, facts_of
 from fullswarm.deploy.fleet.remote import Answer, LinkBroke, Remote
 from fullswarm.deploy.fleet.ship import Parcels, missing_of, size_of
 from fullswarm.deploy.fleet.untrusted import strict_json
-from fullswarm.deploy.release import pack
 from fullswarm.deploy.release.manifest import Manifest
+from fullswarm.deploy.release.store import head_archive
 from fullswarm.errors import FullswarmError, MessageError
 
 UNPACK = 'd=$(mktemp -d) && trap "rm -rf $d" EXIT && tar -xf - -C "$d" && sh "$d/install.sh"'
@@ -57,7 +57,7 @@ async def stage(remote: Remote, release: Path, parcels: Parcels, facts: Facts) -
     name = Manifest.read(release).id
     nearest = ("--from", facts.current) if facts.current else ()
     # Hashes in hex: half of them is air.
-    head, size = gzip.compress(pack.head(release), mtime=0), size_of(release)
+    head, size = gzip.compress(head_archive(release), mtime=0), size_of(release)
     answer = await remote.program("want", name, *nearest, "--bytes", str(size), feed=head, within_s=WANT_S)
     _done(answer, remote, "does not take the release")
     # A file that it has of the release that it runs may turn out to be damaged there: then it asks for that one, too.

@@ -17,7 +17,7 @@ from fullswarm.deploy.fleet.rollout import Stage
 from fullswarm.deploy.fleet.ship import Parcels
 from fullswarm.deploy.fleet.untrusted import clean
 from fullswarm.deploy.fleet.verdict import Verdict, Watch
-from fullswarm.deploy.release import signing
+from fullswarm.deploy.release.keys import verify_release
 from fullswarm.deploy.release.manifest import Manifest
 from fullswarm.deploy.release.store import Store
 from fullswarm.errors import FullswarmError, Unreachable
@@ -170,7 +170,7 @@ class Work:
     async def _verify(self, folder: Path) -> None:
         """Look once whether a release is whole and signed: robots look themselves, but at what they lack only."""
         if folder not in self._sound:
-            self._sound[folder] = asyncio.create_task(asyncio.to_thread(signing.verify, folder, self.signers))
+            self._sound[folder] = asyncio.create_task(asyncio.to_thread(verify_release, folder, self.signers))
         await asyncio.shield(self._sound[folder])
 
     async def _install(self, remote: Remote, facts: Facts) -> Facts:

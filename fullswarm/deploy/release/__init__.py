@@ -1,21 +1,21 @@
-"""Releases: all that a robot runs, in one signed directory that is the same bytes for the same input.
+"""Makes releases: all that a robot runs, in one signed directory that has the same bytes for the same input.
 
 ::
 
     <id>/ manifest.json    id, version, target (arch, glibc, python), extras, packages
           lib/             wheels of what the agent needs, unpacked and trimmed
           app/             fullswarm itself, and outside packages
-          robot/           what stands on a robot outside every release (deploy/robot)
+          robot/           what is on a robot outside every release (deploy/robot)
           SHA256SUMS       of every file but itself and its signature
           SHA256SUMS.sig   SSHSIG by the base's release key
 
-``targets.py`` the computers · ``own.py`` ``outside.py`` what is wanted · ``uv.py`` ``wheels.py`` resolved for the
-target and unpacked · ``trim.py`` ``layers.py`` what goes on board · ``bundle.py`` puts it together · ``sums.py``
-``signing.py`` ``keys.py`` ``openssh.py`` make it trustworthy · ``store.py`` keeps releases side by side ·
-``pack.py`` tar streams of parts. In flow wheels and code; out flows a folder, its files hard-linked to the release
-before where they did not change.
+``bundle.py``    makes a release of the parts below
+``targets.py``   the computers that releases are made for: a new release target is a line here
+``packages.py``  which Python packages go on board, in which versions, and their files for the target
+``contents.py``  which files of fullswarm and of its wheels go on board
+``manifest.py``  ``manifest.json`` and ``SHA256SUMS``
+``keys.py``      the keys of a base station, and the signatures over releases
+``store.py``     releases side by side, and tar streams of parts of one
 
-Further files:
-
-``manifest.py``  What a release says about itself: ``manifest.json``, the first file a robot reads
+In: wheels and code. Out: a folder, its files hard-linked to the previous release where they did not change.
 """

@@ -11,9 +11,18 @@ from pathlib import Path
 from types import MappingProxyType
 
 from fullswarm import __version__
-from fullswarm.deploy.release import layers, manifest, outside, own, signing, sums, trim, wheels
-from fullswarm.deploy.release.keys import Keys
+from fullswarm.deploy.release import manifest
+from fullswarm.deploy.release.contents import copy_app, copy_robot_files, trim
+from fullswarm.deploy.release.keys import Keys, sign_release
 from fullswarm.deploy.release.manifest import Manifest, Target
+from fullswarm.deploy.release.packages import (
+    Wanted,
+    check_extras,
+    find_outside,
+    install_outside,
+    install_packages,
+    resolve,
+)
 from fullswarm.deploy.release.store import Store
 from fullswarm.errors import ConfigError
 
@@ -73,29 +82,29 @@ def make(request: BundleRequest, store: Store, keys: Keys, say: Say = lambda _: 
         wanted, packages = _planned(request, store, work)
         say(f"getting {len(packages)} packages ...")
         lib, app = fresh / "lib", fresh / "app"
-        wheels.install(wanted, packages, work, lib)
-        wheels.install_outside(wanted, work, app)
-        trim.trim(lib)
-        trim.trim(app, whole=True)
-        layers.app(app / "fullswarm")
-        layers.robot(fresh / "robot")
+        install_packages(wanted, packages, work, lib)
+        install_outside(wanted, work, app)
+        trim(lib)
+        trim(app, whole=True)
+        copy_app(app / "fullswarm")
+        copy_robot_files(fresh / "robot")
         say("signing ...")
         outsiders = {each.name: each.version for each in wanted.outside}
         everything = MappingProxyType(dict(sorted({**packages, **outsiders}.items())))
         return seal(fresh, Manifest("", __version__, request.target, wanted.extras, everything), store, keys)
 
 
-def _planned(request: BundleRequest, store: Store, work: Path) -> tuple[wheels.Wanted, dict[str, str]]:
+def _planned(request: BundleRequest, store: Store, work: Path) -> tuple[Wanted, dict[str, str]]:
     extras = tuple(sorted(set(request.extras)))
-    own.check_extras(extras)
+    check_extras(extras)
     if request.wheels is not None and not request.wheels.is_dir():
         raise ConfigError("no such folder", where=f"--wheels {request.wheels}")
     depot = None if request.wheels is None else request.wheels.absolute()
-    outsiders = tuple(outside.find(each, work, depot) for each in request.packages)
+    outsiders = tuple(find_outside(each, work, depot) for each in request.packages)
     before = None if request.upgrade else store.latest(request.target.name, request.target.python)
     versions = {} if before is None else Manifest.read(before).packages
-    wanted = wheels.Wanted(request.target, extras, outsiders, versions, depot)
-    return wanted, wheels.resolve(wanted, work)
+    wanted = Wanted(request.target, extras, outsiders, versions, depot)
+    return wanted, resolve(wanted, work)
 
 
 @contextmanager
@@ -126,10 +135,10 @@ def staging(store: Store) -> Iterator[Path]:
 def seal(folder: Path, facts: Manifest, store: Store, keys: Keys) -> Path:
     """Name, sum up and sign what lies in `folder`, and move it into the store; return its place there."""
     _same_modes(folder)
-    named = replace(facts, id=manifest.id_for(facts, sums.of(folder, without=(manifest.FILE,))))
-    (folder / manifest.FILE).write_text(named.to_json(), "utf-8")
-    (folder / sums.FILE).write_text(sums.of(folder), "utf-8")
-    signing.sign(folder, keys.release_key())
+    named = replace(facts, id=manifest.id_for(facts, manifest.sums_of(folder, without=(manifest.MANIFEST,))))
+    (folder / manifest.MANIFEST).write_text(named.to_json(), "utf-8")
+    (folder / manifest.SUMS).write_text(manifest.sums_of(folder), "utf-8")
+    sign_release(folder, keys.release_key())
     return store.add(folder)
 
 

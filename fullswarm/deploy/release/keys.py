@@ -1,10 +1,16 @@
-"""The keys of a base station, in one folder that no other user may read; each is made when it is first needed."""
+"""Keeps the keys of a base station, and signs and verifies releases with them; ``ssh-keygen`` does the work.
+
+Each key is made when it is first needed, in one folder that no other user may read. A signature is SSHSIG by an
+Ed25519 key, which every machine with OpenSSH can verify, as robots do.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import re
+import shutil
+import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,13 +19,16 @@ from pathlib import Path
 
 import platformdirs
 
-from fullswarm.deploy.release import openssh
-from fullswarm.deploy.release.signing import IDENTITY, NAMESPACE
+from fullswarm.deploy.release import manifest
 from fullswarm.errors import ConfigError
 
 ENVIRONMENT = "FULLSWARM_KEYS"
 """Names another folder for the keys."""
 _NAME = re.compile(r"[0-9A-Za-z_][0-9A-Za-z_.-]*")
+_SSH_KEYGEN = "ssh-keygen"
+NAMESPACE = "fullswarm-release"
+"""Ties a signature to its purpose: one for a Git commit by the same key is not one for a release."""
+IDENTITY = "fullswarm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,19 +150,19 @@ def public(key: Path) -> str:
     with usable(key.parent):
         if beside.exists():
             return beside.read_text("utf-8").strip()
-    return openssh.run("-y", "-P", "", "-f", str(key), why=f"read {key}").decode().strip()
+    return ssh_keygen("-y", "-P", "", "-f", str(key), why=f"read {key}").decode().strip()
 
 
 def fingerprint(key: Path) -> str:
     """Return ``SHA256:…``, as every SSH tool shows it."""
-    return openssh.run("-l", "-f", str(key), why=f"read {key}").decode().split()[1]
+    return ssh_keygen("-l", "-f", str(key), why=f"read {key}").decode().split()[1]
 
 
 def _make(path: Path, comment: str) -> None:
     _folder(path.parent)
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         fresh = Path(scratch, path.name)
-        openssh.run("-q", "-t", "ed25519", "-N", "", "-C", comment, "-f", str(fresh), why=f"make {path}")
+        ssh_keygen("-q", "-t", "ed25519", "-N", "", "-C", comment, "-f", str(fresh), why=f"make {path}")
         # The private half last: once it is there, the key is whole.
         Path(f"{fresh}.pub").replace(f"{path}.pub")
         fresh.replace(path)
@@ -171,3 +180,62 @@ def _private(path: Path) -> None:
     """Refuse a key that others can read, as SSH does."""
     if path.stat().st_mode & 0o077:
         raise ConfigError("other users can read this private key", where=str(path), hint=f"chmod 600 {path}")
+
+
+# ---------------------------------------------------------------- ssh-keygen
+def ssh_keygen(*arguments: str, feed: bytes = b"", why: str) -> bytes:
+    """Run ssh-keygen with `feed` as its stdin; return its stdout.
+
+    Raises
+    ------
+    ConfigError
+        It is not installed, or it refuses; `why` says in the message what was wanted of it.
+    """
+    tool = shutil.which(_SSH_KEYGEN)
+    if tool is None:
+        raise ConfigError(f"cannot {why}: {_SSH_KEYGEN} is not installed", hint="sudo apt install openssh-client")
+    done = subprocess.run([tool, *arguments], input=feed, capture_output=True, check=False)  # noqa: S603 - no shell, our words
+    if done.returncode != 0:
+        words = (done.stderr or done.stdout).decode(errors="replace").strip().splitlines()
+        raise ConfigError(f"cannot {why}: {_SSH_KEYGEN} says: {words[-1] if words else f'exit {done.returncode}'}")
+    return done.stdout
+
+
+# ---------------------------------------------------------------- signatures
+def sign_release(folder: Path, key: Path) -> None:
+    """Sign the checksums of a release with a private key; the same key gives the same bytes.
+
+    Raises
+    ------
+    ConfigError
+        ssh-keygen is missing or refuses.
+    """
+    text = (folder / manifest.SUMS).read_bytes()
+    made = ssh_keygen("-q", "-Y", "sign", "-n", NAMESPACE, "-f", str(key), feed=text, why=f"sign with {key}")
+    (folder / manifest.SIGNATURE).write_bytes(made)
+
+
+def verify_release(folder: Path, allowed_signers: str) -> None:
+    """Check that a release is signed by one of `allowed_signers` and that every file is what was signed.
+
+    Raises
+    ------
+    ConfigError
+        The signature is missing, foreign or does not fit, or a file was changed, added or lost.
+    """
+    try:
+        text, signature = (folder / manifest.SUMS).read_bytes(), folder / manifest.SIGNATURE
+    except OSError as error:
+        raise ConfigError("not a whole release: no checksums", where=str(folder), hint="bundle again") from error
+    if not signature.is_file():
+        raise ConfigError("the release is not signed", where=str(folder), hint="bundle again")
+    with tempfile.NamedTemporaryFile("w", encoding="utf-8") as signers:
+        signers.write(allowed_signers)
+        signers.flush()
+        arguments = ("-f", signers.name, "-I", IDENTITY, "-n", NAMESPACE, "-s", str(signature))
+        try:
+            ssh_keygen("-Y", "verify", *arguments, feed=text, why="verify the signature")
+        except ConfigError as error:
+            hint = "signed on another base, or changed since: bundle it here"
+            raise ConfigError(error.what, where=str(folder), hint=error.hint or hint) from error
+    manifest.check_sums(folder)

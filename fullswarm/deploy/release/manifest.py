@@ -1,11 +1,16 @@
-"""What a release says about itself: ``manifest.json``, the first file a robot reads."""
+"""Reads and writes what a release says about itself: ``manifest.json``, the first file a robot reads, and checksums.
+
+``SHA256SUMS`` holds every file of a release with its digest, as ``sha256sum`` writes and checks it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
-from collections.abc import Mapping
+import stat
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -13,11 +18,14 @@ from typing import Any
 
 from fullswarm.errors import ConfigError
 
-FILE = "manifest.json"
+MANIFEST = "manifest.json"
 FORMAT = 1
 ROBOT_PROTOCOL = 1
 """Version of what ``fullswarm-robot`` on the robot must understand to install the release."""
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+]*-[0-9a-f]{12}")
+SUMS = "SHA256SUMS"
+SIGNATURE = "SHA256SUMS.sig"
+_MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +64,7 @@ class Manifest:
         ConfigError
             There is none, or it is not one of this format.
         """
-        path = folder / FILE
+        path = folder / MANIFEST
         try:
             text = path.read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -65,7 +73,7 @@ class Manifest:
         return cls.parse(text, where=str(path))
 
     @classmethod
-    def parse(cls, text: str, where: str = FILE) -> Manifest:
+    def parse(cls, text: str, where: str = MANIFEST) -> Manifest:
         """Return the manifest that a JSON text holds.
 
         Raises
@@ -118,3 +126,93 @@ def id_for(manifest: Manifest, sums: str) -> str:
     )
     digest = hashlib.sha256(nameless.to_json().encode() + b"\0" + sums.encode()).hexdigest()
     return f"{manifest.version}-{digest[:12]}"
+
+
+# ---------------------------------------------------------------- checksums
+def files_of(folder: Path) -> Iterator[str]:
+    """Yield the path of every file below a folder but the sums and their signature, sorted as bytes.
+
+    Raises
+    ------
+    ConfigError
+        There is a link, a device, or a name that the tools on a robot could misread.
+    """
+    found = []
+    for parent, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            path = Path(parent, name)
+            kind = path.lstat().st_mode
+            if stat.S_ISDIR(kind):
+                continue
+            relative = path.relative_to(folder).as_posix()
+            if not stat.S_ISREG(kind):
+                raise ConfigError("a release holds plain files only, no links", where=relative)
+            if not relative.isprintable() or "\\" in relative:
+                raise ConfigError("a file's name may not hold control characters or backslashes", where=repr(relative))
+            found.append(relative)
+    yield from sorted((each for each in found if each not in (SUMS, SIGNATURE)), key=os.fsencode)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sums_of(folder: Path, *, without: tuple[str, ...] = ()) -> str:
+    """Return the text of ``SHA256SUMS`` for a folder as it is now."""
+    return "".join(f"{digest_of(folder / each)}  {each}\n" for each in files_of(folder) if each not in without)
+
+
+def parse_sums(text: str, where: str = SUMS) -> dict[str, str]:
+    """Return ``{path: digest}``.
+
+    Raises
+    ------
+    ConfigError
+        A line is not one of ``sha256sum``, or a path leads out of the release.
+    """
+    sums = {}
+    for line in text.splitlines():
+        hexes, gap, path = line[:64], line[64:66], line[66:]
+        if len(hexes) != 64 or set(hexes) - set("0123456789abcdef") or gap != "  " or not _inside(path):
+            raise ConfigError(f"not a line of checksums: {line[:100]!r}", where=where, hint="bundle again")
+        sums[path] = hexes
+    return sums
+
+
+def _inside(path: str) -> bool:
+    return bool(path) and path.isprintable() and all(part not in ("", ".", "..") for part in path.split("/"))
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """Return ``{path: digest}`` of a release.
+
+    Raises
+    ------
+    ConfigError
+        It has none, or they cannot be read.
+    """
+    path = folder / SUMS
+    try:
+        return parse_sums(path.read_text("utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError("this is not a whole release: no checksums", where=str(path), hint="bundle again") from error
+
+
+def check_sums(folder: Path) -> None:
+    """Compare every file of a release with its sum.
+
+    Raises
+    ------
+    ConfigError
+        A file is missing, differs, or is not in the list; names the first ones.
+    """
+    wanted, there = read_sums(folder), set(files_of(folder))
+    wrong = [f"{each} is missing" for each in wanted if each not in there]
+    wrong += [f"{each} is not in the list" for each in sorted(there - set(wanted))]
+    wrong += [f"{each} was changed" for each in wanted if each in there and digest_of(folder / each) != wanted[each]]
+    if wrong:
+        more = f", and {len(wrong) - _MOST_NAMED} more" if len(wrong) > _MOST_NAMED else ""
+        what = f"the release is not what was signed: {'; '.join(wrong[:_MOST_NAMED])}{more}"
+        raise ConfigError(what, where=str(folder), hint="bundle again, or copy it again")

@@ -1,22 +1,33 @@
-"""The releases of a base station side by side; what did not change between two is on the disk once."""
+"""Keeps the releases of a base station side by side, and packs parts of one as a tar stream.
+
+What did not change between two releases is on the disk once. A tar stream has the same bytes each time; it goes over
+the network and onto a card.
+"""
 
 from __future__ import annotations
 
 import filecmp
 import os
 import shutil
+import tarfile
 import time
+import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import platformdirs
 
-from fullswarm.deploy.release import manifest, sums
+from fullswarm.deploy.release import manifest
 from fullswarm.deploy.release.manifest import Manifest
 from fullswarm.errors import ConfigError, did_you_mean
 
 ENVIRONMENT = "FULLSWARM_RELEASES"
 """Names another folder for the releases."""
+HEAD = (manifest.MANIFEST, manifest.SUMS, manifest.SIGNATURE)
+"""The files by which a robot judges a release before it takes any other."""
+_GZIP = 31  # window bits that make zlib write a gzip header, without a name or a time
+_BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +47,7 @@ class Store:
         if not self.folder.is_dir():
             return []
         there = [
-            each for each in self.folder.iterdir() if manifest.is_id(each.name) and (each / sums.SIGNATURE).exists()
+            each for each in self.folder.iterdir() if manifest.is_id(each.name) and (each / manifest.SIGNATURE).exists()
         ]
         return [each.name for each in sorted(there, key=lambda each: (each.stat().st_mtime_ns, each.name))]
 
@@ -49,7 +60,7 @@ class Store:
             There is none.
         """
         path = Path(release)
-        if (path / manifest.FILE).is_file():
+        if (path / manifest.MANIFEST).is_file():
             return path.resolve()
         if release in (ids := self.ids()):
             return self.folder / release
@@ -88,11 +99,45 @@ class Store:
 
 def _share(fresh: Path, before: Path) -> None:
     """Replace files of `fresh` by hard links to the same ones of `before`."""
-    old = sums.read(before)
-    for path, digest in sums.read(fresh).items():
+    old = manifest.read_sums(before)
+    for path, digest in manifest.read_sums(fresh).items():
         mine, theirs = fresh / path, before / path
         # Compared byte by byte: a file that was damaged since must not get into the next release.
         if old.get(path) == digest and theirs.is_file() and filecmp.cmp(mine, theirs, shallow=False):
             linked = mine.with_name(f"{mine.name}.linked")
             os.link(theirs, linked)
             linked.replace(mine)
+
+
+# ---------------------------------------------------------------- archives
+def head_archive(folder: Path) -> bytes:
+    """Return the tar of the three files that say what a release is, for ``fullswarm-robot want``."""
+    return b"".join(plain_archive(folder, HEAD))
+
+
+def gzipped_archive(folder: Path, paths: Iterable[str], level: int = 6) -> Iterator[bytes]:
+    """Yield the gzipped tar of some files of a release, for ``fullswarm-robot receive``."""
+    squeezed = zlib.compressobj(level, wbits=_GZIP)
+    for block in plain_archive(folder, paths):
+        if part := squeezed.compress(block):
+            yield part
+    yield squeezed.flush()
+
+
+def plain_archive(folder: Path, paths: Iterable[str]) -> Iterator[bytes]:
+    """Yield the tar of some files of a release in blocks; its entries have no times and no owners."""
+    for path in paths:
+        with (folder / path).open("rb") as file:
+            facts = os.fstat(file.fileno())
+            size = facts.st_size
+            yield _header(path, size, runs=bool(facts.st_mode & 0o100))
+            while block := file.read(_BLOCK):
+                yield block
+        yield bytes(-size % tarfile.BLOCKSIZE)
+    yield bytes(2 * tarfile.BLOCKSIZE)
+
+
+def _header(path: str, size: int, *, runs: bool) -> bytes:
+    entry = tarfile.TarInfo(path)
+    entry.size, entry.mode = size, 0o755 if runs else 0o644
+    return entry.tobuf(tarfile.GNU_FORMAT)

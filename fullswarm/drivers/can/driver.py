@@ -58,9 +58,9 @@ class CanBaseDriver:
         self._thread: threading.Thread | None = None
         self._port: CanPort | None = None  # used by the link thread only once that runs
         self._dropped = 0
-        self._guarded = self._settings.bus.guardian == "1"
+        self.guarded = self._settings.bus.guardian == "1"
         self._guardian: Guardian | None = None  # used by the link thread only, once that runs
-        self._stop_plan: StopPlan | None = None  # for the port that is open
+        self._stop_plan: StopPlan[bytes] | None = None  # for the port that is open
 
     @property
     def state(self) -> Lifecycle:
@@ -89,14 +89,14 @@ class CanBaseDriver:
 
     def guard(self) -> None:
         """Have a guardian from the next `open` on, unless the URL says ``guardian=0``."""
-        self._guarded = self._settings.bus.guardian != "0"
+        self.guarded = self._settings.bus.guardian != "0"
 
     def open(self) -> None:
         """Open the bus and start to listen; ``DriverError`` or ``MissingExtra`` say why not."""
         if self._thread is not None:
             return
         self._port = CanPort(self._settings)
-        self._guardian = Guardian(self._clock) if self._guarded and self._port.descriptor is not None else None
+        self._guardian = Guardian(self._clock) if self.guarded and self._port.descriptor is not None else None
         if self.warning:
             _log.warning("no device watchdog", url=self.url, why=self.warning)
         self._closing.clear()
@@ -172,7 +172,6 @@ class CanBaseDriver:
         self._stop_plan = StopPlan(
             tuple((after_s, port.packed(frame)) for after_s, frame in brakes),
             tuple((after_s, port.packed(frame)) for after_s, frame in lets_go),
-            port.destination,
         )
 
     def _beat(self) -> None:
@@ -183,7 +182,7 @@ class CanBaseDriver:
         guardian.beat()
         with self._lock:
             self._machine.unguarded, drives = guardian.trouble, self._machine.drives
-        guardian.stop_with(self._stop_plan if drives else None)
+        guardian.stop_with(self._stop_plan if drives else None, self._port.destination if self._port else None)
 
     def _step(self, next_s: float) -> float:
         """Take in what is there or a moment's silence, then speak if it is time; return when it is time next."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from fullswarm.drivers.can import slcan
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame
 from fullswarm.drivers.can.settings import Settings
-from fullswarm.drivers.link import claim
+from fullswarm.drivers.ports import claim
 from fullswarm.errors import DriverError, LinkLost, MissingExtra
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """The iRobot Create over serial (Open Interface). In: twists. Out: odometry, bumps, cliffs, wheel drops, battery.
 
 ``protocol`` (commands, generations) and ``packets`` (sensors, the stream) are bytes only. ``session`` is the whole
-conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back; ``odometry`` is its
-dead reckoning, ``senses`` what it asks and hears of hazards and power, ``waking`` how it keeps a robot awake.
+conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back, and how it keeps a
+robot awake; ``odometry`` is its dead reckoning, ``senses`` what it asks for and makes of hazards and power.
 ``settings`` reads the URL, ``driver`` puts a session on a serial port, ``probe`` asks ports for robots.
 
 The Open Interface has no command timeout: a robot goes on with its last drive command for ever. Everything here

@@ -10,12 +10,15 @@
     READY, ACTIVE -> no good frame for 0.5 s -> FAULT, hello again each 0.5 s -> READY
     FAULT of three falls -> 10 s in a row without cliff, wheel drop, charger or silence -> READY
 
-Safe mode, never Full: the robot's own reflexes stay on. It has no command timeout, so :meth:`Session.tick` sends
-zero when no command came for 0.3 s, and repeats a set-point until packets 41 and 42 confirm it: for ever where a
-slow stream has no room for both.
+Safe mode, never Full: the robot's own reflexes stay on. It has no command timeout, so :meth:`Session.tick` repeats a
+set-point until packets 41 and 42 confirm it: for ever where a slow stream has no room for both.
 
-Ten calm seconds are what a person needs to put the robot down; READY moves nothing, and whoever drove it has lost
-its task with the FAULT, so that motion takes a new request.
+Ten calm seconds are what a person needs to put the robot down; READY moves nothing, and the task that drove it has
+ended with the FAULT, so that motion takes a new request.
+
+In Passive mode a Create falls asleep after five minutes, and its serial port with it. Only a low pulse at its BRC pin
+(pin 5 of the connector) wakes it again; many cables do not have that line, and a pseudo-terminal has none. So the line
+is a function that the caller provides (:data:`Brc`), for a GPIO, an RTS line or a test.
 """
 
 from __future__ import annotations
@@ -37,11 +40,10 @@ from fullswarm.drivers.create_oi.protocol import (
 )
 from fullswarm.drivers.create_oi.senses import Banner, Power, Senses, power, stream_ids, wheel_speeds
 from fullswarm.drivers.create_oi.settings import Settings
-from fullswarm.drivers.create_oi.waking import Brc, Waking
+from fullswarm.drivers.linked import TICK_S, LinkSession
 from fullswarm.errors import DriverError
 from fullswarm.reasons import NONE, Reason, given
 
-COMMAND_TTL_S = 0.3
 SILENT_S = 0.5
 HELLO_PERIOD_S, HELLO_GAP_S, HELLOS = 0.5, 0.05, 10
 CONFIRM_S = 0.5
@@ -49,21 +51,71 @@ CONFIRM_S = 0.5
 REPEAT_S = 0.06
 """Between two repeats of a set-point or a mode that the robot does not confirm."""
 STUCK_S = 1.0
-"""A set-point neither confirmed nor followed for so long: what the robot tells is not true."""
+"""A set-point neither confirmed nor followed for so long: what the robot reports is not true."""
 FALLS, FALL_WINDOW_S = 3, 10.0
 CALM_S = 10.0
 NEWS_S = 2.0
-"""For so long after somebody asked for motion, or lost it, what bars the robot is told as its fault."""
+"""For so long after motion was asked for, or ended, what bars the robot is reported as its fault."""
+PULSE_S = 0.7
+"""Longer than 0.5 s: three pulses of 0.05 to 0.5 s after power-on switch the robot to 19200 baud."""
+PULSE_AGAIN_S = 5.0
+KEEP_S = 60.0
+NUDGE_S = 240.0
+"""Without a line: so often Safe mode, with the wheels at zero, for some 30 ms. Not documented by the maker."""
+
+Brc = Callable[[bool], None]
+"""Called with True to pull the BRC pin low, with False to let go. Must return at once: the link waits for it."""
 
 PARK = drive_direct(0, 0) + simple(Op.START)
 """Stops the wheels and takes the drive away. Begins with zero: mode changes alone do not stop every firmware."""
 
 
-def _nowhere(_data: bytes) -> None:
-    """Drop what is said before there is a port."""
+class Waking:
+    """Says when to pulse, or to nudge where there is no line.
+
+    Parameters
+    ----------
+    brc
+        None: this robot cannot be woken.
+    """
+
+    def __init__(self, brc: Brc | None) -> None:
+        self._brc = brc
+        self._low = False
+        self._pulsed_s = -math.inf
+        self._active_s = -math.inf
+
+    @property
+    def can_wake(self) -> bool:
+        """There is a line."""
+        return self._brc is not None
+
+    def active(self, now_s: float) -> None:
+        """Note that the robot was out of Passive mode, or has just answered: five minutes begin anew."""
+        self._active_s = now_s
+
+    def tick(self, now_s: float, asleep: bool) -> bool:
+        """Do what is due on the line; `asleep`: it does not answer. Return whether to nudge the robot instead."""
+        if self._brc is None:
+            return not asleep and now_s - self._active_s > NUDGE_S
+        if self._low:
+            if now_s - self._pulsed_s >= PULSE_S:
+                self.release()
+        elif (
+            now_s - self._pulsed_s >= PULSE_AGAIN_S if asleep else now_s - max(self._pulsed_s, self._active_s) >= KEEP_S
+        ):
+            self._low, self._pulsed_s = True, now_s
+            self._brc(True)
+        return False
+
+    def release(self) -> None:
+        """Let the line go."""
+        if self._low and self._brc is not None:
+            self._low = False
+            self._brc(False)
 
 
-class Session:
+class Session(LinkSession[bytes]):
     """One robot, from its port's opening to its closing. Not thread-safe.
 
     Parameters
@@ -73,12 +125,9 @@ class Session:
     """
 
     def __init__(self, settings: Settings, *, brc: Brc | None = None) -> None:
-        self.send: Callable[[bytes], None] = _nowhere  # to the robot; must not block
-        self.state = Lifecycle.CLOSED
-        self.fault = ""
+        self._out: list[bytes] = []  # to be sent
         self.blocked = ""  # why the robot left ACTIVE or does not become it
         self._cause = self._fault_cause = NONE  # what the robot sensed that has led to `blocked`, to `fault`
-        self.reading: Reading | None = None
         self.docking = False
         generation = settings.generation
         self._settings, self._base_m = settings, generation.wheel_base_m
@@ -90,35 +139,31 @@ class Session:
         self._met = False  # has been READY
         self._latched = ""  # the fault of too many falls
         self._calm_s = -math.inf  # since when nothing would make the robot fall again
-        self._hello_s: float | None = None  # when to say hello next; None: connected
+        self._hello_s: float | None = None  # when to send the next hello; None: connected
         self._hellos = 0
         self._list_s: float | None = None
-        self._heard = self._mode = -1  # bytes since the first hello; newest mode
-        self._heard_good = self._skipped = 0  # `_heard` at the newest frame; the parser's at the last activate()
-        self._frame_s = self._command_s = self._sent_s = self._followed_s = -math.inf
+        self._bytes = self._mode = -1  # received since the first hello; newest mode
+        self._good_bytes = self._skipped = 0  # `_bytes` at the newest frame; the parser's at the last activate()
+        self._frame_s = self._sent_s = self._followed_s = -math.inf
         self._activate_by_s: float | None = None  # activation asked for, not confirmed
         self._safe_sent = False
         self._wheels = (0, 0)
         self._falls: list[float] = []
         self._barred_s = -math.inf  # when `blocked` was news
 
-    def trouble(self, now_s: float) -> str:
-        """Return the fault, or why somebody who asks for motion does not get it; empty when there is neither.
+    def trouble(self, now_s: float) -> Reason:
+        """Return the fault, or why motion that was asked for does not come about; false when there is neither.
 
-        A robot on its charger that nobody wants to drive is in no trouble.
+        A robot on its charger that is not asked to drive is in no trouble.
         """
-        barred = self.blocked and now_s - self._barred_s <= NEWS_S
-        return self.fault or (self._about(self.blocked) if barred else "")
-
-    def trouble_code(self, now_s: float) -> str:
-        """Return the :class:`~fullswarm.reasons.Code` of `trouble`, empty where the robot's sensors are not why."""
         if self.fault:
-            return self._fault_cause.code
-        return self._cause.code if self.blocked and now_s - self._barred_s <= NEWS_S else ""
+            return given(self.fault, self._fault_cause.code)
+        barred = self.blocked and now_s - self._barred_s <= NEWS_S
+        return given(self._about(self.blocked), self._cause.code) if barred else NONE
 
     @property
     def power(self) -> Power | None:
-        """The battery as last told."""
+        """The battery as last reported."""
         return None if self._newest is None else power(self._newest)
 
     @property
@@ -133,31 +178,39 @@ class Session:
     def linked(self, now_s: float) -> None:
         """Greet the robot: its port has just been opened."""
         self.state, self.fault = Lifecycle.OPEN, ""
+        self._out.clear()
         self._greet(now_s)
 
-    def lost(self, reason: str) -> None:
+    def lost(self, reason: str, now_s: float) -> None:
         """Mark the port as gone."""
+        del now_s
         self._fail(reason)
         self._hello_s = None
         self._forget()
         self._waking.release()
 
     def closed(self) -> None:
-        """Mark the port as closed on purpose."""
-        self.state, self.fault, self.blocked = Lifecycle.CLOSED, "", ""
-        self._forget()
+        """Let go of the BRC line."""
         self._waking.release()
+
+    def final_stop(self) -> tuple[bytes]:
+        """Return the stop that leaves the robot in Passive mode."""
+        return (PARK,)
 
     def received(self, data: bytes, now_s: float) -> None:
         """Take bytes from the robot."""
-        self._heard += len(data)
+        self._bytes += len(data)
         if self._hello_s is not None and self._banner.hear(data):
             self._odometry.restarted()
         for frame in self._parser.feed(data):
             self._take(frame.sensors, now_s)
 
-    def tick(self, now_s: float) -> None:
-        """Do what is due; to be called at least each 20 ms while the port is open."""
+    def next_due_s(self, now_s: float) -> float:
+        """Return the time of the next tick: at once if there is something to send."""
+        return now_s if self._out else now_s + TICK_S
+
+    def tick(self, now_s: float) -> list[bytes]:
+        """Do what is due; return what is to be sent."""
         if self._hello_s is not None:
             self._hello(now_s)
         elif now_s - self._frame_s > SILENT_S:
@@ -169,12 +222,14 @@ class Session:
         elif self._activate_by_s is not None and now_s > self._activate_by_s:
             self._forget()
             self._park(now_s)
-            self._bar(f"the robot did not go into Safe mode within {CONFIRM_S} s: {self._deaf()}", now_s)
-        asleep = self._hello_s is not None and self._hellos > 1 and self._heard == 0
+            self._bar(f"the robot did not go into Safe mode within {CONFIRM_S} s: {self._unmoved()}", now_s)
+        asleep = self._hello_s is not None and self._hellos > 1 and self._bytes == 0
         if self._waking.tick(now_s, asleep) and self.state is Lifecycle.READY and self._may_nudge():
             self._waking.active(now_s)
             self._sent_s = now_s
-            self.send(simple(Op.SAFE))  # the next frame says so, and is answered with Passive
+            self._out.append(simple(Op.SAFE))  # the next frame reports it, and is answered with Passive
+        out, self._out = self._out, []
+        return out
 
     # ------------------------------------------------------------ what the agent asks
     def activate(self, now_s: float) -> None:
@@ -183,7 +238,7 @@ class Session:
             return
         if self._senses.cause:
             self._refuse(now_s)
-        else:  # what barred it before stands until it is ACTIVE: an agent tries again at once, and nobody could read it
+        else:  # what barred it before stands until it is ACTIVE: an agent tries again before anyone could read it
             self._activate_by_s, self._safe_sent = now_s + CONFIRM_S, False
             self._skipped = self._parser.skipped
 
@@ -194,36 +249,33 @@ class Session:
             self._stand_down(now_s, "")
 
     def command(self, twist: Twist, now_s: float) -> Twist:
-        """Turn the wheels if ACTIVE; return what they were told. Raises ``ValueError`` if not finite, and stops."""
-        try:
-            wheels = wheel_speeds(twist, self._base_m, self._settings.speed_step_mm_s)
-        except ValueError:
-            if self.docking:
-                self._stand_down(now_s, "not docked: it was told a velocity that is none")
-            elif self.state is Lifecycle.ACTIVE:
-                self._turn_wheels((0, 0), now_s)
-            raise
-        if self.state is not Lifecycle.ACTIVE:
-            return STAND
-        self._command_s = now_s
+        """Turn the wheels; return what was sent to them, in whole mm/s."""
         if self.docking:
             return STAND
+        wheels = wheel_speeds(twist, self._base_m, self._settings.speed_step_mm_s)
         if wheels != self._wheels:
             self._turn_wheels(wheels, now_s)
         left, right = wheels
         return Twist((left + right) / 2000.0, (right - left) / 1000.0 / self._base_m)
 
+    def halt(self, why: str, now_s: float) -> None:
+        """Stop the wheels, and a search for the dock."""
+        if self.docking:
+            self._stand_down(now_s, f"it stopped looking for its dock: {why}")
+        elif self._wheels != (0, 0):
+            self._turn_wheels((0, 0), now_s)
+
     def dock(self, now_s: float) -> None:
         """Let the robot look for its dock. Raises ``DriverError`` unless ACTIVE."""
         self._demand_active("look for its dock")
         self._turn_wheels((0, 0), now_s)
-        self.docking, self._command_s = True, now_s
-        self.send(simple(Op.DOCK))
+        self.docking = True
+        self._out.append(simple(Op.DOCK))
 
-    def tell(self, data: bytes, what: str) -> None:
+    def send(self, data: bytes, what: str) -> None:
         """Send a command that only works in Safe mode. Raises ``DriverError`` unless ACTIVE."""
         self._demand_active(what)
-        self.send(data)
+        self._out.append(data)
 
     def _demand_active(self, what: str) -> None:
         if self.state is not Lifecycle.ACTIVE or self.docking:
@@ -235,40 +287,40 @@ class Session:
         self._parser.reset()
         self._odometry.gap()
         self._waking.active(now_s)
-        self._hello_s, self._hellos, self._list_s, self._heard, self._mode = now_s, 0, None, 0, -1
+        self._hello_s, self._hellos, self._list_s, self._bytes, self._mode = now_s, 0, None, 0, -1
         self.blocked = ""
         self._forget()
 
     def _hello(self, now_s: float) -> None:
         if self._list_s is not None and now_s >= self._list_s:
             self._list_s = None
-            self.send(stream(self._ids))
+            self._out.append(stream(self._ids))
         if self._hello_s is None or now_s < self._hello_s:
             return
         if self._hellos >= HELLOS and self.state is Lifecycle.OPEN:
             self._fail(self._no_answer())
         self._hellos += 1
-        # A robot whose last master died may still be driving: zero first, then the greeting.
+        # A robot whose last driver was killed may still be driving: zero first, then the greeting.
         self._park(now_s)
         self._list_s, self._hello_s = now_s + HELLO_GAP_S, now_s + HELLO_PERIOD_S
 
     def _no_answer(self) -> str:
         if self._mode >= 0:
             return f"it answers, but stays in mode {self._mode} instead of Passive; some need '?mode_offset=1'"
-        if self._heard > 0:
+        if self._bytes > 0:
             return "it sends bytes, but none that make a frame: wrong model or baud rate in its URL, or a bad cable?"
         asleep = "it does not wake up" if self._waking.can_wake else "it may be asleep: press its power button"
         return f"no answer: {asleep}, check the cable, and 'model' and 'baud' in its URL"
 
     def _silence(self) -> str:
-        """Say what is known of a robot that has made no good frame for `SILENT_S`."""
-        bad = self._heard - self._heard_good
+        """Return what is known of a robot that has sent no good frame for `SILENT_S`."""
+        bad = self._bytes - self._good_bytes
         if bad > frame_size(self._ids):  # more than the rest of a frame that a pulled cable cut
             return f"no good frame for {SILENT_S} s, only {bad} damaged bytes: check the cable and the baud rate"
-        return f"silent for {SILENT_S} s: check its power and the cable; the driver keeps calling"
+        return f"silent for {SILENT_S} s: check its power and the cable; the driver keeps trying"
 
-    def _deaf(self) -> str:
-        """Say what is known of why the robot does not take the mode that it was told."""
+    def _unmoved(self) -> str:
+        """Return what is known of why the robot does not take the mode that was asked for."""
         if self._newest is not None and self._newest.chargers:
             return "it is on its charger; take it off"
         lost = self._parser.skipped - self._skipped
@@ -279,7 +331,7 @@ class Session:
         )
 
     def _take(self, sensors: Sensors, now_s: float) -> None:
-        self._frame_s, self._newest, self._heard_good = now_s, sensors, self._heard
+        self._frame_s, self._newest, self._good_bytes = now_s, sensors, self._bytes
         if not self._met:
             self._odometry.rebase()  # frames of an earlier drive may still be on the way
         moved = self._odometry.update(sensors, now_s)
@@ -327,43 +379,38 @@ class Session:
             # Only after Passive was seen: a late frame from an earlier ACTIVE must not confirm this one.
             if mode == Mode.PASSIVE:
                 self._safe_sent = True
-                self.send(simple(Op.SAFE))
+                self._out.append(simple(Op.SAFE))
         elif mode == Mode.SAFE:
             self._forget()
-            self.state, self.blocked, self._command_s = Lifecycle.ACTIVE, "", now_s
+            self.state, self.blocked = Lifecycle.ACTIVE, ""
             self._followed_s = now_s
             self._turn_wheels((0, 0), now_s)
 
     def _drive_on(self, mode: int, sensors: Sensors, moved: bool, now_s: float) -> None:
-        """Compare what an ACTIVE robot tells with what it was told."""
+        """Compare what an ACTIVE robot reports with what was sent to it."""
         if self.docking:
             if (sensors.chargers or 0) & 0b10:
                 self._stand_down(now_s, "it has found its dock")
             elif mode != Mode.PASSIVE and now_s - self._sent_s > REPEAT_S:
                 self._sent_s = now_s
-                self.send(simple(Op.DOCK))
+                self._out.append(simple(Op.DOCK))
         elif mode != Mode.SAFE:
             self._fall(now_s)
         else:
             wheels = sensors.left_mm_s, sensors.right_mm_s
             unseen = None in wheels  # a stream at 19200 baud has no room for packet 42: repeated for ever
-            told = wheels == self._wheels
-            if unseen or told or moved:
+            confirmed = wheels == self._wheels
+            if unseen or confirmed or moved:
                 self._followed_s = now_s
-            if not told and now_s - self._sent_s > REPEAT_S:
+            if not confirmed and now_s - self._sent_s > REPEAT_S:
                 self._turn_wheels(self._wheels, now_s)
 
     def _watch(self, now_s: float) -> None:
-        """Stop an ACTIVE robot that nobody commands, or whose sensors do not follow what it is told."""
-        silent = now_s - self._command_s > COMMAND_TTL_S
-        if self.docking and silent:
-            self._stand_down(now_s, "it stopped looking for its dock: nobody was in charge")
-        elif self._wheels != (0, 0) and silent:
-            self._turn_wheels((0, 0), now_s)
-        elif now_s - self._followed_s > STUCK_S and not self.docking:
+        """Give up an ACTIVE robot whose sensors do not follow its set-points."""
+        if now_s - self._followed_s > STUCK_S and not self.docking:
             self._fail(
-                f"what it tells has not changed for {STUCK_S} s of other set-points: its sensors hang, or it does not "
-                "hear the driver; restart the robot, then check the cable"
+                f"what it reports has not changed for {STUCK_S} s of other set-points: its sensors hang, or it does "
+                "not receive them; restart the robot, then check the cable"
             )
             self._greet(now_s)
             self._hello(now_s)
@@ -411,11 +458,11 @@ class Session:
 
     def _turn_wheels(self, wheels: tuple[int, int], now_s: float) -> None:
         self._wheels, self._sent_s = wheels, now_s
-        self.send(drive_direct(*wheels))
+        self._out.append(drive_direct(*wheels))
 
     def _park(self, now_s: float) -> None:
         self._wheels, self._sent_s = (0, 0), now_s
-        self.send(PARK)
+        self._out.append(PARK)
 
     def _forget(self) -> None:
         """Drop an activation under way, a search for the dock and the set-point."""

@@ -60,7 +60,7 @@ class Controls:
         ]
 
 
-def stop_plan(controls: Controls, *, drives: bool) -> StopPlan:
+def stop_plan(controls: Controls, *, drives: bool) -> StopPlan[bytes]:
     """Return what a guardian sends in our place; `drives`: the vehicle takes set-points now."""
     autopilot = controls.autopilot
     stop: list[tuple[float, bytes]] = []

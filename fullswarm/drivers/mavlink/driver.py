@@ -27,7 +27,6 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Lifecycle, Pose, Reading, Twist
@@ -77,7 +76,7 @@ class MavlinkDriver:
         self._thread: threading.Thread | None = None
         self._waker: Waker | None = None
         self._closing = threading.Event()
-        self._guarded = bool(self._settings.guardian)
+        self.guarded = bool(self._settings.guardian)
         # These are used by the link thread only.
         self._guardian: Guardian | None = None
         self._stop_kind: tuple[tuple[str, bool], tuple[str, int] | None] | None = None
@@ -115,7 +114,7 @@ class MavlinkDriver:
 
     def guard(self) -> None:
         """Have a guardian from the next `open` on, unless the URL says ``guardian=0``."""
-        self._guarded = self._settings.guardian is not False
+        self.guarded = self._settings.guardian is not False
 
     def open(self) -> None:
         """Claim the port and start the link thread.
@@ -221,7 +220,7 @@ class MavlinkDriver:
 
     # ------------------------------------------------------------ link thread
     def _run(self, session: Session, waker: Waker, transport: Transport | None) -> None:
-        self._guardian = Guardian(self._clock) if self._guarded else None
+        self._guardian = Guardian(self._clock) if self.guarded else None
         try:
             while not self._closing.is_set():
                 transport = self._serve(session, waker, transport, self._closing.is_set)
@@ -308,9 +307,9 @@ class MavlinkDriver:
             stale = kind is not None and session.signing is not None and now_s >= self._resign_s
             if word == self._stop_kind and not stale:
                 return
-            plan = None if kind is None else replace(session.stop_plan(), to=transport.peer)
+            plan = None if kind is None else session.stop_plan()
         self._stop_kind, self._resign_s = word, now_s + RESIGN_S
-        guardian.stop_with(plan)
+        guardian.stop_with(plan, transport.peer)
 
     def _let_go(self, transport: Transport) -> None:
         if self._guardian is not None:

@@ -240,7 +240,7 @@ class Session:
         """What :meth:`stop_plan` depends on; None while the vehicle is not driven by us."""
         return (self.autopilot.key, self.lifecycle is Lifecycle.ACTIVE) if self.standing_down else None
 
-    def stop_plan(self) -> StopPlan:
+    def stop_plan(self) -> StopPlan[bytes]:
         """Return what stops a vehicle that we drive, for a guardian to send in our place."""
         controls = Controls(self.autopilot, self._guardian_encoder, self._startup.known)
         return stop_plan(controls, drives=self.lifecycle is Lifecycle.ACTIVE)

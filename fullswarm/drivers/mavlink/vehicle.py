@@ -6,10 +6,10 @@ import math
 from collections import deque
 
 from fullswarm.drivers.base import Hazard, Pose, Reading, Twist
+from fullswarm.drivers.linked import Odometer
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.aiding import Aiding
 from fullswarm.drivers.mavlink.frame import SwarmFrame
-from fullswarm.geometry import wrap
 
 LINK_SILENCE_S = 3.0
 TELEMETRY_SILENCE_S = 1.0
@@ -17,40 +17,6 @@ BATTERY_LOW = 0.15
 REBOOT_MS = 1000  # a boot time this much older is a restart, less is a datagram out of order
 TEXTS = 20
 WARNING = 4  # severities up to here are worth an operator's attention
-
-
-class Odometer:
-    """Pose relative to the first one, continuous over a restart of the vehicle's own origin."""
-
-    def __init__(self) -> None:
-        self.pose = Pose(0.0, 0.0, 0.0)
-        self._base = self.pose
-        self._anchor: Pose | None = None
-
-    def rebase(self) -> None:
-        """Go on from here: the vehicle's origin is about to change."""
-        self._base, self._anchor = self.pose, None
-
-    def update(self, world: Pose) -> None:
-        """Take a pose in the vehicle's present frame."""
-        if self._anchor is None:
-            self._anchor = world
-        self.pose = _compose(self._base, _relative(self._anchor, world))
-
-
-def _relative(frame: Pose, pose: Pose) -> Pose:
-    dx, dy = pose.x_m - frame.x_m, pose.y_m - frame.y_m
-    cos, sin = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
-    return Pose(cos * dx + sin * dy, cos * dy - sin * dx, wrap(pose.heading_rad - frame.heading_rad))
-
-
-def _compose(frame: Pose, local: Pose) -> Pose:
-    cos, sin = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
-    return Pose(
-        frame.x_m + cos * local.x_m - sin * local.y_m,
-        frame.y_m + sin * local.x_m + cos * local.y_m,
-        wrap(frame.heading_rad + local.heading_rad),
-    )
 
 
 class Vehicle:

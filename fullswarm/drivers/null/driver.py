@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.errors import ConfigError
-from fullswarm.words import ROBOT_ID
+from fullswarm.keys import ROBOT_ID
 
 LIMITS = Limits(speed_m_s=0.5, turn_rad_s=4.25, accel_m_s2=2.0, turn_accel_rad_s2=20.0)
 WATCHDOG_S = 0.3

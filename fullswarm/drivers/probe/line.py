@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import serial
 
 from fullswarm.clock import Clock
-from fullswarm.drivers.link import claim
+from fullswarm.drivers.ports import claim
 
 BAUDS = (115200, 57600)
 """Create 2 and autopilots over USB first, then Create 1 and telemetry radios (see ``create_oi/probe.py``)."""

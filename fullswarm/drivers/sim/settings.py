@@ -10,7 +10,7 @@ from fullswarm.config import DEFAULT_WORLD, WorldConfig
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.sim.protocol import parse_address
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.words import ROBOT_ID
+from fullswarm.keys import ROBOT_ID
 
 SENSING_M = 3.0
 

@@ -18,9 +18,9 @@ from typing import Any
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.evaluate.experiment import Trial, TrialResult
 from fullswarm.evaluate.experiment.pool import deaf_children
-from fullswarm.evaluate.experiment.record import trial_id
-from fullswarm.evaluate.trial import Measure, measure
-from fullswarm.evaluate.trial_folder import Files, files_of, not_kept, perform, record_of, write_files
+from fullswarm.evaluate.lockstep_swarm import measure
+from fullswarm.evaluate.trial import Measure, not_kept, perform, record_of
+from fullswarm.evaluate.trial_folder import Files, files_of, trial_id, write_files
 
 LOCAL, LOOPBACK = "local", "127.0.0.1"
 CONNECT_S = 5.0

@@ -8,11 +8,10 @@ from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
-from fullswarm.bus.network import parse_network
+from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import AgentConfig, NoiseConfig, PerformanceConfig, Section
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.scenarios.files import package_names, read_named
-from fullswarm.evaluate.scenarios.model import parse_section, scenario_names
+from fullswarm.evaluate.scenarios.model import package_names, parse_section, read_named, scenario_names
 
 Engine = Literal["kinematic", "pybullet", "pybullet-wheels"]
 Parameter = bool | int | float | str

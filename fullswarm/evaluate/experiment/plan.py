@@ -9,7 +9,7 @@ from functools import cache
 from itertools import product
 from typing import get_args
 
-from fullswarm.bus.network import parse_network
+from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.model import Engine, Experiment, Group, Parameter, Small, parse_seeds

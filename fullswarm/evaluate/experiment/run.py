@@ -1,28 +1,62 @@
-"""`fullswarm experiment run`: all trials of an experiment in worker processes, then a table or JSON."""
+"""Runs all trials of an experiment in worker processes (`fullswarm experiment run`), or one from its file (`trial`)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Protocol
 
+import msgspec
+from rich.table import Table
+
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
-from fullswarm.errors import ConfigError, FullswarmError
-from fullswarm.evaluate.experiment import Experiment, Trial, TrialResult, load_experiment, on_network, plan, summarise
-from fullswarm.evaluate.experiment.check import check_behaviours
-from fullswarm.evaluate.experiment.folder import LOCKSTEP, Asked, configuration_of, kept_of, open_folder, other_code
+from fullswarm.core.behaviours import Library
+from fullswarm.core.settings import seeds
+from fullswarm.errors import ConfigError, FullswarmError, RequestRefused
+from fullswarm.evaluate.experiment import (
+    Experiment,
+    Trial,
+    TrialResult,
+    load_experiment,
+    on_network,
+    plan,
+    scenario_of,
+    summarise,
+)
 from fullswarm.evaluate.experiment.model import parse_seeds
+from fullswarm.evaluate.experiment.outcomes import closing, table
 from fullswarm.evaluate.experiment.pool import Pool
-from fullswarm.evaluate.experiment.table import closing, table
-from fullswarm.evaluate.provenance import provenance
-from fullswarm.evaluate.results.folder import older_in, older_text
-from fullswarm.evaluate.trial import Measure, attempt, measure
-from fullswarm.evaluate.trial_file import launch_text
-from fullswarm.evaluate.trial_folder import Keeper, read_kept, record_of, result_of, sweep, write_trial
+from fullswarm.evaluate.lockstep_swarm import measure
+from fullswarm.evaluate.provenance import Provenance, provenance
+from fullswarm.evaluate.results.folder import (
+    LOCKSTEP,
+    Asked,
+    configuration_of,
+    kept_of,
+    older_in,
+    older_text,
+    open_folder,
+    other_code,
+)
+from fullswarm.evaluate.scenarios import Scenario
+from fullswarm.evaluate.trial import Keeper, Measure, attempt, configure, parameters, perform, record_of, result_of
+from fullswarm.evaluate.trial_folder import (
+    TRIALS,
+    Measurement,
+    Record,
+    launch_text,
+    load_trial,
+    read_kept,
+    read_record,
+    sweep,
+    trial_id,
+    write_trial,
+)
+from fullswarm.store import Store
 
 TELL_S = 5.0
 """How often progress is told."""
@@ -63,7 +97,7 @@ class FleetTrials:
 
     def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
         """Yield the trials that the fleet can run."""
-        from fullswarm.evaluate.fleet_trial import run_fleet
+        from fullswarm.evaluate.fleet_swarm import run_fleet
 
         options = self.options
         return run_fleet(
@@ -237,7 +271,7 @@ def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> A
     if options.fleet is not None:
         return nullcontext(FleetTrials(options, options.fleet, experiment))
     if options.live:
-        from fullswarm.evaluate.live_trial import measure_live
+        from fullswarm.evaluate.live_swarm import measure_live
 
         run_one = partial(measure_live, emulate=options.emulate)
         kind, jobs = "live", 1  # in real time a machine has no room for two swarms
@@ -303,3 +337,110 @@ def _say_interrupted(options: Options, results: dict[Trial, TrialResult], trials
     else:
         then = f"they are in {options.folder}; the same command goes on from there"
     output.progress(f"interrupted: {done} of {len(trials)} trials are done, {then}")
+
+
+def check_behaviours(trials: Iterable[Trial], where: str) -> None:
+    """Ask for each behaviour with its parameters once, as a trial would.
+
+    Raises
+    ------
+    ConfigError
+        The core would refuse some of them: all reasons, a line each; `where` names the experiment.
+    """
+    first: dict[tuple[object, ...], Trial] = {}
+    arena = cache(Scenario.model_validate_json)
+    for trial in sorted(trials, key=lambda trial: trial.cell.robots):  # few robots fit more easily
+        first.setdefault((trial.cell.label, arena(trial.arena, strict=True).goal.antipodal), trial)
+    reasons = dict.fromkeys(reason for reason in map(_refusal, first.values()) if reason)
+    if reasons:
+        raise ConfigError("\n".join(f"{where}: {reason}" for reason in reasons))
+
+
+def _refusal(trial: Trial) -> str:
+    """Return why the core would refuse what a trial asks for; empty: it would not."""
+    scenario = scenario_of(trial)
+    try:
+        config, goals = configure(trial, scenario)
+    except ConfigError:
+        return ""  # so many robots do not fit: only a trial of that size fails, and says so
+    store = Store()
+    try:
+        store.seed(seeds(config))
+        library = Library(store)
+        record = library.get(trial.cell.behaviour)
+        library.resolve(record, parameters(trial, scenario, goals), [each.id for each in config.robot])
+    except RequestRefused as error:
+        return f"behaviour '{trial.cell.label}': {error.what}{f' ({error.hint})' if error.hint else ''}"
+    finally:
+        store.close()
+    return ""
+
+
+def run_again(file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure) -> int:
+    """Run the trial in this process, tell its record, and keep it in `folder` if there is one.
+
+    Returns
+    -------
+    int
+        0; 1 when it failed, or collided where that is not expected.
+
+    Raises
+    ------
+    ConfigError
+        The file is not that of a trial, or the folder cannot be written.
+    """
+    launch = load_trial(file)
+    before = read_record(file if file.is_dir() else file.parent)  # now: --out may replace it
+    result, found, about = perform(launch.trial, launch.experiment, 1, run_one, "trial")
+    record = record_of(launch.trial, launch.experiment, found)
+    if folder is not None:
+        _keep(folder, record, about, found)
+    _compare(before, record)
+    if as_json:
+        output.data_json(msgspec.to_builtins(record))
+    else:
+        output.data_table(_table(record))
+    if result.outcome is None:
+        output.progress(f"failed: {launch.trial.label}: {result.failure}")
+        return 1
+    return int(result.outcome.events > 0 and not launch.trial.cell.collisions_expected)
+
+
+def _keep(folder: Path, record: Record, about: Provenance, found: Measurement | str) -> None:
+    """Keep the trial, unless it has an outcome there already; tell which."""
+    there = read_record(folder / TRIALS / record.id)
+    if there is not None and there.outcome is not None:
+        output.progress(f"not kept: it has a result in {folder / TRIALS / record.id} already, which stays")
+        return
+    try:
+        output.progress(f"kept in {write_trial(folder, record, about, found)}")
+    except OSError as error:
+        raise ConfigError(f"cannot keep the trial: {error.strerror or error}", where=str(folder)) from error
+
+
+def _compare(before: Record | None, record: Record) -> None:
+    """Tell whether it came out as it did before, if a result of it stood beside its file."""
+    if before is None or before.id != trial_id(record.trial):
+        return
+    same = before == record
+    output.progress("the same result as before" if same else "not the result that it had before: see its provenance")
+
+
+def _table(record: Record) -> Table:
+    view = Table(box=None, pad_edge=False, show_header=True)
+    for name, side in (("", "left"), ("onboard", "right"), ("truth", "right")):
+        view.add_column(name, justify="right" if side == "right" else "left")
+    for row in _rows(record):
+        view.add_row(*row)
+    return view
+
+
+def _rows(record: Record) -> Iterator[tuple[str, str, str]]:
+    yield record.trial.label, "", ""
+    yield f"ended: {record.end_reason}", "", ""
+    if record.outcome is not None:
+        for name, value in msgspec.structs.asdict(record.outcome).items():
+            yield f"outcome.{name}", "", f"{value:g}" if isinstance(value, float) else str(value)
+    for name in sorted(record.onboard.keys() | record.truth.keys()):
+        onboard, truth = (f"{each[name]:.6g}" if name in each else "" for each in (record.onboard, record.truth))
+        yield name, onboard, truth

@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, FullswarmError, MissingExtra
-from fullswarm.evaluate.experiment.record import Trajectory
-from fullswarm.evaluate.pictures import colours
-from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene
+from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene, palette, whole_file
 from fullswarm.evaluate.pictures.timeline import Timeline
-from fullswarm.evaluate.pictures.whole_file import whole_file
+from fullswarm.evaluate.trial_folder import Trajectory
 
 if TYPE_CHECKING:
     from PIL import Image as Images
@@ -142,7 +140,7 @@ def _write_gif(path: Path, frames: Iterator[Frame], count: int, fps: float) -> N
     except ImportError as error:
         raise MissingExtra("a GIF needs pillow", hint="pip install 'fullswarm[experiments]'") from error
     table = Image.new("P", (1, 1))
-    table.putpalette(colours.palette().tobytes())
+    table.putpalette(palette().tobytes())
 
     def indexed(frame: Frame) -> Images.Image:
         return Image.fromarray(frame).quantize(palette=table, dither=Image.Dither.NONE)
@@ -158,7 +156,7 @@ def _write_gif(path: Path, frames: Iterator[Frame], count: int, fps: float) -> N
             duration=durations_ms(count, fps),
             loop=0,
             optimize=True,  # what has not changed becomes transparent: less than half the size
-            palette=colours.palette().tobytes(),
+            palette=palette().tobytes(),
         )
 
 

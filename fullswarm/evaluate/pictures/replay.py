@@ -14,8 +14,8 @@ import msgspec
 from fullswarm import output
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.experiment.record import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory
 from fullswarm.evaluate.pictures import FILM_ENDINGS, STILL_ENDINGS, Film, write_film, write_still
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory
 
 TELL_S = 2.0
 """How often progress is told."""

@@ -1,21 +1,64 @@
-"""The world from above: what stays is drawn once, what moves is drawn over a copy of it."""
+"""Draws the world from above, and a trial as one picture: what stays is drawn once, what moves over a copy of it."""
 
 from __future__ import annotations
 
+import io
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, MissingExtra
-from fullswarm.evaluate.experiment.record import Trajectory
-from fullswarm.evaluate.pictures import colours
 from fullswarm.evaluate.pictures.timeline import Moment, Timeline
+from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.kernels import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a path beside `path` with the same ending, to write to; at the end it takes its place.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written. Nothing half done is left, whatever happens.
+    """
+    beside = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        try:
+            beside.touch()  # what cannot be written is known before the work is done
+            yield beside
+            beside.replace(path)
+        except OSError as error:
+            raise ConfigError(f"cannot write it: {error.strerror or error}", where=str(path)) from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+ROBOTS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7")
+"""Blue, sky, green, purple: robots take them in turn. Orange and yellow are too near to the two below."""
+CONTACT = "#D55E00"
+GOAL, GOAL_EDGE = "#FBF3B0", "#B8A400"
+BOX, BOX_EDGE = "#B5B5B5", "#6E6E6E"
+INK, FAINT = "#222222", "#777777"
+FLOOR, OUTSIDE = "#FFFFFF", "#F1F1F1"
+
+SHARES = 9
+"""Steps between two colours, for soft edges."""
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return red, green, blue, 0 to 255, of ``#rrggbb``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
 
 WIDTH_PX = 720
 NARROWEST_PX, WIDEST_PX = 320, 3840
@@ -77,10 +120,10 @@ class Scene:
         _draw_world(self._axes, trajectory)
         across = int((self.width_px / dpi - LEFT - RIGHT) * 14)  # letters of this size in one line
         text = caption if len(caption) <= across else f"{caption[: across - 1]}…"
-        self._text((0.0, 21.0), text, colour=colours.FAINT, size=8.0)
+        self._text((0.0, 21.0), text, colour=FAINT, size=8.0)
         self._moving = _Moving(self._axes, trajectory)
-        self._status = self._text((0.0, 6.0), "", colour=colours.INK, size=9.5)
-        self._contacts = self._text((0.0, 6.0), "", colour=colours.CONTACT, size=9.5, right=True)
+        self._status = self._text((0.0, 6.0), "", colour=INK, size=9.5)
+        self._contacts = self._text((0.0, 6.0), "", colour=CONTACT, size=9.5, right=True)
         self._background: Any = None
 
     def update(self, time_s: float, since_s: float | None = None, trail_s: float = math.inf) -> Moment:
@@ -143,16 +186,14 @@ class _Moving:
 
         robots = len(trajectory.ids)
         self._radius_m = np.asarray(trajectory.radius_m, np.float64)
-        self._colours = np.array([colours.ROBOTS[row % len(colours.ROBOTS)] for row in range(robots)])
+        self._colours = np.array([ROBOTS[row % len(ROBOTS)] for row in range(robots)])
         self._trails = LineCollection([], colors=self._colours, linewidths=1.1, capstyle="round")
-        (self._marks,) = axes.plot([], [], "x", color=colours.CONTACT, markersize=4.5, markeredgewidth=1.0)
+        (self._marks,) = axes.plot([], [], "x", color=CONTACT, markersize=4.5, markeredgewidth=1.0)
         nowhere = np.full((robots, 2), np.nan)
-        self._discs = _discs(
-            axes, nowhere, self._radius_m, facecolors=self._colours, edgecolors=colours.INK, linewidths=0.6
-        )
-        self._noses = LineCollection([], colors=colours.INK, linewidths=1.1, capstyle="round")
+        self._discs = _discs(axes, nowhere, self._radius_m, facecolors=self._colours, edgecolors=INK, linewidths=0.6)
+        self._noses = LineCollection([], colors=INK, linewidths=1.1, capstyle="round")
         self._rings = _discs(
-            axes, nowhere, RING * self._radius_m, facecolors="none", edgecolors=colours.CONTACT, linewidths=1.6
+            axes, nowhere, RING * self._radius_m, facecolors="none", edgecolors=CONTACT, linewidths=1.6
         )
         for lines in (self._trails, self._noses):
             axes.add_collection(lines, autolim=False)
@@ -166,7 +207,7 @@ class _Moving:
         ahead = np.stack((np.cos(heading), np.sin(heading)), axis=1) * (NOSE * self._radius_m[:, None])
         self._trails.set_segments(trails)
         self._discs.set_offsets(position)
-        self._discs.set_facecolor(np.where(moment.touching, colours.CONTACT, self._colours).tolist())
+        self._discs.set_facecolor(np.where(moment.touching, CONTACT, self._colours).tolist())
         self._noses.set_segments(list(np.stack((position, position + ahead), axis=1)))
         self._rings.set_offsets(np.where(moment.touching[:, None], position, np.nan))
         self._marks.set_data(moment.marks[:, 0], moment.marks[:, 1])
@@ -185,14 +226,14 @@ def _draw_axes(axes: Axes, view: tuple[float, float, float, float]) -> None:
     axes.set_xlim(view[0], view[2])
     axes.set_ylim(view[1], view[3])
     axes.set_aspect("equal", anchor="C")
-    axes.set_facecolor(colours.OUTSIDE)
+    axes.set_facecolor(OUTSIDE)
     axes.set_axisbelow(True)
     box, figure = axes.get_position(), axes.get_figure(root=True)
     width, height = (0.0, 0.0) if figure is None else figure.get_size_inches()
     for axis, length in ((axes.xaxis, box.width * width), (axes.yaxis, box.height * height)):
         axis.set_major_locator(MaxNLocator(nbins=max(1, min(8, int(2.2 * length))), steps=[1, 2, 5, 10]))
-    axes.tick_params(labelsize=7.5, colors=colours.FAINT, length=2.5, width=0.6, pad=2.0)
-    axes.set_xlabel("m", fontsize=7.5, color=colours.FAINT, labelpad=0.0, loc="right")
+    axes.tick_params(labelsize=7.5, colors=FAINT, length=2.5, width=0.6, pad=2.0)
+    axes.set_xlabel("m", fontsize=7.5, color=FAINT, labelpad=0.0, loc="right")
     for spine in axes.spines.values():
         spine.set_visible(False)
 
@@ -204,26 +245,26 @@ def _draw_world(axes: Axes, trajectory: Trajectory) -> None:
 
     x_min, y_min, x_max, y_max = (float(each) for each in trajectory.bounds_m)
     extent = ((x_min, y_min), x_max - x_min, y_max - y_min)
-    floor = axes.add_patch(Rectangle(*extent, facecolor=colours.FLOOR, edgecolor="none", zorder=1))
-    axes.add_patch(Rectangle(*extent, facecolor="none", edgecolor=colours.INK, linewidth=1.6, zorder=4))
+    floor = axes.add_patch(Rectangle(*extent, facecolor=FLOOR, edgecolor="none", zorder=1))
+    axes.add_patch(Rectangle(*extent, facecolor="none", edgecolor=INK, linewidth=1.6, zorder=4))
     goals = np.unique(trajectory.goals[np.isfinite(trajectory.goals).all(axis=1)], axis=0)
     discs = _discs(
         axes,
         goals.reshape(-1, 2),
         np.full(len(goals), trajectory.goal_radius_m),
-        facecolors=colours.GOAL,
-        edgecolors=colours.GOAL_EDGE,
+        facecolors=GOAL,
+        edgecolors=GOAL_EDGE,
         linewidths=1.0,
         linestyles="dashed",
         zorder=2,
     )
     discs.set_clip_path(floor)  # no robot arrives beyond the walls
     boxes = PolyCollection(
-        list(corners(trajectory.boxes)), facecolors=colours.BOX, edgecolors=colours.BOX_EDGE, linewidths=0.8, zorder=3
+        list(corners(trajectory.boxes)), facecolors=BOX, edgecolors=BOX_EDGE, linewidths=0.8, zorder=3
     )
     axes.add_collection(boxes, autolim=False)
     starts = trajectory.pose[0, :, :2]
-    axes.plot(starts[:, 0], starts[:, 1], "o", ms=4.0, mfc="none", mec=colours.FAINT, mew=0.8, zorder=5)
+    axes.plot(starts[:, 0], starts[:, 1], "o", ms=4.0, mfc="none", mec=FAINT, mew=0.8, zorder=5)
 
 
 def _discs(axes: Axes, centre: Array, radius_m: Array, **style: Any) -> Any:
@@ -246,3 +287,73 @@ def corners(boxes: Array) -> Array:
     turned = np.stack((cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1]), axis=-1)
     found: Array = turned + rows[:, None, :2]
     return found
+
+
+STILL_ENDINGS = (".png", ".svg")
+
+
+def write_still(
+    trajectory: Trajectory,
+    path: Path,
+    *,
+    caption: str = "",
+    width_px: int = WIDTH_PX,
+    from_s: float | None = None,
+    until_s: float | None = None,
+) -> None:
+    """Write a PNG or SVG: robots where they are at `until_s` (default: the end), their ways since `from_s`.
+
+    Raises
+    ------
+    ConfigError
+        Another ending, nothing was recorded then, or the file cannot be written.
+    MissingExtra
+        matplotlib is not installed.
+    """
+    kind = path.suffix.lower()
+    if kind not in STILL_ENDINGS:
+        raise ConfigError(f"a picture ends in {' or '.join(STILL_ENDINGS)}", where=str(path))
+    scene = _scene(trajectory, caption, width_px, from_s, until_s)
+    with whole_file(path) as beside:
+        _save(scene, beside, kind[1:])
+
+
+def svg_text(trajectory: Trajectory, *, caption: str = "", width_px: int = WIDTH_PX) -> str:
+    """Return the whole way of a trial as an SVG document, for a report. Equal input, equal text."""
+    buffer = io.BytesIO()
+    _save(_scene(trajectory, caption, width_px, None, None), buffer, "svg")
+    return buffer.getvalue().decode()
+
+
+def _scene(trajectory: Trajectory, caption: str, width_px: int, from_s: float | None, until_s: float | None) -> Scene:
+    timeline = Timeline(trajectory)
+    first_s, last_s = timeline.window(from_s, until_s)
+    scene = Scene(timeline, caption, width_px)
+    scene.update(last_s, trail_s=last_s - first_s if from_s is not None else math.inf)
+    return scene
+
+
+def _save(scene: Scene, file: Any, kind: str) -> None:
+    import matplotlib as mpl
+
+    # Dates and random ids would make equal pictures differ.
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    with mpl.rc_context({"svg.hashsalt": "fullswarm"}):
+        scene.figure.savefig(file, format=kind, dpi=scene.figure.dpi, metadata=metadata)
+
+
+def palette() -> NDArray[np.uint8]:
+    """Return at most 255 colours (k, 3): all that a scene is drawn in, and their blends at soft edges.
+
+    The same for every film: colours do not flicker from frame to frame, and no rare one is lost.
+    """
+    shares = np.linspace(0.0, 1.0, SHARES)[:, None]
+    behind = {FLOOR: (*ROBOTS, CONTACT, INK, BOX, GOAL_EDGE), GOAL: (*ROBOTS, CONTACT, INK, GOAL_EDGE), OUTSIDE: (INK,)}
+    pairs = [pair for back, fronts in behind.items() for pair in product((back,), fronts)]
+    pairs += [(BOX, BOX_EDGE), (INK, CONTACT), *product((INK,), ROBOTS), (FLOOR, FAINT), (OUTSIDE, FAINT)]
+    exact = [rgb(colour) for pair in pairs for colour in pair]
+    blends = np.concatenate([shares * rgb(front) + (1.0 - shares) * np.array(rgb(back)) for back, front in pairs])
+    colours = np.concatenate((np.array(exact), np.rint(blends))).astype(np.uint8)
+    _, first = np.unique(colours, axis=0, return_index=True)
+    chosen: NDArray[np.uint8] = colours[np.sort(first)][:255]
+    return chosen

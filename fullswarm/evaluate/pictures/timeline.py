@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.kernels import Array, Flags
 
 APART_S = 0.25

@@ -1,20 +1,17 @@
 """Results: what came of an experiment, for people and programs. In: a results folder. Out: index, tables, report.
 
-``folder.py`` reads the directories of the trials, which are the truth. All else is made of them and can be made
-again: ``index.py`` (SQLite), ``export.py`` (files for other programs), ``compare.py`` (paired by seed),
-``report.py`` (one HTML file), ``plots.py`` and ``maps.py`` (its figures).
+The directories of the trials are the truth; all else is made of them and can be made again.
 
-Further files:
-
-``commands.py``      What `fullswarm results` does
-``coverage_map.py``  `fullswarm results map`: what the swarm of one trial has covered, as a map that ROS's map_server
-                     reads
-``quantities.py``    What is measured: names, titles and units
-``sample.py``        Trials sorted for tables and figures: conditions (engine, limits, network), scenarios, sizes,
-                     behaviours
-``statistics.py``    Statistics of trials: description with intervals, and paired comparison by seed
-``svg.py``           Figures as SVG text: small, the same bytes for the same data, fit to stand inside an HTML page
-``tables.py``        The report's tables, as data: for HTML and for Markdown
+``folder.py``      the results folder: ``experiment.json`` and the trials in it
+``commands.py``    what `fullswarm results` does
+``quantities.py``  what is measured: names, titles and units; a new column of tables and reports begins here
+``sample.py``      trials sorted for tables and figures: by condition (engine, limits, network), scenario and size
+``statistics.py``  description with intervals, and paired comparison by seed
+``compare.py``     two folders, or two values of a field, paired by seed
+``report.py``      the report, one HTML file (``report.html.j2``): its sections and tables
+``figures.py``     its figures, as SVG
+``index.py``       the trials as SQLite
+``export.py``      the trials as files for other programs
 """
 
 from fullswarm.evaluate.results.folder import Folder, Problem, StoredTrial, read_folder, read_records

@@ -1,4 +1,4 @@
-"""What `fullswarm results` does."""
+"""Implements `fullswarm results`."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import sqlite3
 import sys
 import tempfile
 import webbrowser
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from fullswarm import output
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.model import Parameter
+from fullswarm.evaluate.pictures.replay import find_trial, read_trajectory
 from fullswarm.evaluate.results.compare import Comparison, MetricComparison, compare_by
 from fullswarm.evaluate.results.compare import compare as compare_folders
 from fullswarm.evaluate.results.export import WRITERS, long, wide, write_table
@@ -25,6 +30,9 @@ from fullswarm.evaluate.results.folder import Folder, StoredTrial, older_text, r
 from fullswarm.evaluate.results.index import INDEX_FILE, open_index, rebuild
 from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, range_of, values_of
 from fullswarm.evaluate.results.statistics import Described, describe
+from fullswarm.evaluate.scenarios.maps import coverage_map, occupied_cells, write_map
+from fullswarm.evaluate.trial_folder import COVERAGE_FILE, TRAJECTORY_FILE
+from fullswarm.perf.coverage import GridFrame
 from fullswarm.units import unit_of
 
 STDOUT = Path("-")
@@ -303,3 +311,37 @@ def _number(value: float) -> str:
 
 def _interval(low: float, high: float) -> str:
     return "-" if math.isnan(low) else f"{low:.4g} to {high:.4g}"
+
+
+def write_coverage_map(folder: Path, trial: str, out: Path | None) -> int:
+    """Write the map of a trial and print both files' names.
+
+    Raises
+    ------
+    ConfigError
+        No such trial, it has no grid (a failed one, a fleet's), or the map cannot be written.
+    """
+    place = find_trial(folder, trial)
+    frame, covered = read_coverage(place / COVERAGE_FILE)
+    boxes = read_trajectory(place).boxes if (place / TRAJECTORY_FILE).exists() else np.zeros((0, 5))
+    occupied = occupied_cells(frame, tuple((x, y, size_x, size_y, yaw) for x, y, size_x, size_y, yaw in boxes.tolist()))
+    output.data("\n".join(map(str, write_map(coverage_map(frame, covered, occupied), out or place / "coverage"))))
+    return 0
+
+
+def read_coverage(path: Path) -> tuple[GridFrame, NDArray[np.uint8]]:
+    """Return a trial's grid: its frame, and (rows, columns) of 0 and 1.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or it is broken.
+    """
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            x_m, y_m, cell_m, rows, columns = file["frame"].tolist()
+            return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
+    except FileNotFoundError as error:
+        raise ConfigError("this trial has no coverage grid", where=str(path)) from error
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
+        raise ConfigError(f"not a coverage grid: {error}", where=str(path), hint="run the trial again") from error

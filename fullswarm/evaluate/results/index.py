@@ -18,9 +18,9 @@ from pathlib import Path
 import msgspec
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.record import PROVENANCE_FILE, RESULT_FILE, TRIALS
 from fullswarm.evaluate.results.folder import EXPERIMENT_FILE, Folder, StoredTrial, read_folder, trial_paths
 from fullswarm.evaluate.results.quantities import values_of
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, TRIALS
 
 INDEX_FILE = "index.sqlite"
 INDEX_FORMAT = "fullswarm.index/2"

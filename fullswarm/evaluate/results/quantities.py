@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fullswarm.evaluate.experiment.record import Record
-from fullswarm.evaluate.experiment.results import Outcome
+from fullswarm.evaluate.experiment.outcomes import Outcome
+from fullswarm.evaluate.trial_folder import Record
 
 Key = tuple[str, str]
 """Source and name, such as ``("onboard", "work.total_m")``."""

@@ -1,19 +1,15 @@
 """Scenarios: arenas for trials, as data. In: a name or a TOML file, a seed. Out: boxes, start poses, goals.
 
 The four of the paper (IV.A): ``empty``, ``empty_dense``, ``uniform``, ``concave``; its unmeasured ``corridor``;
-and ``antipodal``, ``antipodal_table`` for deadlock. What the paper leaves open is stated in each file.
+and ``antipodal``, ``antipodal_table`` for deadlock. What the paper leaves open is stated in each file. A new scenario
+is one more TOML file here; a new importer one more module in ``importers/``.
 
-Files:
-
-``commands.py``     What `fullswarm scenario` does: list, show, import and export arenas
-``export_sdf.py``   A scenario as an SDF 1.9 world for Gazebo: floor, light, boxes and walls, the goal, robots at
-                    their starts
-``files.py``        Files that come with the package, by name; or the user's own, by path
-``importers/``      Other simulators' worlds as scenarios
-``model.py``        What a scenario is, and how its file is read
-``placement.py``    Where boxes and robots stand for a seed
-``text_map.py``     A scenario as text: what stands where, one character for a cell
-``toml_writer.py``  A scenario as TOML, which `load_scenario` reads back equal
+``model.py``       what a scenario is, and its file
+``placement.py``   where boxes and robots stand for a seed
+``commands.py``    what `fullswarm scenario` does: list, show, import and export arenas
+``importers/``     other simulators' worlds as scenarios
+``export_sdf.py``  a scenario as an SDF 1.9 world for Gazebo
+``maps.py``        a scenario or a coverage grid as a map: text, or PGM and YAML for ROS
 """
 
 from fullswarm.evaluate.scenarios.model import (

@@ -50,7 +50,7 @@ def show(name: str, seed: int, robots: int, as_json: bool) -> int:
         }
         output.data_json({"scenario": scenario.model_dump(mode="json", exclude_none=True), "placed": placed})
         return 0
-    from fullswarm.evaluate.scenarios.text_map import LEGEND, text_map
+    from fullswarm.evaluate.scenarios.maps import LEGEND, text_map
 
     output.data(f"{scenario.name}: {scenario.description}".removesuffix(": "))
     output.data(f"{_size(scenario)} m, {len(boxes)} boxes, {robots} robots, seed {seed}")
@@ -70,7 +70,7 @@ def import_world(file: Path, form: str | None, out: Path | None, as_json: bool) 
         The reader of XML or YAML is not installed.
     """
     from fullswarm.evaluate.scenarios.importers import read_world
-    from fullswarm.evaluate.scenarios.toml_writer import scenario_to_toml
+    from fullswarm.evaluate.scenarios.model import scenario_to_toml
 
     imported = read_world(file, form)
     for note in imported.notes:
@@ -100,7 +100,7 @@ def export(name: str, form: str, robots: int, seed: int, out: Path, cell_m: floa
         raise ConfigError(f"there is no format '{form}'", where="--format", hint=did_you_mean(form, EXPORTS))
     scenario = load_scenario(_path_or_name(name))
     if form == "pgm":
-        from fullswarm.evaluate.coverage_map import scenario_map, write_map
+        from fullswarm.evaluate.scenarios.maps import scenario_map, write_map
 
         picture, sidecar = write_map(scenario_map(scenario, seed, cell_m), out)
         output.progress(f"wrote {picture} and {sidecar}")

@@ -1,21 +1,54 @@
-"""What a scenario is, and how its file is read."""
+"""Defines what a scenario is, and reads and writes its TOML file: one of the package, by name, or a user's, by path."""
 
 from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Iterable
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
+import tomlkit
 from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, model_validator
 from pydantic_core import ErrorDetails
+from tomlkit.items import Array, Table
 
 from fullswarm.config import Point, Section
-from fullswarm.config.explain import dotted, explain
-from fullswarm.config.positions import line_numbers
-from fullswarm.errors import ConfigError
-from fullswarm.evaluate.scenarios.files import package_names, read_named
+from fullswarm.config.toml_errors import dotted, explain, line_numbers
+from fullswarm.errors import ConfigError, did_you_mean
+
+
+def package_names(folder: Traversable) -> tuple[str, ...]:
+    """Return the names of the TOML files in a folder of the package, without their ending."""
+    return tuple(sorted(each.name.removesuffix(".toml") for each in folder.iterdir() if each.name.endswith(".toml")))
+
+
+def read_named(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple[str, str]:
+    """Return the text of a file of the package, by its name, or of one by its path; and how to call it in errors.
+
+    Raises
+    ------
+    ConfigError
+        No such file; `kind` says what was looked for.
+    """
+    text, names = str(name_or_path), package_names(folder)
+    if isinstance(name_or_path, str) and text in names:
+        return folder.joinpath(f"{text}.toml").read_text("utf-8"), f"{text}.toml"
+    if isinstance(name_or_path, str) and not text.endswith(".toml") and "/" not in text:
+        raise ConfigError(f"there is no {kind} '{text}'", hint=did_you_mean(text, names))
+    try:
+        return Path(name_or_path).read_text("utf-8"), text
+    except OSError as error:
+        raise ConfigError(
+            f"cannot read the {kind}: {error.strerror or error}",
+            where=text,
+            hint=f"or use one by name: {', '.join(names)}",
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"the {kind} is not UTF-8 text", where=text) from error
+
 
 S = TypeVar("S", bound=Section)
 
@@ -157,3 +190,37 @@ def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
         return any(len(other) > len(path) and other[: len(path)] == path for other in paths)
 
     return [each for each in errors if each["type"] != "too_short" or not holds_another(each["loc"])]
+
+
+def scenario_to_toml(scenario: Scenario, notes: Iterable[str] = ()) -> str:
+    """Return a scenario's file; `notes` become comments at its head."""
+    document = tomlkit.document()
+    for note in notes:
+        # A comment ends at the line's end, and may hold no control character.
+        document.add(tomlkit.comment("".join(each if each.isprintable() else " " for each in note)))
+    for key, value in scenario.model_dump(exclude={"boxes", "random_boxes", "spawn", "goal"}).items():
+        document.add(key, list(value) if isinstance(value, tuple) else value)
+    if scenario.boxes:
+        document.add("boxes", _boxes(scenario))
+    for key, section in (
+        ("random_boxes", scenario.random_boxes),
+        ("spawn", scenario.spawn),
+        ("goal", scenario.goal),
+    ):
+        if section is not None:
+            document.add(key, _table(section))
+    return tomlkit.dumps(document)
+
+
+def _boxes(scenario: Scenario) -> Array:
+    boxes = tomlkit.array()
+    for box in scenario.boxes:
+        boxes.append(list(box))
+    return boxes.multiline(True)
+
+
+def _table(section: Section) -> Table:
+    table = tomlkit.table()
+    for key, value in section.model_dump(exclude_none=True).items():
+        table.add(key, list(value) if isinstance(value, tuple) else value)
+    return table

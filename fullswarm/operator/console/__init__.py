@@ -1,24 +1,24 @@
-"""The web console: one page on which people see a swarm and ask it for behaviours (extra ``[console]``).
+"""The web console: one page that shows a swarm and sends requests to it (extra ``[console]``).
 
-In, from the bus: all that :mod:`fullswarm.operator` hears, and Interventions, SeenObstacles, CoverageMeasurement,
-Leases. In, from the page: the frames of ``frames``. Out, to the page: JSON frames, each encoded once for all.
+In, from the bus: what :mod:`fullswarm.operator` receives, Interventions, SeenObstacles and CoverageMeasurement.
+In, from the page: the frames of ``frames``. Out, to the page: JSON frames, each encoded once for all pages.
 
-Two halves that meet in ``gateway``. The nodes know neither asyncio nor a browser and run on any scheduler:
+The nodes know neither asyncio nor a browser and run on any scheduler:
 
-``gateway.py``    collects, sends on, hands out desks; read this first
-``desk.py``       one operator at one page: requests, driving, leases, stops
-``world.py``      arena, behaviours and groups from the core's database, and what each robot shall run
-``goals.py`` ``history.py`` ``ground.py`` ``alarms.py`` ``requests.py``  what the page draws, in small pieces
-``report.py`` ``advice.py``  the fleet's table, and what to do about a robot that needs attention
+``gateway.py``   connects the bus to the pages: subscriptions, frames and their rates; read this first
+``sessions.py``  carries out what one operator does: requests, driving, leases, stops
+``world.py``     mirrors the core's database: arena, behaviours, groups, orders of the robots
+``fleet.py``     the table of robots, the chart of metrics, the states
+``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
+``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
+``stops.py``     tracks e-stops and stops: which robots have confirmed
 
-The server knows no robots, and serves the runtime of the nodes on its own loop, with no thread more:
+The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
 
-``server.py`` ``guard.py`` ``pages.py`` ``outbox.py``  HTTP, WebSocket, access control, slow clients
-``connections.py``  what connections without the token may use up
-``pump.py`` ``serve.py``  the loop, start and end
+``frames.py``    the frames that a page may send, and their checks
+``server.py``    the web application: files, WebSockets, frames that wait for a slow page
+``access.py``    access control: Host, Origin, token, limits of unverified connections
+``serve.py``     the loop, start and end; opens the page in a browser
 
-Further files:
-
-``door.py``  Opens the page in the user's browser without its token on a command line, which other users can read
-``news.py``  What happens to hub, core, robots and leases, as lines of the log: each change once
+The page itself is in ``page/``: ``main.js`` puts its modules together.
 """

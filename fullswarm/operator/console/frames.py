@@ -1,4 +1,4 @@
-"""What a page may say, checked before anybody looks at it. Nothing here raises at what came in."""
+"""Defines and checks the frames that a page may send. Nothing here raises on malformed input."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fullswarm.messages import Value
 
 MAX_BYTES = 64 * 1024
 LONGEST_INT = 2**53
-"""Beyond it a number of JavaScript is not what was typed."""
+"""Larger integers are not exact in JavaScript."""
 
 Ref = Annotated[int, Meta(ge=0, le=LONGEST_INT)]
 Robot = Annotated[str, Meta(pattern=r"\A@?[A-Za-z0-9_-]{1,64}\Z")]
@@ -30,7 +30,7 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag=str.lower):
-    """Base of all others; the tag is the class's name."""
+    """Base of the other frames; the tag is the class's name."""
 
     ref: Ref
 
@@ -45,7 +45,7 @@ class Request(Frame, frozen=True, kw_only=True):
 
 
 class Stop(Frame, frozen=True, kw_only=True):
-    """Stand still."""
+    """Stop robots."""
 
     robots: Robots = ()
 
@@ -64,7 +64,7 @@ class Clear(Frame, frozen=True, kw_only=True):
 
 
 class Drive(Frame, frozen=True, kw_only=True):
-    """The dead-man is held; said again at least every 0.1 s."""
+    """The dead-man is held; repeated at least every 0.1 s."""
 
     behaviour: Name
     robots: Robots = ()
@@ -73,11 +73,11 @@ class Drive(Frame, frozen=True, kw_only=True):
 
 
 class Release(Frame, frozen=True, kw_only=True):
-    """The dead-man was let go."""
+    """The dead-man was released."""
 
 
 class Lease(Frame, frozen=True, kw_only=True):
-    """Take or give back the authority over robots."""
+    """Hold or release robots."""
 
     robots: Robots = ()
     hold: bool
@@ -85,14 +85,14 @@ class Lease(Frame, frozen=True, kw_only=True):
 
 
 class Ping(Frame, frozen=True, kw_only=True):
-    """How long is the way."""
+    """Measure the round trip."""
 
 
 Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of a frame."""
+    """The outcome of a frame."""
 
     t: ClassVar[str] = "answer"
     ref: int | None
@@ -130,11 +130,11 @@ def read_hello(text: str | bytes) -> Hello | None:
 
 
 def read_command(text: str | bytes) -> Command | Answer:
-    """Return what a frame asks for, or the answer that says what is wrong with it."""
+    """Return the command in a frame, or an answer with its error."""
     try:
         command: Command = _commands.decode(text)
     except _WRONG as error:
-        return Answer(ref=_reference(text), ok=False, reason=f"not understood: {error}"[:300])
+        return Answer(ref=_reference(text), ok=False, reason=f"malformed frame: {error}"[:300])
     match command:
         case Drive():
             given = command.fixed
@@ -143,7 +143,7 @@ def read_command(text: str | bytes) -> Command | Answer:
         case _:
             given = {}
     for name, value in given.items():
-        if not _travels(value):
+        if not _fits(value):
             return Answer(ref=command.ref, ok=False, reason=f"{name} is too large a number or too long a text")
     return command
 
@@ -155,9 +155,9 @@ def _reference(text: str | bytes) -> int | None:
         return None
 
 
-def _travels(value: object) -> bool:
+def _fits(value: object) -> bool:
     if isinstance(value, list):
-        return all(map(_travels, value))
+        return all(map(_fits, value))
     if isinstance(value, str):
         return len(value) <= 1024
     return not isinstance(value, int) or abs(value) <= LONGEST_INT

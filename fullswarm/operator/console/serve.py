@@ -1,4 +1,4 @@
-"""Runs the console: binds, prints its address, serves until told to end. One thread: asyncio's, which serves the nodes.
+"""Runs the console: binds, prints its address, serves until it is ended. One thread: asyncio's, which serves the nodes.
 
 Imports nothing of the extra ``[console]`` before :func:`serve`, which names it when it is missing.
 """
@@ -33,6 +33,9 @@ from fullswarm.runtime import Runtime, Scheduler
 
 if TYPE_CHECKING:
     import uvicorn
+import html
+import tempfile
+import webbrowser
 
 DEFAULT_LISTEN = "127.0.0.1:8807"
 TOKEN = "FULLSWARM_CONSOLE_TOKEN"  # noqa: S105  (the name of a variable)
@@ -40,15 +43,15 @@ LEAST_TOKEN = 16
 INTERRUPTED = 130
 DEAD_LINK_MS = 10_000
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
-"""For each way to listen everywhere: a remote address that is assigned to no host."""
+"""For each wildcard address a remote address that is assigned to no host."""
 
-Guest = Callable[[Scheduler, Callable[[], None]], None]
-"""Gets the scheduler and how to end; launch brings the check whether its parent still lives."""
+OnStart = Callable[[Scheduler, Callable[[], None]], None]
+"""Called with the scheduler and a function that ends the server; the command adds the check of its parent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to serve."""
+    """The options of the server."""
 
     listen: str = DEFAULT_LISTEN
     read_only: bool = False
@@ -60,7 +63,7 @@ class Options:
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
 
 
-def serve(target: Target, options: Options, guest: Guest | None = None) -> int:
+def serve(target: Target, options: Options, on_start: OnStart | None = None) -> int:
     """Serve the console until Ctrl-C or SIGTERM; print its address with the token.
 
     Raises
@@ -70,7 +73,7 @@ def serve(target: Target, options: Options, guest: Guest | None = None) -> int:
     ConfigError
         The address is malformed, or open to the network without permission; a token too short.
     Unreachable
-        The address is taken.
+        The address is in use.
     """
     try:
         for name in ("starlette", "uvicorn", "websockets"):
@@ -82,7 +85,7 @@ def serve(target: Target, options: Options, guest: Guest | None = None) -> int:
     token = read_token(options.token_file)
     keys = Keys(target.swarm)
     with contextlib.closing(_bind(host, port, options.listen)) as listener:
-        return asyncio.run(_serve(listener, host, token, keys, target, options, guest))
+        return asyncio.run(_serve(listener, host, token, keys, target, options, on_start))
 
 
 def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
@@ -96,25 +99,25 @@ def parse_listen(text: str, insecure_network: bool) -> tuple[str, int]:
     host, colon, port = text.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]") or "127.0.0.1"
     if not colon or not port.isdecimal() or int(port) > 65535 or (":" in bare and not host.startswith("[")):
-        raise ConfigError(f"'{text}' is no address", where="--listen", hint=f"write HOST:PORT, like {DEFAULT_LISTEN}")
+        hint = f"expected HOST:PORT, for example {DEFAULT_LISTEN}"
+        raise ConfigError(f"invalid address '{text}'", where="--listen", hint=hint)
     if not is_loopback(bare) and not insecure_network:
         raise ConfigError(
-            "this address is open to the network, and the console speaks plain HTTP: a listener there can read the "
+            "this address is open to the network, and the console speaks plain HTTP: everyone there can read the "
             "token and drive the robots",
             where=f"--listen {text}",
-            hint=f"use {DEFAULT_LISTEN} and an SSH tunnel, or allow it with --insecure-network on a network that you "
-            "trust",
+            hint=f"use {DEFAULT_LISTEN} and an SSH tunnel, or allow it with --insecure-network on a trusted network",
         )
     return bare, int(port)
 
 
 def read_token(path: Path | None) -> str:
-    """Return the token of the file, else of the environment, else a fresh one of 192 bits.
+    """Return the token of the file, else of the environment, else a new one of 192 bits.
 
     Raises
     ------
     ConfigError
-        The file cannot be read, or the token is too short to be one.
+        The file cannot be read, or the token is too short.
     """
     where, token = TOKEN, os.environ.get(TOKEN, "")
     if path is not None:
@@ -139,7 +142,7 @@ def _bind(host: str, port: int, listen: str) -> socket.socket:
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # A page that takes nothing more and does not say so: the system ends its connection, ours is then over too.
+        # The system closes the connection of a page that takes nothing more without closing it itself.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_LINK_MS)
         listener.bind((host, port))
         listener.setblocking(False)
@@ -151,14 +154,17 @@ def _bind(host: str, port: int, listen: str) -> socket.socket:
 
 
 async def _serve(
-    listener: socket.socket, host: str, token: str, keys: Keys, target: Target, options: Options, guest: Guest | None
+    listener: socket.socket,
+    host: str,
+    token: str,
+    keys: Keys,
+    target: Target,
+    options: Options,
+    on_start: OnStart | None,
 ) -> int:
-    from fullswarm.operator.console.connections import uvicorn_server
+    from fullswarm.operator.console.access import Names, lower, uvicorn_server
     from fullswarm.operator.console.gateway import Gateway, Identity
-    from fullswarm.operator.console.guard import Names, lower
-    from fullswarm.operator.console.pages import Pages
-    from fullswarm.operator.console.pump import Pump
-    from fullswarm.operator.console.server import Web
+    from fullswarm.operator.console.server import Pages, Web
 
     loop = asyncio.get_running_loop()
     runtime = Runtime(MonotonicClock())
@@ -176,19 +182,19 @@ async def _serve(
             failed.append(error)
             server.should_exit = True
 
-        pump = Pump(runtime, loop, fail)
-        web = Web(gateway, token, runtime.now_s, pump.poke)
+        runtime_loop = RuntimeLoop(runtime, loop, fail)
+        web = Web(gateway, token, runtime.now_s, runtime_loop.wake)
         server = uvicorn_server(web.app(names, Pages()))
         ended_by = _end_on_signals(loop, server)
-        if guest is not None:
-            guest(runtime, lambda: setattr(server, "should_exit", True))
-        pump.poke()
+        if on_start is not None:
+            on_start(runtime, lambda: setattr(server, "should_exit", True))
+        runtime_loop.wake()
         loop.call_soon(_announce, address := url(host, port, token, options.allow_hosts), options)
         if options.open_browser:
             loop.call_soon(_open, address, loop, stack)
         await server.serve([listener])
         gateway.close()
-        pump.close()
+        runtime_loop.close()
     finally:
         stack.close()
         bus.close()
@@ -198,23 +204,23 @@ async def _serve(
 
 
 def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:
-    """End the server in order on the first signal, at once on the second; return the list of those that came."""
-    came: list[int] = []
+    """Shut the server down on the first signal, abort on the second; return the list of signals received."""
+    received: list[int] = []
 
     def on_signal(number: int) -> None:
-        if came:
+        if received:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
-        came.append(number)
+        received.append(number)
         server.should_exit = True
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, on_signal, number)
-    return came
+    return received
 
 
 def url(host: str, port: int, token: str, allow_hosts: Iterable[str] = ()) -> str:
-    """Return the page's address, by a name that the guard lets in; what stands behind # never leaves the browser."""
+    """Return the page's address, by a name that is accepted; the fragment behind # never leaves the browser."""
     called = _called(host, [name.strip() for name in allow_hosts if name.strip()])
     if _is_ipv6(called):
         called = f"[{called}]:{port}"
@@ -224,7 +230,7 @@ def url(host: str, port: int, token: str, allow_hosts: Iterable[str] = ()) -> st
 
 
 def _called(host: str, allowed: list[str]) -> str:
-    """Return the name by which others reach what listens on `host`."""
+    """Return the name by which other computers reach a server on `host`."""
     if host not in OUTSIDE:
         return host
     if allowed:
@@ -233,7 +239,7 @@ def _called(host: str, allowed: list[str]) -> str:
 
 
 def own_address(everywhere: str) -> str:
-    """Return an address of this machine for others, or its own for itself when it has none.
+    """Return an address of this machine for other computers, or the loopback address when it has none.
 
     Parameters
     ----------
@@ -242,9 +248,9 @@ def own_address(everywhere: str) -> str:
     """
     family, far = OUTSIDE[everywhere]
     with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as asking:
-        asking.connect((far, 9))  # sends nothing: the system only chooses from which address it would
+        asking.connect((far, 9))  # sends nothing: the system only selects the source address
         address = ipaddress.ip_address(asking.getsockname()[0])
-        if address.version == 4 or not address.is_link_local:  # a browser takes no fe80::1%eth0
+        if address.version == 4 or not address.is_link_local:  # browsers accept no fe80::1%eth0
             return str(address)
     return "127.0.0.1" if family == socket.AF_INET else "::1"
 
@@ -266,10 +272,109 @@ def _announce(address: str, options: Options) -> None:
 
 
 def _open(address: str, loop: asyncio.AbstractEventLoop, stack: contextlib.ExitStack) -> None:
-    from fullswarm.operator.console.door import OPEN_S, Door
+    page = RedirectPage(address)
+    stack.callback(page.close)
+    loop.call_later(OPEN_S, page.close)
+    if not page.open():
+        output.progress("no browser found: open the address yourself")
 
-    door = Door(address)
-    stack.callback(door.close)
-    loop.call_later(OPEN_S, door.close)
-    if not door.open():
-        output.progress("no browser could be started here")
+
+# ---------------------------------------------------------------- the loop
+class RuntimeLoop:
+    """Calls :meth:`Runtime.serve_due` whenever a message has come or a timer is due.
+
+    Parameters
+    ----------
+    on_error
+        Called with what a node raised; nothing is served after that.
+    """
+
+    def __init__(
+        self, runtime: Runtime, loop: asyncio.AbstractEventLoop, on_error: Callable[[BaseException], None]
+    ) -> None:
+        self._runtime, self._loop, self._on_error = runtime, loop, on_error
+        self._called = self._closed = False
+        self._timer: asyncio.TimerHandle | None = None
+        runtime.mailbox.on_put = self._wake_from_any_thread
+
+    def wake(self) -> None:
+        """Serve soon: a timer was set on the loop."""
+        if not self._called and not self._closed:
+            self._called = True
+            self._loop.call_soon(self._serve)
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._closed = True
+        self._runtime.mailbox.on_put = None
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _wake_from_any_thread(self) -> None:
+        """Have the loop serve what was put; called on any thread, once for many messages."""
+        if not self._called and not self._closed:
+            self._called = True
+            self._loop.call_soon_threadsafe(self._serve)
+
+    def _serve(self) -> None:
+        self._called = False  # first: what is put from here on must schedule again
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._closed:
+            return
+        try:
+            wait_s = self._runtime.serve_due()
+        except BaseException as error:  # any kind: it must end the process as on the runtime's own loop
+            self.close()
+            self._on_error(error)
+            return
+        self._timer = self._loop.call_later(wait_s, self._serve)
+
+
+# ---------------------------------------------------------------- the browser
+OPEN_S = 60.0
+"""The file is removed then: a browser reads it at once."""
+PAGE = """<!doctype html>
+<meta charset="utf-8"><meta name="referrer" content="no-referrer"><title>fullswarm</title>
+<script>location.replace({script})</script>
+<noscript><a href="{link}">the console</a></noscript>
+"""
+
+
+class RedirectPage:
+    """A file that only this user can read, and that redirects a browser to an address. It must be closed."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._file: Path | None = None
+
+    def open(self) -> bool:
+        """Open the page in the user's browser; return False when there is none."""
+        try:
+            self._file = _written(PAGE.format(script=_quoted(self._address), link=html.escape(self._address)))
+        except OSError:
+            return False
+        return webbrowser.open(self._file.as_uri())
+
+    def close(self) -> None:
+        """Remove the file; closing twice is fine."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.unlink(missing_ok=True)
+            self._file = None
+
+
+def _quoted(text: str) -> str:
+    """Return a JavaScript string that cannot end its script element."""
+    return json.dumps(text).replace("<", "\\u003c")
+
+
+def _written(page: str) -> Path:
+    # Not in /tmp and not in a hidden folder: a browser from a snap or a flatpak cannot read those.
+    for folder in (Path.home(), Path(tempfile.gettempdir())):
+        with contextlib.suppress(OSError):
+            descriptor, name = tempfile.mkstemp(".html", "fullswarm-console-", folder)  # mode 0600
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(page)
+            return Path(name)
+    raise OSError("neither the home folder nor the one for temporary files can be written")

@@ -1,48 +1,51 @@
-"""The console's web application: the page's files, and one WebSocket per page."""
+"""The console's web application: the page's files, one WebSocket per page, and the frames that wait for it."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import hashlib
+from collections import deque
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from fullswarm.operator.console import frames
-from fullswarm.operator.console.desk import Desk
+from fullswarm.operator.console.access import Bucket, Guard, Names, same_token
 from fullswarm.operator.console.frames import MAX_BYTES
 from fullswarm.operator.console.gateway import Gateway
-from fullswarm.operator.console.guard import Bucket, Guard, Names, same_token
-from fullswarm.operator.console.outbox import Outbox
-from fullswarm.operator.console.pages import Pages
+from fullswarm.operator.console.sessions import OperatorSession
 
 MOST_CLIENTS = 16
 HELLO_S = 3.0
 RATE_HZ, BURST = 60.0, 120.0
 STALLED_S = 5.0
-"""A page that takes nothing for so long is gone, or cannot follow."""
+"""A page that takes nothing for this long is closed, or too slow."""
 
 BAD_TOKEN, NO_HELLO, TOO_BIG, TOO_MANY, TOO_SLOW = 4401, 4408, 4413, 4429, 1013
 
 
 @dataclass(slots=True)
 class Web:
-    """Everything that the pages talk to.
+    """Serves the pages: their files and their WebSockets.
 
     Parameters
     ----------
-    poke
-        Told after each command, because the nodes may have set timers.
+    wake
+        Called after each command, because the nodes may have set timers.
     """
 
     gateway: Gateway
     token: str
     now_s: Callable[[], float]
-    poke: Callable[[], None]
+    wake: Callable[[], None]
     hello_s: float = HELLO_S
     stalled_s: float = STALLED_S
     clients: int = field(default=0, init=False)
@@ -57,13 +60,13 @@ class Web:
         return Starlette(routes=routes, middleware=[Middleware(Guard, names=names)])
 
     async def socket(self, websocket: WebSocket) -> None:
-        """Serve one page from its first frame to its last."""
+        """Serve one page until it is closed."""
         await websocket.accept()
         with contextlib.suppress(WebSocketDisconnect):
             hello = await self._greeting(websocket)
             if hello is None:
                 return
-            # Counted only now: a client without the token must not be able to use up the connections.
+            # Counted only now: a client without the token must not use up the connections.
             if self.clients >= MOST_CLIENTS:
                 await _close(websocket, TOO_MANY, "too many pages are open")
                 return
@@ -88,32 +91,32 @@ class Web:
 
     async def _serve(self, websocket: WebSocket, hello: frames.Hello) -> None:
         outbox = Outbox(self.now_s)
-        desk = self.gateway.join(hello.session, hello.name, outbox)
-        self.poke()
+        session = self.gateway.join(hello.session, hello.name, outbox)
+        self.wake()
         tasks = {
             asyncio.create_task(outbox.run(websocket.send_text)),
-            asyncio.create_task(self._listen(websocket, desk, outbox)),
+            asyncio.create_task(self._listen(websocket, session, outbox)),
             asyncio.create_task(self._stalls(outbox)),
         }
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            # Before anything is awaited: a page that is gone must not drive on.
-            self.gateway.leave(desk, outbox)
-            self.poke()
+            # Before anything is awaited: a page that is closed must not drive on.
+            self.gateway.leave(session, outbox)
+            self.wake()
             for task in tasks:
                 task.cancel()
             results = await asyncio.gather(*tasks, return_exceptions=True)
         if outbox.overrun:
-            await _close(websocket, TOO_SLOW, "this page cannot follow")
+            await _close(websocket, TOO_SLOW, "this page is too slow")
         ended = websocket.application_state is not WebSocketState.CONNECTED
         for result in results:
-            # Sending what was still in the box after the closing is no fault of anybody's.
+            # Sending what still waited after the closing is no error.
             if isinstance(result, Exception) and not isinstance(result, WebSocketDisconnect) and not ended:
                 raise result
 
-    async def _listen(self, websocket: WebSocket, desk: Desk, outbox: Outbox) -> None:
-        """Answer a page's frames until it goes, or has to."""
+    async def _listen(self, websocket: WebSocket, session: OperatorSession, outbox: Outbox) -> None:
+        """Answer a page's frames until it is closed or exceeds a limit."""
         bucket = Bucket(RATE_HZ, BURST)
         while True:
             text = await _receive(websocket)
@@ -124,9 +127,9 @@ class Web:
                 await _close(websocket, TOO_MANY, "too many frames")
                 return
             command = frames.read_command(text)
-            answer = command if isinstance(command, frames.Answer) else desk.handle(command, outbox)
+            answer = command if isinstance(command, frames.Answer) else session.handle(command, outbox)
             outbox.put("answer", answer.encoded())
-            self.poke()
+            self.wake()
 
     async def _stalls(self, outbox: Outbox) -> None:
         """Return when the page has taken nothing for too long."""
@@ -140,7 +143,7 @@ async def _receive(websocket: WebSocket) -> str | bytes:
     Raises
     ------
     WebSocketDisconnect
-        There is none: the page has gone.
+        There is none: the page is closed.
     """
     message = await websocket.receive()
     if message["type"] == "websocket.disconnect":
@@ -152,5 +155,110 @@ async def _receive(websocket: WebSocket) -> str | bytes:
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:
     if websocket.application_state is WebSocketState.CONNECTED:
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # it was quicker
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # closed by the page meanwhile
             await websocket.close(code, reason)
+
+
+# ---------------------------------------------------------------- files
+FOLDER = Path(__file__).with_name("page")
+INDEX = "index.html"
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".ico": "image/x-icon",
+    ".txt": "text/plain; charset=utf-8",
+    ".webmanifest": "application/manifest+json",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Pages:
+    """Serves the files of a folder: only those in it, only of the types of a page."""
+
+    folder: Path = FOLDER
+
+    def find(self, name: str) -> Path | None:
+        """Return the file of that name; None when there is none to be served."""
+        if "\0" in name:
+            return None
+        try:
+            folder = self.folder.resolve()
+            path = (folder / name).resolve()
+            return path if path.is_relative_to(folder) and path.suffix in TYPES and path.is_file() else None
+        except (OSError, ValueError):  # a name that no file can have
+            return None
+
+    async def serve(self, request: Request) -> Response:
+        """Answer a request for a file, or with "not modified"."""
+        path = self.find(request.path_params.get("name", INDEX))
+        if path is None:
+            return PlainTextResponse("no such page", 404)
+        data = path.read_bytes()
+        tag = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
+        # Cached by the browser, but revalidated each time: an update of the package must not mix with the old page.
+        headers = {"ETag": tag, "Cache-Control": "no-cache"}
+        known = {each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")}
+        if tag in known:
+            return Response(status_code=304, headers=headers)
+        return Response(data, media_type=TYPES[path.suffix], headers=headers)
+
+
+# ---------------------------------------------------------------- frames that wait
+NEWEST_WINS = frozenset({"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "world", "stop"})
+"""Frames that are complete: a page that was busy needs only the last one."""
+LONGEST = 1024
+"""Number of other frames that may wait; a page that is further behind is too slow."""
+
+
+class Outbox:
+    """Frames for one page, from the nodes' callbacks to the task that sends.
+
+    Attributes
+    ----------
+    overrun : the page is too slow, nothing more is kept for it
+    sending_s : since when the present frame waits for the page to take it; None: it is all sent
+    """
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self.overrun = False
+        self.sending_s: float | None = None
+        self._now_s = now_s
+        self._queue: deque[str] = deque()
+        self._newest: dict[str, str] = {}
+        self._wake = asyncio.Event()
+
+    def put(self, kind: str, text: str) -> None:
+        """Keep a frame until it can be sent."""
+        if self.overrun:
+            return
+        if kind in NEWEST_WINS:
+            self._newest[kind] = text
+        elif len(self._queue) < LONGEST:
+            self._queue.append(text)
+        else:
+            self.overrun = True
+            self._queue.clear()
+            self._newest.clear()
+        self._wake.set()
+
+    async def run(self, send: Callable[[str], Awaitable[None]]) -> None:
+        """Send until the page is too slow."""
+        while not self.overrun:
+            while self._queue and not self.overrun:
+                await self._send(send, self._queue.popleft())
+            newest, self._newest = self._newest, {}
+            for text in newest.values():
+                await self._send(send, text)
+            if not self._queue and not self._newest and not self.overrun:
+                self._wake.clear()
+                await self._wake.wait()
+
+    async def _send(self, send: Callable[[str], Awaitable[None]], text: str) -> None:
+        self.sending_s = self._now_s()
+        await send(text)
+        self.sending_s = None

@@ -1,4 +1,4 @@
-"""What the core's database says of the world: arena, boxes, behaviours, groups, and what each robot shall run."""
+"""Mirrors the core's database: arena, boxes, behaviours, groups, and what each robot shall run."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ EVERYTHING = "*"
 BEHAVIOUR, GROUP, WANTED = "behaviour/", "group/", "wanted/"
 BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
 SETTLE_S = 0.2
-"""Records that change together are read together."""
+"""Records that change together are read in one answer."""
 
 _SHOWN = (BEHAVIOUR, GROUP, "world/", "agent/")
 
 
 class World:
-    """A copy of the core's database, read anew when the core was started again.
+    """A copy of the core's database, read again when the core was restarted.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class World:
         }
 
     def record(self, name: str) -> dict[str, Any] | None:
-        """Return a behaviour's record, defaults that stand in the database filled in; None: no such behaviour."""
+        """Return a behaviour's record, defaults from the database filled in; None: no such behaviour."""
         raw = self._values.get(BEHAVIOUR + name)
         if not isinstance(raw, dict):
             return None
@@ -84,8 +84,8 @@ class World:
         }
         return {**raw, "parameters": filled}
 
-    def lapses(self, behaviour: str) -> bool:
-        """Tell whether a behaviour is an intent, which ends unless it is repeated."""
+    def expires(self, behaviour: str) -> bool:
+        """Return whether a behaviour is an intent, which ends unless it is repeated."""
         record = self._values.get(BEHAVIOUR + behaviour)
         expires_s = record.get("expires_s") if isinstance(record, dict) else None
         return isinstance(expires_s, int | float) and expires_s > 0.0
@@ -125,7 +125,7 @@ class World:
 
     # ---------------------------------------------------------------- staying up to date
     def _ask(self) -> None:
-        """Ask for everything; what is asked for meanwhile waits for the answer."""
+        """Ask for all entries; a further question waits for the answer."""
         if self._closed:
             return
         self._again = self._asking
@@ -153,7 +153,7 @@ class World:
     def _changed(self, entry: ParamEntry) -> None:
         key = entry.key
         if key.startswith(BEHAVIOUR):
-            # Others may be like this one: only the core can say what they have become.
+            # Others may inherit from this one: only the core can resolve them.
             self._scheduler.after(SETTLE_S, self._ask)
             return
         if entry.value is None:

@@ -1,17 +1,15 @@
-"""Driving with a gamepad: pads (SDL) → pilot (what it means) → requests, stops and e-stops.
+"""Driving with a gamepad: pads (SDL) → pilot → requests, stops and e-stops.
 
-In: what is pressed, read each 5 ms. Out: BehaviourRequest, StopRequest, EStop, LeaseRequest. Read ``state`` (what a pad
-says), ``bindings`` (what that asks for), ``pilot`` (when it may). Only ``pads`` knows SDL; the rest runs on any clock.
+In: the pads' state, sampled each 5 ms. Out: BehaviourRequest, StopRequest, EStop, LeaseRequest. Only ``pads`` uses SDL;
+the rest runs on any clock.
 
-Further files:
-
-``command.py``    What `fullswarm joystick` and its verbs do
-``devices.py``    What the system says about gamepads that SDL cannot open: SDL itself is silent about permissions
-``mapping.py``    SDL's text form of a pad's mapping: ``guid,name,a:b0,leftx:a0,…,platform:Linux,`` and files of such
-                  lines
-``reins.py``      The robots in hand: their leases, the stream of intents, and the zeros at its end
-``selection.py``  What is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them
-``show.py``       How pads and pilots look in a terminal
-``wizard.py``     Teaches SDL an unknown pad: asks for each control in turn and notes which axis, button or hat
-                  answers
+``state.py``           the state of a gamepad, and the protocol of its source
+``bindings.py``        reads which control requests what (``bindings.toml``, or the user's file)
+``pilot.py``           converts the inputs of pads to requests, stops and e-stops: the rules of driving; read this first
+``teleop_session.py``  drives the selected robots: leases, stream, zeros
+``selection.py``       selects a robot, a group, a make or the whole swarm
+``pads.py``            reads pads through SDL
+``mapping.py``         maps pads that SDL does not know: the wizard, and SDL's lines
+``devices.py``         finds pads that this user may not read
+``show.py``            shows pads and the pilot's status in a terminal
 """

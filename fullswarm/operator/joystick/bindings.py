@@ -1,4 +1,4 @@
-"""Which control of a gamepad asks for what: a typed TOML file, with every error at once and where it stands."""
+"""Reads the bindings of a gamepad's controls from a typed TOML file; reports every error with its line."""
 
 from __future__ import annotations
 
@@ -12,29 +12,28 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from fullswarm.config.explain import dotted, explain
 from fullswarm.config.models import Section
-from fullswarm.config.positions import KeyPath, line_numbers
+from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import Value
 from fullswarm.operator.joystick.state import AXES, BUTTONS, PadState, shaped
-from fullswarm.words import ROBOT_ID
 
 DEFAULT = Path(__file__).with_name("bindings.toml")
 SWITCH_AT = 1.2
-"""On a diagonal the other axis must be so much further out before the direction changes: no flutter between two."""
+"""On a diagonal the other axis must be further out by this factor before the direction changes (hysteresis)."""
 _SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 
 def _axis(text: str) -> str:
     if text.removeprefix("-") not in AXES:
-        raise ValueError(f"'{text}' is no axis, {did_you_mean(text.removeprefix('-'), AXES)}")
+        raise ValueError(f"'{text}' is not an axis, {did_you_mean(text.removeprefix('-'), AXES)}")
     return text
 
 
 def _button(text: str) -> str:
     if text not in BUTTONS:
-        raise ValueError(f"'{text}' is no button, {did_you_mean(text, BUTTONS)}")
+        raise ValueError(f"'{text}' is not a button, {did_you_mean(text, BUTTONS)}")
     return text
 
 
@@ -55,7 +54,7 @@ BehaviourName = Annotated[str, AfterValidator(_behaviour)]
 
 
 class Motion(Section):
-    """How a stick's offset becomes a magnitude."""
+    """How a stick's offset is converted to a magnitude."""
 
     dead_zone: float = Field(0.15, ge=0.0, le=0.9)
     expo: float = Field(0.0, ge=0.0, le=1.0)
@@ -63,7 +62,7 @@ class Motion(Section):
 
 
 class Buttons(Section):
-    """What each function's button is; empty: none."""
+    """The button of each function; empty: none."""
 
     dead_man: Button = "leftshoulder"
     stop: Button = "a"
@@ -94,7 +93,7 @@ class Directions(Section):
         return self.x, self.y
 
     def read(self, offsets: tuple[float, ...], before: str) -> tuple[str, dict[str, float]]:
-        """Return behaviour and magnitude; `before` is what was asked for until now."""
+        """Return behaviour and magnitude; `before` is the behaviour that is streamed."""
         x, y = offsets
         across, along = abs(x), abs(y)
         if before in (self.left, self.right):
@@ -123,7 +122,7 @@ class Stick(Section):
         return self.behaviour, dict(zip(self.axes, offsets, strict=True))
 
 
-class Order(Section):
+class BoundRequest(Section):
     """A behaviour that a button starts."""
 
     behaviour: BehaviourName
@@ -137,11 +136,11 @@ class Bindings(Section):
     buttons: Buttons = Buttons()
     directions: tuple[Directions, ...] = ()
     sticks: tuple[Stick, ...] = ()
-    requests: dict[Button, Order] = Field(default_factory=dict)
+    requests: dict[Button, BoundRequest] = Field(default_factory=dict)
 
     @property
     def all_sticks(self) -> tuple[Directions | Stick, ...]:
-        """Return what may drive; the first that is off its centre does."""
+        """Return all sticks; the first that is off its centre drives."""
         return (*self.directions, *self.sticks)
 
     def offsets(self, pad: PadState, stick: Directions | Stick) -> tuple[float, ...]:
@@ -150,7 +149,7 @@ class Bindings(Section):
         return shaped(tuple(raw), self.motion.dead_zone, self.motion.expo)
 
     def meanings(self) -> dict[str, str]:
-        """Return control → what it does, for people."""
+        """Return control → its function in words."""
         found = {button: role.replace("_", " ") for role, button in self.buttons if button}
         found |= {button: f"request {order.behaviour}" for button, order in self.requests.items()}
         for way in self.directions:
@@ -181,12 +180,12 @@ def _signed(pad: PadState, axis: str) -> float:
 
 
 def load_bindings(path: Path | None = None) -> Bindings:
-    """Read and check a bindings file; none: the one that comes with the package.
+    """Read and check a bindings file; None: the one of the package.
 
     Raises
     ------
     ConfigError
-        All that is wrong, one line each: ``file:line: key: what``.
+        All errors, one line each: ``file:line: key: what``.
     """
     path = path or DEFAULT
     try:
@@ -212,15 +211,15 @@ def parse_bindings(text: str, name: str = "bindings") -> Bindings:
         return Bindings.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         lines = line_numbers(text)
-        found = sorted(set(_complaints(error, name, lines)))
-        raise ConfigError("\n".join(complaint for _, complaint in found)) from None
+        found = sorted(set(_errors(error, name, lines)))
+        raise ConfigError("\n".join(error_text for _, error_text in found)) from None
 
 
-def _complaints(error: ValidationError, name: str, lines: dict[KeyPath, int]) -> Iterator[tuple[int, str]]:
+def _errors(error: ValidationError, name: str, lines: dict[KeyPath, int]) -> Iterator[tuple[int, str]]:
     for details in error.errors(include_url=False):
         path, what = explain(details, Bindings)
         path = tuple(part for part in path if part != "[key]")  # a dict's key is wrong, not its value
-        if "parameters" in path[:-1]:  # one complaint instead of one per type that it is not
+        if "parameters" in path[:-1]:  # one error_text instead of one per type that it is not
             path = path[: path.index("parameters") + 2]
             what = "must be a flag, number, word, point or list of points"
         line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 0)

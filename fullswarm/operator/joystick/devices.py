@@ -1,4 +1,4 @@
-"""What the system says about gamepads that SDL cannot open: SDL itself is silent about permissions."""
+"""Finds gamepads that this user may not read: SDL itself does not report missing permissions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 INPUT = Path("/dev/input")
 LIST = Path("/proc/bus/input/devices")
-MEND = (
-    "sudo usermod -aG input $USER   # then log out and in again; for the one at the screen only, a udev rule: "
+ACCESS = (
+    "sudo usermod -aG input $USER   # then log out and in again; for the local user only, a udev rule: "
     'KERNEL=="event*", ENV{ID_INPUT_JOYSTICK}=="1", TAG+="uaccess" in /etc/udev/rules.d/70-gamepad.rules'
 )
 _JS = re.compile(r"js\d+\Z")
@@ -29,7 +29,7 @@ class InputDevice:
 def gamepads(folder: Path = INPUT, listing: Path = LIST) -> tuple[InputDevice, ...]:
     """Return the gamepads that the kernel lists, each with the file that SDL opens.
 
-    Without a listing the joystick files of `folder` stand for themselves.
+    Without a listing, the joystick files of `folder` are returned.
     """
     found = []
     for name, handlers in _listed(listing):

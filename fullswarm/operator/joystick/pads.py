@@ -1,7 +1,7 @@
-"""Gamepads through SDL: the only file that knows it. No display, no window, no thread.
+"""Reads gamepads through SDL, without display, window or thread. No other file uses SDL.
 
 SDL knows some hundred pads by itself; ``gamecontrollerdb.txt`` in the user's configuration folder adds others (the
-community's file may lie there, or what `fullswarm joystick map` wrote).
+community's file, or what `fullswarm joystick map` wrote).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def load_sdl() -> Any:
         os.environ.setdefault(name, value)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it warns that it uses the library that came with it
+            warnings.simplefilter("ignore")  # it warns that it uses its own copy of the library
             import sdl2
     except ImportError as error:
         raise MissingExtra(
@@ -58,7 +58,7 @@ def load_sdl() -> Any:
 
 
 class Pads:
-    """All gamepads of this machine, also those that are plugged in later.
+    """All gamepads of this machine, including those that are plugged in later.
 
     Raises
     ------
@@ -72,46 +72,46 @@ class Pads:
         self._sdl = load_sdl()
         sdl = self._sdl
         if sdl.SDL_Init(sdl.SDL_INIT_GAMECONTROLLER) != 0:
-            raise FullswarmError(f"SDL does not start: {self._error()}", where="joystick")
+            raise FullswarmError(f"SDL failed to start: {self._error()}", where="joystick")
         for quiet in (sdl.SDL_JOYAXISMOTION, sdl.SDL_CONTROLLERAXISMOTION):
-            sdl.SDL_EventState(quiet, sdl.SDL_IGNORE)  # a thousand a second; the state is read instead
+            sdl.SDL_EventState(quiet, sdl.SDL_IGNORE)  # a thousand a second; the state is polled instead
         self._event = sdl.SDL_Event()
         self._pads: dict[int, _Pad] = {}
         self._pressed: dict[int, set[str]] = {}
         for line in mapping.read_file(mappings or mapping.user_file()):
             if line.platform in ("", sdl.SDL_GetPlatform().decode()):
                 self.add_mapping(line)
-        self._look()
+        self._update_pads()
 
     def _error(self) -> str:
         return str(self._sdl.SDL_GetError().decode(errors="replace"))
 
     def add_mapping(self, line: mapping.Mapping) -> None:
-        """Make a kind of pad known, from now on and for those that are plugged in already.
+        """Add the mapping of a model of pads, for those that are plugged in already too.
 
         Raises
         ------
         FullswarmError
-            SDL refuses it.
+            SDL rejects it.
         """
         if self._sdl.SDL_GameControllerAddMapping(line.text.encode()) < 0:
-            raise FullswarmError(f"SDL refuses the mapping of '{line.name}': {self._error()}", where="joystick")
+            raise FullswarmError(f"SDL rejects the mapping of '{line.name}': {self._error()}", where="joystick")
         for pad in self._pads.values():
             self._close(pad)
         self._pads.clear()
-        self._look()
+        self._update_pads()
 
     def poll(self) -> tuple[PadState, ...]:
-        """Return all pads as they are now."""
+        """Return the state of all pads."""
         self._pressed = {}
-        if self._pump():
-            self._look()
+        if self._process_events():
+            self._update_pads()
         return tuple(map(self._state, self._pads.values()))
 
-    def _pump(self) -> bool:
-        """Take in what happened; return whether a pad came or went."""
+    def _process_events(self) -> bool:
+        """Process SDL's events; return whether a pad was plugged in or unplugged."""
         sdl, changed = self._sdl, False
-        sdl.SDL_PumpEvents()  # SDL_PollEvent alone does not look at the pads while older events wait
+        sdl.SDL_PumpEvents()  # SDL_PollEvent alone does not sample the pads while older events wait
         while sdl.SDL_PollEvent(ctypes.byref(self._event)):
             kind = self._event.type
             if kind == sdl.SDL_CONTROLLERBUTTONDOWN:
@@ -122,8 +122,8 @@ class Pads:
                 changed = True
         return changed
 
-    def _look(self) -> None:
-        """Open what is new and close what is gone."""
+    def _update_pads(self) -> None:
+        """Open pads that are new and close those that were unplugged."""
         sdl = self._sdl
         there = {sdl.SDL_JoystickGetDeviceInstanceID(index): index for index in range(sdl.SDL_NumJoysticks())}
         for gone in [pad for pad in self._pads.values() if pad.id not in there]:
@@ -140,7 +140,7 @@ class Pads:
         controller = sdl.SDL_GameControllerOpen(index) if sdl.SDL_IsGameController(index) else None
         joystick = sdl.SDL_GameControllerGetJoystick(controller) if controller else sdl.SDL_JoystickOpen(index)
         if not joystick:
-            return None  # gone already, or not ours to read
+            return None  # unplugged already, or not readable
         text = ctypes.create_string_buffer(33)
         sdl.SDL_JoystickGetGUIDString(sdl.SDL_JoystickGetGUID(joystick), text, len(text))
         name = (sdl.SDL_JoystickName(joystick) or b"a pad without a name").decode(errors="replace")
@@ -163,7 +163,7 @@ class Pads:
         )
 
     def raw(self, pad: int) -> RawState:
-        """Return a pad's bare axes, buttons and hats; empty when it is gone."""
+        """Return a pad's unmapped axes, buttons and hats; empty when it was unplugged."""
         sdl, found = self._sdl, self._pads.get(pad)
         if found is None:
             return RawState()
@@ -177,14 +177,14 @@ class Pads:
         )
 
     def rumble(self, pad: int, strength: float, seconds: float) -> None:
-        """Let a pad shake; one that cannot, or is gone, stays still."""
+        """Rumble a pad; does nothing if it cannot or was unplugged."""
         found = self._pads.get(pad)
         if found is not None:
             force = int(max(0.0, min(1.0, strength)) * 0xFFFF)
             self._sdl.SDL_JoystickRumble(found.joystick, force, force, int(seconds * 1e3))
 
     def close(self) -> None:
-        """Give all pads back."""
+        """Close all pads."""
         for pad in self._pads.values():
             self._close(pad)
         self._pads.clear()
@@ -192,5 +192,5 @@ class Pads:
 
 
 def _share(value: int) -> float:
-    """Return an axis from -1 to 1; SDL's has one step more to the left."""
+    """Return an axis from -1 to 1; SDL's range has one more negative value."""
     return max(-1.0, value / FULL)

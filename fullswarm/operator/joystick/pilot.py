@@ -1,7 +1,7 @@
-"""From what is pressed on gamepads to what the swarm is asked for, and when it may be.
+"""Converts the inputs of gamepads to requests, stops and e-stops.
 
-The rules: nothing moves without the dead-man; letting it go is zero at once; whatever went wrong (unplugged, taken
-over, refused, no core), it must be let go and pressed again. Stop and e-stop need neither dead-man nor lease.
+The rules: nothing moves without the dead-man; releasing it sends zero at once; after any problem (unplugged, taken
+over, refused, no core) it must be released and pressed again. Stop and e-stop need neither dead-man nor lease.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from fullswarm.messages import Interventions
 from fullswarm.operator.client import Operator
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.joystick.bindings import Bindings, Directions, Stick
-from fullswarm.operator.joystick.reins import Reins
 from fullswarm.operator.joystick.selection import Chooser, Roster
 from fullswarm.operator.joystick.state import PadSource, PadState
+from fullswarm.operator.joystick.teleop_session import TeleopSession
 from fullswarm.operator.params import ParamClient
 from fullswarm.runtime import Scheduler, Timer
 
 POLL_S = 0.005
 HELD_POLL_S = 0.002
-"""While driving: a sample costs 40 µs, and waiting for it is most of the way from the stick to the wheels."""
+"""While driving: a sample costs 40 µs, and waiting for it is most of the latency from stick to wheels."""
 IDLE_POLL_S = 0.1
 RUMBLE_S = 0.3
-"""The filter's interventions are felt as single pulses, not as a buzz."""
+"""The least time between pulses: the filter's interventions shall not become a continuous buzz."""
 ESTOP_PATIENCE_S = 60.0
 DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class PilotStatus:
-    """What a pilot wants to see."""
+    """What the screen shows."""
 
     pad: str  # empty: none
     selection: str
@@ -47,12 +47,12 @@ class PilotStatus:
 
 
 class Pilot:
-    """Reads pads, drives robots.
+    """Reads pads and drives robots.
 
     Parameters
     ----------
     pad
-        The only pad that may drive: its number, from 1, or its GUID; empty: whose dead-man is pressed.
+        The only pad that may drive: its number, from 1, or its GUID; empty: the one whose dead-man is pressed.
     only
         Robots to choose among; none: all.
     """
@@ -74,7 +74,9 @@ class Pilot:
         params = ParamClient(bus, keys, scheduler, operator.name)
         self._roster = Roster(bus, keys, scheduler, params, only, self._roster_changed)
         self._chooser = Chooser(self._roster)
-        self._reins = Reins(bus, keys, scheduler, operator, self._roster, on_lost=self._refuse, on_note=self._tell)
+        self._session = TeleopSession(
+            bus, keys, scheduler, operator, self._roster, on_lost=self._refuse, on_note=self._show_note
+        )
         self._subscription = bus.subscribe(keys.intervention(), Interventions, self._on_interventions)
         self._pads: dict[int, PadState] = {}
         self._numbers: dict[int, int] = {}  # each pad keeps its own while it is plugged in
@@ -87,27 +89,27 @@ class Pilot:
         self._timer: Timer | None = None
         self._period_s = 0.0
 
-    # ------------------------------------------------------------------ life
+    # ------------------------------------------------------------------ start and end
     def start(self) -> None:
-        """Look at the pads from now on."""
+        """Start polling."""
         self._poll()
 
     def close(self, on_done: Callable[[], None]) -> None:
-        """Zero, give the robots back, then call `on_done`."""
+        """Send zero, release the robots, then call `on_done`."""
         if self._timer is not None:
             self._timer.cancel()
 
         def end() -> None:
-            self._reins.close()
+            self._session.close()
             self._roster.close()
             self._subscription.close()
             on_done()
 
-        self._reins.let_go(end)
+        self._session.release(end)
 
     def status(self) -> PilotStatus:
-        """Return what is going on."""
-        selection = self._reins.selection or self._chooser.now()
+        """Return the status to show."""
+        selection = self._session.selection or self._chooser.now()
         shown = self._pads.get(self._current) if self._current is not None else next(iter(self._pads.values()), None)
         buttons, held = self._bindings.buttons, shown.buttons if shown is not None else frozenset()
         return PilotStatus(
@@ -115,8 +117,8 @@ class Pilot:
             selection=selection.label,
             robots=len(selection.robots),
             dead_man=buttons.dead_man in held,
-            behaviour=self._reins.behaviour,
-            values=self._reins.values,
+            behaviour=self._session.behaviour,
+            values=self._session.values,
             turbo=buttons.turbo in held,
             note=self._estop_note() or self._note,
         )
@@ -124,17 +126,17 @@ class Pilot:
     def _poll(self) -> None:
         try:
             states = self._source.poll()
-        except Exception as error:  # whatever a pad's driver does, its robots stand: as if it were unplugged
+        except Exception as error:  # any error of a pad's driver stops its robots: as if it were unplugged
             states = ()
             self.tick(states)
-            self._tell(f"gamepads cannot be read: {error}")
+            self._show_note(f"gamepads cannot be read: {error}")
         else:
             try:
                 self.tick(states)
             except Exception:
-                self._reins.let_go()
+                self._session.release()
                 raise
-        held = self._reins.selection is not None
+        held = self._session.selection is not None
         period_s = IDLE_POLL_S if not states else HELD_POLL_S if held else POLL_S
         if period_s != self._period_s:
             if self._timer is not None:
@@ -142,9 +144,9 @@ class Pilot:
             self._period_s = period_s
             self._timer = self._scheduler.every(period_s, self._poll)
 
-    # ------------------------------------------------------------------ one look
+    # ------------------------------------------------------------------ one sample
     def tick(self, states: tuple[PadState, ...]) -> None:
-        """Act on what all pads say now."""
+        """Process the inputs of all pads."""
         before, self._pads = self._pads, {state.id: state for state in states}
         for gone in before.keys() - self._pads.keys():
             del self._numbers[gone]
@@ -154,10 +156,10 @@ class Pilot:
                 self._plugged(state)
         edges = {s.id: s.buttons - (before[s.id].buttons if s.id in before else frozenset()) for s in states}
         self._emergencies(frozenset().union(*edges.values()))
-        self._reins.check()
+        self._session.check()
         for state in states:
             if self._may(state):
-                # A dead-man that is down when its pad comes, or taped, has not been pressed.
+                # A dead-man that is down when its pad is plugged in, or taped, has not been pressed.
                 self._dead_man(state, edges[state.id] if state.id in before else frozenset())
         leader = self._leader(states)
         if leader is not None:
@@ -177,50 +179,50 @@ class Pilot:
     def _plugged(self, state: PadState) -> None:
         taken = self._numbers.values()
         self._numbers[state.id] = next(number for number in count(1) if number not in taken)
-        what = "plugged in" if state.known else "is unknown to SDL: `fullswarm joystick map` teaches it"
-        self._tell(f"{state.name} {what}")
+        what = "plugged in" if state.known else "is unknown to SDL: map it with `fullswarm joystick map`"
+        self._show_note(f"{state.name} {what}")
 
     def _unplugged(self, state: PadState) -> None:
-        self._tell(f"{state.name} is gone")
+        self._show_note(f"{state.name} is gone")
         if state.id != self._current:
             return
         self._current = None
-        selection, drove = self._reins.selection, bool(self._reins.behaviour)
-        self._reins.let_go()
+        selection, drove = self._session.selection, bool(self._session.behaviour)
+        self._session.release()
         if selection is not None and drove:
             self._operator.stop(selection.addressed)
-            self._tell(f"{state.name} is gone: {selection.label} stopped")
+            self._show_note(f"{state.name} is gone: {selection.label} stopped")
 
     def _emergencies(self, pressed: frozenset[str]) -> None:
         buttons = self._bindings.buttons
         if buttons.estop in pressed:
-            self._reins.let_go()
+            self._session.release()
             if self._estop is not None:
                 self._estop.close()  # each press is an order of its own: another operator may have cleared the last one
             self._estop = self._operator.estop(
-                True, (), "gamepad", known=self._roster.everybody, deadline_s=ESTOP_PATIENCE_S
+                True, (), "gamepad", known=self._roster.all_robots, deadline_s=ESTOP_PATIENCE_S
             )
         elif buttons.stop in pressed:
-            selection = self._reins.selection or self._chooser.now()
-            self._reins.let_go()
+            selection = self._session.selection or self._chooser.now()
+            self._session.release()
             self._operator.stop(selection.addressed)
-            self._tell(f"stop: {selection.label}")
+            self._show_note(f"stop: {selection.label}")
 
     def _dead_man(self, state: PadState, pressed: frozenset[str]) -> None:
         dead_man = self._bindings.buttons.dead_man
         if dead_man not in state.buttons:
-            if state.id == self._current and self._reins.selection is not None:
-                self._reins.let_go()
-        elif dead_man in pressed and (self._reins.selection is None or state.id == self._current):
+            if state.id == self._current and self._session.selection is not None:
+                self._session.release()
+        elif dead_man in pressed and (self._session.selection is None or state.id == self._current):
             self._current = state.id
             self._take_up()
 
     def _take_up(self, *, take: bool = False) -> None:
         self._await_centre, self._stick, self._note = False, None, ""
-        problem = self._reins.take_up(self._chooser.now(), take=take)
+        problem = self._session.take_up(self._chooser.now(), take=take)
         if problem:
             button = self._bindings.buttons.take
-            held = bool(self._reins.holders(self._chooser.now()))
+            held = bool(self._session.holders(self._chooser.now()))
             taken = f" ({button} with the dead-man takes over)" if button and held else ""
             self._refuse(problem + taken)
 
@@ -235,22 +237,22 @@ class Pilot:
         ):
             if button in pressed:
                 choose(step)
-        if self._chooser.now() != before and self._reins.selection is not None:
-            self._reins.let_go()
+        if self._chooser.now() != before and self._session.selection is not None:
+            self._session.release()
             self._take_up()
-            self._await_centre = True  # a stick that was meant for the one must not start the other
+            self._await_centre = True  # a stick that is pushed for the old selection must not start the new one
 
     # ------------------------------------------------------------------ while the dead-man is held
     def _held(self, state: PadState, pressed: frozenset[str]) -> None:
-        barred = self._reins.selection is None and self._reins.holders(self._chooser.now())
-        if barred and self._bindings.buttons.take in pressed:
+        others = self._session.selection is None and self._session.holders(self._chooser.now())
+        if others and self._bindings.buttons.take in pressed:
             self._take_up(take=True)
             self._await_centre = True
-        if not self._reins.ready:
+        if not self._session.ready:
             return
         for button, order in self._bindings.requests.items():
             if button in pressed:
-                self._reins.order(order.behaviour, order.parameters)
+                self._session.request(order.behaviour, order.parameters)
                 self._await_centre = True
         self._drive(state)
 
@@ -261,28 +263,28 @@ class Pilot:
         if not off_centre:
             self._await_centre = False
         stick = self._stick if self._stick in off_centre else next(iter(off_centre), None)
-        selection = self._reins.selection
+        selection = self._session.selection
         if stick is None or self._await_centre or selection is None:
-            self._reins.centre()
+            self._session.centre()
             return
         if stick.one_robot and len(selection.robots) != 1:
-            self._reins.centre()
-            self._tell(f"that stick drives one robot, not {selection.label}: choose one (next robot)")
+            self._session.centre()
+            self._show_note(f"that stick drives one robot, not {selection.label}: choose one (next robot)")
             return
         self._stick = stick
         share = 1.0 if bindings.buttons.turbo in state.buttons else bindings.motion.share_without_turbo
-        behaviour, values = stick.read(offsets[id(stick)], self._reins.behaviour)
+        behaviour, values = stick.read(offsets[id(stick)], self._session.behaviour)
         shares = {name: round(value * share, DIGITS) for name, value in values.items()}
-        self._reins.hold(behaviour, shares, stick.parameters)
+        self._session.hold(behaviour, shares, stick.parameters)
 
-    # ------------------------------------------------------------------ what comes back
+    # ------------------------------------------------------------------ feedback
     def _refuse(self, why: str) -> None:
-        """Say why robots are not driven, so that it is also felt."""
-        self._tell(why)
+        """Show why robots are not driven, and rumble."""
+        self._show_note(why)
         if self._current is not None:
             self._source.rumble(self._current, 0.8, 0.25)
 
-    def _tell(self, note: str) -> None:
+    def _show_note(self, note: str) -> None:
         self._note = note
 
     def _estop_note(self) -> str:
@@ -290,23 +292,23 @@ class Pilot:
         if order is None:
             return ""
         late, all_of_them = order.unconfirmed(), order.concerned()
-        text = f"E-STOP: {len(all_of_them) - len(late)} of {len(all_of_them)} confirmed to stand"
+        text = f"E-STOP: {len(all_of_them) - len(late)} of {len(all_of_them)} confirmed at standstill"
         return f"{text}; not {', '.join(late)}" if late else text
 
     def _roster_changed(self) -> None:
         selection = self._chooser.now()
-        if self._reins.selection is not None and selection.label == self._reins.selection.label:
-            self._reins.follow(selection)
+        if self._session.selection is not None and selection.label == self._session.selection.label:
+            self._session.follow(selection)
 
     def _on_interventions(self, message: Interventions) -> None:
-        selection, now_s = self._reins.selection, self._scheduler.now_s()
-        if selection is None or self._current is None or not self._reins.driving:
+        selection, now_s = self._session.selection, self._scheduler.now_s()
+        if selection is None or self._current is None or not self._session.driving:
             return
         theirs = [at for at, robot in enumerate(message.robots) if robot in selection.robots]
         if not theirs:
             return
         reasons = [message.reasons[at] for at in theirs if at < len(message.reasons)]
-        self._tell(f"filter: {message.robots[theirs[0]]}: {reasons[0] if reasons else 'held back'}")
+        self._show_note(f"filter: {message.robots[theirs[0]]}: {reasons[0] if reasons else 'held back'}")
         if now_s - self._rumbled_s >= RUMBLE_S:
             self._rumbled_s = now_s
             self._source.rumble(self._current, 0.3, 0.15)

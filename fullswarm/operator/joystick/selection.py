@@ -1,4 +1,4 @@
-"""What is driven: one robot, a group, a make, or the whole swarm; chosen by stepping through them."""
+"""Selects the robots to drive: one robot, a group, a make, or the whole swarm, by stepping through them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Selection:
         By name, also of the whole swarm as far as it has been received: for leases.
         None: no robot can be driven.
     addressed
-        As in a request: none means all, so that a robot that joins is among them.
+        As in a request: none means all, so that a robot that joins later is included.
     """
 
     label: str
@@ -35,14 +35,14 @@ class Selection:
 
 
 class Roster:
-    """Which robots are present, and whether the core is.
+    """The robots and groups that are present, and whether the core is.
 
     Parameters
     ----------
     only
         Robots and "@group" to choose among; none: all.
     on_change
-        Called when a robot or a group has come or changed.
+        Called when a robot or a group has appeared or changed.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Roster:
         """Return the robots that may be chosen, r2 before r10."""
         return tuple(sorted(filter(self._may, self._makes), key=lambda name: (len(name), name)))
 
-    def everybody(self) -> tuple[str, ...]:
+    def all_robots(self) -> tuple[str, ...]:
         """Return all robots that have been received: those that must confirm an e-stop."""
         return tuple(sorted(self._makes))
 
@@ -140,17 +140,17 @@ class Roster:
 
 
 class Chooser:
-    """Steps through robots and groups; begins with the whole swarm. What is chosen stays chosen by its name."""
+    """Steps through robots and groups; starts with the whole swarm. The choice is kept by name."""
 
     def __init__(self, roster: Roster) -> None:
         self._roster = roster
         self._robot, self._group = "", roster.all_label
 
     def now(self) -> Selection:
-        """Return what is chosen."""
+        """Return the selection."""
         if self._robot:
             return Selection(self._robot, (self._robot,), (self._robot,))
-        gone = Selection(f"{self._group} (gone)", (), ())  # never all instead of a few
+        gone = Selection(f"{self._group} (gone)", (), ())  # an empty selection must not become the whole swarm
         return next((each for each in self._roster.groups() if each.label == self._group), gone)
 
     def step_robot(self, step: int) -> None:
@@ -161,7 +161,7 @@ class Chooser:
             self._robot = robots[at % len(robots)]
 
     def step_group(self, step: int) -> None:
-        """Choose the next group, or with -1 the one before; from a robot the one that was chosen last."""
+        """Choose the next group, or with -1 the one before; from a robot the group that was chosen last."""
         labels = [each.label for each in self._roster.groups()]
         if not self._robot and self._group in labels:
             self._group = labels[(labels.index(self._group) + step) % len(labels)]

@@ -1,4 +1,4 @@
-"""How pads and pilots look in a terminal."""
+"""Shows pads and the pilot's status in a terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BAR = 10
 
 
 class Screen:
-    """Shows one thing that changes: in place on a terminal, as a line per change anywhere else. Writes to stderr."""
+    """A changing status on stderr: in place on a terminal, as a line per change anywhere else."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -27,11 +27,11 @@ class Screen:
 
     @property
     def in_place(self) -> bool:
-        """Whether this is a terminal that can be written over."""
+        """Whether stderr is a terminal."""
         return self._console.is_terminal
 
     def show(self, what: Table | str, line: str) -> None:
-        """Show `what` on a terminal; elsewhere `line`, when it is another one than before."""
+        """Show `what` on a terminal; elsewhere `line`, if it has changed."""
         if self._live is not None:
             self._live.update(what, refresh=True)
         elif line != self._last:
@@ -39,13 +39,13 @@ class Screen:
         self._last = line
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         if self._live is not None:
             self._live.stop()
 
 
 def status_text(status: PilotStatus) -> str:
-    """Return what a pilot sees, with rich's markup."""
+    """Return the pilot's status, with rich's markup."""
     hold = "[bold green]DEAD-MAN HELD[/]" if status.dead_man else "[dim]dead-man up[/]"
     count = f" ({status.robots})" if status.robots > 1 else ""
     sticks = "  ".join(f"{name} {_bar(value)} {value:+.2f}" for name, value in status.values.items())
@@ -53,24 +53,24 @@ def status_text(status: PilotStatus) -> str:
     turbo = "  [bold yellow]TURBO[/]" if status.turbo else ""
     lines = [
         f"{escape(status.pad or 'no gamepad: plug one in')}  |  {escape(status.selection)}{count}  |  {hold}{turbo}",
-        f"asks for {what}",
+        f"requests {what}",
     ]
     return "\n".join([*lines, f"[bold]{escape(status.note)}[/]"] if status.note else lines)
 
 
 def status_line(status: PilotStatus) -> str:
-    """Return the same for a file: without what changes twenty times a second."""
+    """Return the same for a file, without the values that change twenty times a second."""
     pad = status.pad or "no gamepad"
     parts = [pad, status.selection, status.behaviour, status.note]
     return " | ".join(part for part in parts if part)
 
 
 def pad_table(pads: tuple[PadState, ...], meanings: Mapping[str, str]) -> Table:
-    """Return axes and buttons of all pads, and what they would ask for."""
-    table = Table("pad", "control", "value", "asks for", title="nothing is sent; Ctrl-C ends")
+    """Return axes and buttons of all pads, and what they would request."""
+    table = Table("pad", "control", "value", "requests", title="nothing is sent; Ctrl-C ends")
     for pad in pads:
         if not pad.known:
-            table.add_row(escape(pad.name), "unknown to SDL", "", "`fullswarm joystick map` teaches it")
+            table.add_row(escape(pad.name), "unknown to SDL", "", "map it with `fullswarm joystick map`")
         for name, value in pad.axes.items():
             table.add_row(escape(pad.name), name, f"{_bar(value)} {value:+.2f}", escape(meanings.get(name, "")))
         for name in sorted({*meanings, *pad.buttons}.difference(pad.axes)) if pad.known else ():
@@ -80,7 +80,7 @@ def pad_table(pads: tuple[PadState, ...], meanings: Mapping[str, str]) -> Table:
 
 
 def pad_line(pads: tuple[PadState, ...], meanings: Mapping[str, str]) -> str:
-    """Return what is pressed and pushed, in one line."""
+    """Return the pressed buttons and pushed sticks in one line."""
     if not pads:
         return "no gamepad"
     parts = []
@@ -88,7 +88,7 @@ def pad_line(pads: tuple[PadState, ...], meanings: Mapping[str, str]) -> str:
         pushed = [_with_meaning(f"{name} {value:+.1f}", name, meanings) for name, value in pad.axes.items() if
                   abs(value) >= 0.1]  # fmt: skip
         pressed = [_with_meaning(name, name, meanings) for name in sorted(pad.buttons)]
-        quiet = "at rest" if pad.known else "unknown to SDL: `fullswarm joystick map` teaches it"
+        quiet = "at rest" if pad.known else "unknown to SDL: map it with `fullswarm joystick map`"
         parts.append(f"{pad.name}: {', '.join(pushed + pressed) or quiet}")
     return "; ".join(parts)
 

@@ -1,4 +1,4 @@
-"""What a gamepad says at one moment, and where it comes from."""
+"""The state of a gamepad at one moment, and the protocol of its source."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BUTTONS = (
     "a", "b", "x", "y", "back", "guide", "start", "leftstick", "rightstick", "leftshoulder", "rightshoulder",
     "dpup", "dpdown", "dpleft", "dpright", "misc1", "paddle1", "paddle2", "paddle3", "paddle4", "touchpad",
 )  # fmt: skip
-"""SDL's names, in SDL's order. They mean places, not labels: ``a`` is the lowest of four, on every make."""
+"""SDL's names, in SDL's order. They denote positions, not labels: ``a`` is the lowest of four on every make."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +22,13 @@ class PadState:
     Attributes
     ----------
     id
-        Unlike any other's since the program started; plugged in again it is another one.
+        Unique since the program started; a pad that is plugged in again gets another one.
     known
         Whether SDL knows which axis is which; if not, it has neither axes nor buttons.
     axes
         Each from -1 to 1 (triggers from 0); x to the right, y towards the user, as SDL has it.
     buttons
-        Those down now, and those that were down for a moment since the last look.
+        Those down now, and those that were down for a moment since the last poll.
     """
 
     id: int
@@ -49,14 +49,14 @@ class RawState:
 
 
 class PadSource(Protocol):
-    """Where pads come from: SDL, or a test."""
+    """A source of pads: SDL, or a test."""
 
     def poll(self) -> tuple[PadState, ...]:
-        """Return all pads that are plugged in now, in the order of their coming."""
+        """Return all pads that are plugged in now, in the order in which they were plugged in."""
         ...
 
     def rumble(self, pad: int, strength: float, seconds: float) -> None:
-        """Let a pad shake, `strength` 0 to 1. A pad that cannot stays still."""
+        """Rumble a pad, `strength` 0 to 1. Does nothing if it cannot."""
         ...
 
 

@@ -152,7 +152,7 @@ test("sticks that are moved while nobody drives do not count when somebody does"
 
 // -------------------------------------------------------------------- refusals
 test("who is refused is told why, and drives only after a new press", async () => {
-  const reason = "stopped while driving: let the dead-man switch go first";
+  const reason = "stopped while driving: release the dead-man switch first";
   const bench = await driving();
   bench.answers(({ t }) => (t === "drive" ? { ok: false, reason } : { ok: true }));
   await bench.clock.pass(200);

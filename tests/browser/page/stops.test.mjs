@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Bench } from "./browser.mjs";
 
-const READ_ONLY = { ok: false, reason: "this console only shows: it was started with --read-only" };
+const READ_ONLY = { ok: false, reason: "this console is read-only: it was started with --read-only" };
 
 function panel(bench) {
   const box = bench.element("stop-panel");
@@ -65,7 +65,7 @@ test("a console that refuses is quoted, and nothing is said to wait", async () =
   bench.answers(() => READ_ONLY);
   bench.stops.stop();
   await bench.clock.pass(100);
-  assert.match(panel(bench).words, /^NOT DONE: this console only shows.* Use the switches on the robots/);
+  assert.match(panel(bench).words, /^NOT DONE: this console is read-only.* Use the switches on the robots/);
   assert.doesNotMatch(panel(bench).words, /link/);
   assert.equal(panel(bench).mood, "bad");
   assert.deepEqual(bench.refused, [READ_ONLY.reason]);
@@ -90,7 +90,7 @@ test("why an e-stop was refused stands until another one is heard of", async () 
   bench.answers(() => READ_ONLY);
   bench.stops.estop();
   await bench.clock.pass(100);
-  assert.match(title(), /^NOT DONE: this console only shows/);
+  assert.match(title(), /^NOT DONE: this console is read-only/);
   bench.fleet(["r1"]);
   assert.match(title(), /^NOT DONE/, "the next look at the fleet does not wipe it off");
   const receipts = [{ robot: "r1", standing: true, engaged: true, rolled_m: 0, after_s: 0.1 }];

@@ -7,14 +7,16 @@ import os
 from pathlib import Path
 from typing import Any
 
-from fullswarm.operator.joystick import command, pads
+from fullswarm.cli import joystick
+from fullswarm.operator.joystick import pads, pilot
 from tests.machines.guest.uinput import Pad
 from tests.machines.guest.waiting import Command, run, until
 
 
 def facts() -> dict[str, Any]:
     """Return what the commands said."""
-    assert command, "loaded before any fork"
+    assert joystick, "loaded before any fork"
+    assert pilot, "loaded before any fork"
     pads.load_sdl()
     none, _ = run("joystick", "list")
     with Pad():

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.release import pack, signing
-from fullswarm.deploy.release.keys import Keys
-from fullswarm.deploy.robot import kit
+from fullswarm.deploy.release.keys import Keys, verify_release
+from fullswarm.deploy.release.store import gzipped_archive, head_archive
+from fullswarm.deploy.robot.support_package import support_package
 from tests.deploy_release import tiny_release
 
 PROGRAMS = Path(__file__).parents[3] / "fullswarm" / "deploy" / "robot"
@@ -145,7 +145,7 @@ class Robot:
         robot = RobotConfig(id="r1", driver="null://r1")
         config = SwarmConfig(robot=(robot,)) if swarm == "lab" else SwarmConfig(swarm=swarm, robot=(robot,))
         spread = self.folder / f"kit-{uuid.uuid4().hex[:6]}"
-        with tarfile.open(fileobj=io.BytesIO(kit(robot, config, self.keys.allowed_signers()))) as tar:
+        with tarfile.open(fileobj=io.BytesIO(support_package(robot, config, self.keys.allowed_signers()))) as tar:
             tar.extractall(spread, filter="data")
         done = subprocess.run(
             ["sh", spread / "install.sh", *words], env=self.environment, check=False, start_new_session=True,
@@ -188,11 +188,11 @@ class Robot:
         return tiny_release(self.store, keys or self.keys, version, {**common, **own})
 
     def want(self, release: Path) -> list[str]:
-        return self.ok("want", release.name, feed=pack.head(release)).splitlines()
+        return self.ok("want", release.name, feed=head_archive(release)).splitlines()
 
     def ship(self, release: Path) -> None:
         missing = self.want(release)
-        self.ok("receive", release.name, feed=b"".join(pack.gzipped(release, missing)))
+        self.ok("receive", release.name, feed=b"".join(gzipped_archive(release, missing)))
 
     def run_release(self, release: Path) -> None:
         """Ship, switch and approve."""
@@ -261,7 +261,7 @@ class Robot:
     def check(self) -> None:
         """Every release here is whole, and current names one of them."""
         for each in self.releases:
-            signing.verify(self.root / "opt/fullswarm/releases" / each, self.keys.allowed_signers())
+            verify_release(self.root / "opt/fullswarm/releases" / each, self.keys.allowed_signers())
         assert self.current is None or self.current in self.releases
 
     # ------------------------------------------------------------------ killing

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.release import pack
+from fullswarm.deploy.release.store import gzipped_archive, head_archive
 from tests.unit.deploy_robot.script import Robot
 
 AFTER = ("power", "guard")
@@ -61,12 +61,12 @@ Make = Callable[[Robot, Path, Path], Step]
 
 
 def _want(robot: Robot, old: Path, new: Path) -> Step:
-    return Step(robot, old.name, new.name, ("want", new.name), pack.head(new))
+    return Step(robot, old.name, new.name, ("want", new.name), head_archive(new))
 
 
 def _receive(robot: Robot, old: Path, new: Path) -> Step:
     missing = robot.want(new)
-    return Step(robot, old.name, new.name, ("receive", new.name), b"".join(pack.gzipped(new, missing)))
+    return Step(robot, old.name, new.name, ("receive", new.name), b"".join(gzipped_archive(new, missing)))
 
 
 def _switch(robot: Robot, old: Path, new: Path) -> Step:

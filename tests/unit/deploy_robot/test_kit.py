@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.robot import kit, kit_id
+from fullswarm.deploy.robot.support_package import package_id, support_package
 from fullswarm.errors import ConfigError
 from tests.unit.deploy_robot.script import PROGRAMS, Robot
 
@@ -27,9 +27,9 @@ def test_the_scripts_are_posix_shell(name: str) -> None:
 
 def test_the_same_robot_gets_the_same_kit_and_the_robot_names_it(robot: Robot) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1", driver="null://r1"),))
-    one = kit(config.robot[0], config, robot.keys.allowed_signers())
-    assert one == kit(config.robot[0], config, robot.keys.allowed_signers())
-    assert robot.facts["kit"] == kit_id(one)
+    one = support_package(config.robot[0], config, robot.keys.allowed_signers())
+    assert one == support_package(config.robot[0], config, robot.keys.allowed_signers())
+    assert robot.facts["kit"] == package_id(one)
     (robot.root / "etc/udev/rules.d/60-fullswarm-ports.rules").write_text("# somebody was here\n")
     assert robot.facts["kit"] is None
 
@@ -42,7 +42,7 @@ def test_installing_again_changes_nothing(robot: Robot) -> None:
 
 def test_a_damaged_kit_changes_nothing(robot: Robot, tmp_path: Path) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r2", driver="null://r2"),))
-    with tarfile.open(fileobj=io.BytesIO(kit(config.robot[0], config, ""))) as tar:
+    with tarfile.open(fileobj=io.BytesIO(support_package(config.robot[0], config, ""))) as tar:
         tar.extractall(tmp_path / "spread", filter="data")
     (tmp_path / "spread/files/etc/fullswarm/robot.env").write_text('ROBOT="evil"\n')
     done = subprocess.run(["sh", tmp_path / "spread/install.sh"], env=robot.environment, capture_output=True, text=True)
@@ -90,4 +90,4 @@ def test_a_reader_that_is_gone_does_not_stop_an_installation(robot: Robot) -> No
 def test_an_environment_that_a_shell_would_misread_is_refused(value: str) -> None:
     config = SwarmConfig(robot=(RobotConfig(id="r1"),))
     with pytest.raises(ConfigError, match="environment"):
-        kit(config.robot[0], config, "", environment={"X": value})
+        support_package(config.robot[0], config, "", environment={"X": value})

@@ -1,23 +1,15 @@
 """Other simulators' worlds as scenarios. In: a file. Out: `Imported`, a scenario and notes of what did not fit.
 
-Gazebo SDF, ARGoS, Stage, Menge and IR-SIM; each module has ``read(path) -> Imported``. XML and YAML are read by
-defusedxml and PyYAML's safe loader, of the extra [experiments].
+Each importer is a module with ``read(path) -> Imported`` and a line in `FORMATS`. XML and YAML are read by defusedxml
+and PyYAML's safe loader, of the extra [experiments].
 
-Files:
-
-``argos.py``         ARGoS experiments (``.argos``): arena, boxes, cylinders, robots, and ``<distribute>``
-``draft.py``         What the importers collect, and the scenario that comes of it
-``files.py``         Reading other simulators' files: bytes, XML with line numbers, numbers; and errors that say where
-``irsim.py``         IR-SIM worlds (YAML, ir-sim.readthedocs.io): world, obstacles, robots and their goals
-``menge.py``         Menge crowd scenes (XML): explicit obstacle sets, agents of explicit and grid generators, goals
-``sdf.py``           Gazebo's SDF worlds (sdformat.org/spec; Gazebo classic's ``.world`` files are SDF too)
-``sdf_poses.py``     Poses of an SDF file in the world: 4 x 4 transforms, composed along the frames that they are told
-                     in
-``shapes.py``        Discs, polygons and lines as boxes: all that a scenario knows
-``stage.py``         Stage worlds (rtv.github.io/Stage): floor plan, models with blocks, robots, ``define`` and
-                     ``include``
-``stage_bitmap.py``  Bitmaps of floor plans as rectangles: dark pixels (127 of 255 or less) are solid, as in Stage
-``stage_syntax.py``  The syntax of Stage's world files: properties, entities in parentheses, ``define``, ``include``
+``sdf.py``     Gazebo's SDF worlds; Gazebo classic's ``.world`` files are SDF too
+``argos.py``   ARGoS experiments (``.argos``)
+``stage.py``   Stage worlds, with what they include and their bitmaps
+``menge.py``   Menge crowd scenes (XML)
+``irsim.py``   IR-SIM worlds (YAML)
+``draft.py``   collects what an importer finds, and makes a scenario of it: shapes become boxes
+``files.py``   reads files: bytes, XML with line numbers, numbers; errors that name the line
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ from itertools import product
 from pathlib import Path
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.scenarios.importers.draft import MAX_BOXES, Draft, Imported
+from fullswarm.evaluate.scenarios.importers.draft import MAX_BOXES, Draft, Imported, Planar
 from fullswarm.evaluate.scenarios.importers.files import Node, numbers, read_xml
-from fullswarm.evaluate.scenarios.importers.shapes import Planar
 from fullswarm.evaluate.scenarios.model import Rectangle
 
 _NO_BODIES = ("floor", "light", "positional_indices")

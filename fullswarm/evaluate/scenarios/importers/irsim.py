@@ -11,9 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from fullswarm.errors import ConfigError, MissingExtra
-from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported
+from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported, Planar, Xy
 from fullswarm.evaluate.scenarios.importers.files import INSTALL, LARGEST, read_text
-from fullswarm.evaluate.scenarios.importers.shapes import Planar, Xy
 from fullswarm.evaluate.scenarios.model import Rectangle
 
 Table = Mapping[str, object]

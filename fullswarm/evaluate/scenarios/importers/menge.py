@@ -10,9 +10,8 @@ import math
 from pathlib import Path
 
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported
+from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported, Planar, Xy, signed_area
 from fullswarm.evaluate.scenarios.importers.files import Node, read_xml
-from fullswarm.evaluate.scenarios.importers.shapes import Planar, Xy, signed_area
 
 POINT_GOAL_M = 0.25
 """Radius of a goal that is a point: the distance of Menge's own examples."""

@@ -51,7 +51,7 @@ export class Driver extends Emitter {
     if (this.held) return true;
     const robots = this.selection.list();
     if (!this.link.open) return this.#say("not driving: no link");
-    if (this.store.hello?.read_only) return this.#say("not driving: this console only shows");
+    if (this.store.hello?.read_only) return this.#say("not driving: this console is read-only");
     if (this.selection.unheard) {
       this.#refused(UNHEARD);
       return this.#say(`not driving: ${UNHEARD}`);

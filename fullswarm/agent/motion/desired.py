@@ -1,0 +1,124 @@
+"""What the robots would like to do: the laws are evaluated, and their wishes filtered where asked."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+
+from fullswarm.agent.motion.robot_controller import RobotController
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
+from fullswarm.agent.orders.tasks import Group, Tasks
+from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.state import AgentState
+from fullswarm.agent.view import View
+from fullswarm.config import AgentConfig
+from fullswarm.drivers.base import FleetReading
+from fullswarm.reasons import NONE, Code, reason
+
+log = structlog.get_logger()
+
+Bounds = tuple[float, float, float, float]
+
+
+class DesiredMotion:
+    """Puts the wishes of all laws that run before the controller, tick by tick.
+
+    Attributes
+    ----------
+    law_error : what the last failure of each robot's law was, false if it never failed
+    """
+
+    def __init__(
+        self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
+        neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
+        controller: RobotController,
+    ) -> None:  # fmt: skip
+        self._config, self._bounds, self._state = settings, bounds_m, state
+        self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
+        self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
+        count = len(state.radius)
+        # Robots that sense no obstacles have their map instead.
+        self._sees_obstacles = senses_obstacles
+        self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
+        self._planar = np.full((count, 2), math.nan)
+        self._law_errors: set[str] = set()
+        self.law_error = [NONE] * count
+
+    def near(self, now_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
+        if self._near is self._alone and len(self._state.radius):
+            self._neighbours.look(now_s)
+            position = np.ascontiguousarray(self._state.pose[:, :2])
+            return self._neighbours.around(position, self._config.sensing_radius_m)
+        return self._near
+
+    def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
+        """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
+        self._near = self._alone
+        settings, tasks = self._config, self._tasks
+        if not groups and not tasks.any_filtered:
+            return
+        pose, neighbours = self._state.pose, self._neighbours
+        position = np.ascontiguousarray(pose[:, :2])
+        neighbours.look(now_s)
+
+        self._planar.fill(math.nan)
+        planar = False
+        for group in groups:
+            reach_m = group.hearing_m or settings.sensing_radius_m
+            view = View(
+                position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
+                neighbours.predicted, neighbours.heard, self._bounds, self._obstacle_map.known,
+            )  # fmt: skip
+            whole = len(group.rows) == len(position)
+            planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
+        if not planar and not tasks.any_filtered:
+            return
+        if tasks.any_filtered:
+            # A stick is not turned aside: its operator sees the robot.
+            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
+        reach_m = settings.sensing_radius_m
+        self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
+        obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
+        self._filter.apply(
+            now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
+            tasks.margin_m, near, neighbours.believed, obstacles, self._controller.wished,
+        )  # fmt: skip
+
+    def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
+        """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
+
+        Returns
+        -------
+        bool
+            It wishes planar velocities, which have yet to be mapped to twists.
+        """
+        try:
+            wished = group.call(view, group.params)
+            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
+            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else np.add.reduce(wished, None)):
+                raise ValueError("the law's answer is not finite")
+        except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
+            self._law_failed(group, error)
+            return False
+        controller = self._controller
+        rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
+        (self._planar if group.planar else controller.wished)[rows] = wished
+        controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
+        controller.law_failed[rows] = False
+        return group.planar
+
+    def _law_failed(self, group: Group, error: Exception) -> None:
+        why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}")
+        self._controller.law_failed[group.rows] = True
+        for row in group.rows:
+            self.law_error[row] = why
+        if why.text not in self._law_errors:
+            self._law_errors.add(why.text)
+            log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)

@@ -1,0 +1,473 @@
+"""States heard from other robots, with their age; and whose states to listen to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from fullswarm.bus.base import Bus, Subscription
+from fullswarm.kernels import Array, Index, kernel
+from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
+from fullswarm.messages import RobotStates
+
+MANY_CELLS = 64
+
+SILENT_S = 0.3
+"""A robot that was silent for so long may have left the cells that are listened to."""
+ANEW_S = 1.0
+"""A robot that sends nothing newer for so long, and then counts from below, has booted: its clock began anew too."""
+STRIDE_S = 0.2
+"""So long a robot may go unheard while it leaves them: some state messages."""
+
+
+class Neighbours:
+    """The newest state of every robot heard, as arrays that grow with the swarm.
+
+    Attributes
+    ----------
+    heard : (m, 6) x, y, heading, speed, turn rate, radius as told
+    teams : (m,) of which team each is as told; 0: none
+    arrival_s : (m,) when, on this machine's clock
+    predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
+    places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :func:`predict`. A robot that
+        fell silent stays in them until it is heard again or is out of earshot
+    silent : how many of those there are
+    names : (m,) whose row it is
+    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
+    halt_s : after how long a silent robot stands, at the latest
+    own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
+    """
+
+    def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
+        self._own = ids
+        self._alone = ids if len(ids) == 1 else None
+        self._timeout_s = timeout_s
+        self._row_of: dict[str, int] = {}
+        self._batch: tuple[tuple[str, ...], Index] | None = None
+        self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
+        self._now_s, self._stale = 0.0, True
+        self.count = 0
+        self.names: list[str] = []
+        self.own_row = np.full(len(ids), -1, np.int64)
+        self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
+        self.heard = np.zeros((0, 6))
+        self.teams = np.zeros(0, np.int64)
+        self.arrival_s = np.zeros(0)
+        self.predicted = np.zeros((0, 2))
+        self.places = np.zeros((0, 2))
+        self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
+        self.silent = 0
+        self.own_frame_host, self.own_frame_s = "", -math.inf
+        self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
+        self.halt_s = timeout_s
+        self._grow(max(16, len(ids)))
+
+    def hear(self, states: RobotStates, now_s: float) -> None:
+        """Take in the states of one host.
+
+        Ignored: a message older than the last from that host, one whose columns do not fit together, and on board
+        the own state, and a robot with a number that is not finite: it stays where it was heard last.
+        """
+        if states.robots == self._alone:
+            return
+        newest = self._newest.get(states.host)
+        # A sequence that falls while the sender's clock goes on means that the agent was restarted; its computer
+        # too, when the clock falls as well. The same sequence comes once per grid cell.
+        older = newest and states.sequence < newest[0] and states.stamp_s <= newest[1]
+        if newest and older and now_s - newest[2] < ANEW_S:
+            return
+        if not _fits(states):
+            return
+        self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
+        if states.own_frame:
+            self.own_frame_host, self.own_frame_s = states.host, now_s
+        if len(states.robots) == 1:
+            self._hear_one(states, now_s)
+            return
+        rows = self._rows(states.robots)
+        columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        table = np.array(columns)
+        teams = np.array(states.teams or (0,) * len(rows), np.int64)
+        finite = np.isfinite(table.sum(axis=0))
+        if not finite.all():
+            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+        self.heard[rows] = table.T
+        self.teams[rows] = teams
+        self.arrival_s[rows] = now_s
+
+    def _hear_one(self, states: RobotStates, now_s: float) -> None:
+        """Do the same for a host with one robot, number by number: what an agent does a hundred times a second."""
+        x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
+        speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
+        if not math.isfinite(x_m + y_m + heading_rad + speed_m_s + turn_rad_s + radius_m):
+            return
+        row = self._row_of.get(states.robots[0])
+        if row is None:
+            row = int(self._rows(states.robots)[0])
+        heard = self.heard
+        heard[row, 0] = x_m
+        heard[row, 1] = y_m
+        heard[row, 2] = heading_rad
+        heard[row, 3] = speed_m_s
+        heard[row, 4] = turn_rad_s
+        heard[row, 5] = radius_m
+        self.teams[row] = states.teams[0] if states.teams else 0
+        self.arrival_s[row] = now_s
+
+    def look(self, now_s: float) -> None:
+        """Say that `within` is about `now_s` from here on."""
+        self._now_s, self._stale = now_s, True
+
+    def _predict(self) -> None:
+        """Move all heard positions on to the time of the last `look`, on use."""
+        self._stale, now_s = False, self._now_s
+        self.silent = predict.run(
+            self.heard, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
+            self.accel_m_s2, self.speed_m_s, self.turn_rad_s, self.predicted, self.places, self.spread_m, self.blur_m,
+        )  # fmt: skip
+
+    @property
+    def believed(self) -> tuple[Array, Array, Array, Array]:
+        """What the safety filter must know of those that `around` names: places, states heard, spread, blur."""
+        return self.places, self.heard, self.spread_m, self.blur_m
+
+    def around(self, position: Array, reach_m: float) -> tuple[Index, Index]:
+        """Find what the safety filter must heed: as `within`, but silent robots too, and places that are unsure."""
+        if self._stale:
+            self._predict()
+        return self._search(position, self.places, reach_m)
+
+    def ages_s(self, now_s: float) -> Array:
+        """Return how long ago each neighbour was heard, (k,) s."""
+        return now_s - self.arrival_s[: self.count]
+
+    def forget(self, now_s: float, listened: Callable[[float, float, float], bool]) -> None:
+        """Forget silent robots outside the subscribed cells: there silence says nothing.
+
+        Parameters
+        ----------
+        listened : whether all of a disc (x, y, radius in m) is listened to: ``StateSubscriptions.covers``
+        """
+        ages_s = now_s - self.arrival_s[: self.count]
+        for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
+            x_m, y_m, _, speed_m_s, _, _ = self.heard[row].tolist()
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self.speed_m_s)):
+                self.arrival_s[row] = -math.inf
+
+    def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+        """Find the robots within `reach_m` of each own robot at the time of the last `look`, and of its team.
+
+        Parameters
+        ----------
+        team : (n,) of the own robots; 0, or None for all of them: all robots count
+
+        Returns
+        -------
+        start : (n + 1,)
+        other : (capacity,) rows; neighbours of robot i are ``other[start[i]:start[i + 1]]``. Both are reused.
+        """
+        if self._stale:
+            self._predict()
+        start, other = self._search(position, self.predicted, reach_m)
+        if team is not None and self._mixed(team):
+            keep_team.run(start, other, team, self.teams)
+        return start, other
+
+    def _mixed(self, team: Index) -> bool:
+        """Tell whether an own robot, of `team` (n,), may have heard one that is not of its team."""
+        if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
+            return bool(team[0])
+        known = self.own_row >= 0  # what the own robots run is known at once, without their messages
+        self.teams[self.own_row[known]] = team[known]
+        return bool((self.teams[: self.count] != team[0]).any() or (team != team[0]).any())
+
+    def _search(self, position: Array, places: Array, reach_m: float) -> tuple[Index, Index]:
+        count, key = self.count, (reach_m, places is self.places)
+        start, other = self._lists.get(key) or (np.zeros(len(position) + 1, np.int64), np.zeros(64, np.int64))
+        search = all_pairs if len(position) * count <= BRUTE_FORCE_BELOW else cell_pairs
+        found = search.run(position, self.own_row, places, count, reach_m, start, other)
+        if found > len(other):
+            other = np.zeros(2 * found, np.int64)
+            search(position, self.own_row, places, count, reach_m, start, other)
+        self._lists[key] = (start, other)
+        return start, other
+
+    def oldest_age_s(self, now_s: float) -> float:
+        """Return the age of the stalest state that still counts; 0 when none is heard."""
+        ages = now_s - self.arrival_s[: self.count]
+        fresh = ages[ages <= self._timeout_s]
+        return float(fresh.max()) if len(fresh) else 0.0
+
+    def _rows(self, robots: tuple[str, ...]) -> Index:
+        if self._batch is not None and self._batch[0] == robots:
+            return self._batch[1]
+        for robot in robots:
+            if robot not in self._row_of:
+                self._row_of[robot] = self.count
+                self.names.append(robot)
+                self.count += 1
+                if robot in self._own:
+                    self.own_row[self._own.index(robot)] = self._row_of[robot]
+        self._grow(self.count)
+        rows = np.array([self._row_of[robot] for robot in robots], np.int64)
+        if len(robots) > 1:
+            self._batch = (robots, rows)
+        return rows
+
+    def _grow(self, count: int) -> None:
+        if count > len(self.heard):
+            more = max(count, 2 * len(self.heard)) - len(self.heard)
+            self.heard = np.vstack([self.heard, np.zeros((more, 6))])
+            self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
+            self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
+            self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
+            self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
+            self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
+
+
+def _fits(states: RobotStates) -> bool:
+    """Tell whether the columns have one length: a stranger's message must not end an agent."""
+    x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
+    speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
+    count = len(states.robots)
+    if states.teams and len(states.teams) != count:
+        return False
+    fits = count == len(x_m) == len(y_m) == len(heading_rad)
+    return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
+
+
+class StateSubscriptions:
+    """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
+
+    def __init__(self, bus: Bus, keys: Keys, cell_m: float, hear: Callable[[RobotStates], None]) -> None:
+        self._bus, self._keys, self._cell_m, self._hear = bus, keys, cell_m, hear
+        self._cells: dict[str, Subscription] = {}
+
+    def follow(self, position: Array, reach_m: float) -> None:
+        """Subscribe to the cells within `reach_m` of `position` (n, 2), drop those left behind.
+
+        Where that would be more than `MANY_CELLS`, one subscription to all cells is cheaper.
+        """
+        wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
+        for cell in wanted - self._cells.keys():
+            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._hear, latest=True)
+        for cell in self._cells.keys() - wanted:
+            self._cells.pop(cell).close()
+
+    def _around(self, position: Array, reach_m: float) -> set[str]:
+        if (2.0 * reach_m / self._cell_m + 1.0) ** 2 > MANY_CELLS:
+            return {ANY}
+        wanted: set[str] = set()
+        for x_m, y_m in position.tolist():
+            if math.isfinite(x_m) and math.isfinite(y_m):
+                wanted |= cells_within(x_m, y_m, reach_m, self._cell_m)
+            if len(wanted) > MANY_CELLS:
+                return {ANY}
+        return wanted
+
+    def covers(self, x_m: float, y_m: float, radius_m: float) -> bool:
+        """Tell whether all cells that a disc touches are listened to."""
+        cells = self._cells.keys()
+        everywhere = ANY in cells or WHOLE_SWARM_CELL in cells
+        return everywhere or cells_within(x_m, y_m, radius_m, self._cell_m) <= cells
+
+    def close(self) -> None:
+        """Drop all subscriptions."""
+        for subscription in self._cells.values():
+            subscription.close()
+        self._cells.clear()
+
+
+BRUTE_FORCE_BELOW = 3000
+"""Products n x heard below which trying all pairs beats sorting into cells."""
+
+
+@kernel
+def predict(
+    heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, halt_s: float, accel_m_s2: float,
+    speed_m_s: float, turn_rad_s: float, predicted: Array, places: Array, spread_m: Array, blur_m: Array,
+) -> int:  # fmt: skip
+    """Move the heard states on to `now_s`; return how many robots are silent: older than `timeout_s`.
+
+    How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
+    robot is never farther from where it was heard than its speed and the time allow: the smaller disc counts. A
+    silent robot is one that stands or is about to: its disc grows until `halt_s` and then stays, for ever.
+
+    Parameters
+    ----------
+    heard : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
+    arrival_s : (m,) when each was heard, on this machine's clock; -inf: never, or forgotten
+    halt_s : after so long a robot that fell silent stands
+    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
+    predicted : (m, 2) out, NaN for silent robots
+    places, spread_m : (m, 2), (m,) out, centre and radius of the disc that holds the robot's centre
+    blur_m : (m,) out, by how much its direction is unknown: the spread, but 0 for a silent robot, which is kept off
+        like a wall, so that a robot inside its disc may leave it
+    """
+    silent = 0
+    for row in range(count):
+        age_s = max(now_s - arrival_s[row], 0.0)
+        if math.isinf(age_s):
+            predicted[row, 0] = math.nan
+            predicted[row, 1] = math.nan
+            places[row, 0] = math.nan
+            places[row, 1] = math.nan
+            spread_m[row] = 0.0
+            blur_m[row] = 0.0
+            continue
+        speed = heard[row, 3]
+        rate = heard[row, 4]
+        moved_s = min(age_s, halt_s)
+        fastest = max(speed_m_s, math.fabs(speed))
+        gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
+        sideways = gained * turn_rad_s
+        strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest
+        near_heard_m = fastest * moved_s
+        middle = heard[row, 2] + 0.5 * age_s * rate
+        x = heard[row, 0] + speed * age_s * math.cos(middle)
+        y = heard[row, 1] + speed * age_s * math.sin(middle)
+        if age_s <= timeout_s:
+            predicted[row, 0] = x
+            predicted[row, 1] = y
+        else:
+            predicted[row, 0] = math.nan
+            predicted[row, 1] = math.nan
+            silent += 1
+        if age_s <= timeout_s and near_prediction_m < near_heard_m:
+            places[row, 0] = x
+            places[row, 1] = y
+            spread_m[row] = near_prediction_m
+        else:
+            if age_s > halt_s and accel_m_s2 > 0.0:
+                near_heard_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = heard[row, 0]
+            places[row, 1] = heard[row, 1]
+            spread_m[row] = near_heard_m
+        blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
+    return silent
+
+
+@kernel
+def all_pairs(
+    position: Array, own_row: Index, predicted: Array, count: int, reach_m: float, start: Index, other: Index
+) -> int:
+    """Find the heard robots within `reach_m` of each own robot by trying all.
+
+    Parameters
+    ----------
+    position : (n, 2) own positions
+    own_row : (n,) row of each own robot among the heard ones, -1 if not heard
+    start : (n + 1,) out: neighbours of robot i are ``other[start[i]:start[i + 1]]``
+    other : (capacity,) out: rows among the heard
+
+    Returns
+    -------
+    int
+        How many pairs there are; more than the capacity means that `other` is too short.
+    """
+    found = 0
+    capacity = other.shape[0]
+    reach_squared = reach_m * reach_m
+    for i in range(position.shape[0]):
+        start[i] = min(found, capacity)
+        x = position[i, 0]
+        y = position[i, 1]
+        mine = own_row[i]
+        for row in range(count):
+            dx = predicted[row, 0] - x
+            dy = predicted[row, 1] - y
+            if dx * dx + dy * dy <= reach_squared and row != mine:
+                if found < capacity:
+                    other[found] = row
+                found += 1
+    start[position.shape[0]] = min(found, capacity)
+    return found
+
+
+@kernel
+def cell_pairs(
+    position: Array, own_row: Index, predicted: Array, count: int, reach_m: float, start: Index, other: Index
+) -> int:
+    """Do what :func:`all_pairs` does in time linear in the swarm, by sorting into cells of `reach_m`."""
+    low_x = math.inf
+    low_y = math.inf
+    high_x = -math.inf
+    high_y = -math.inf
+    for row in range(count):
+        if not math.isnan(predicted[row, 0]):
+            low_x = min(low_x, predicted[row, 0])
+            high_x = max(high_x, predicted[row, 0])
+            low_y = min(low_y, predicted[row, 1])
+            high_y = max(high_y, predicted[row, 1])
+    if low_x > high_x:
+        start[:] = 0
+        return 0
+    # Cells no smaller than the reach, and no more of them than a few per robot.
+    side = max(reach_m, max(high_x - low_x, high_y - low_y) / (2.0 * math.sqrt(count) + 1.0))
+    columns = int((high_x - low_x) / side) + 1
+    rows = int((high_y - low_y) / side) + 1
+    begin = np.zeros(columns * rows + 1, np.int64)
+    for row in range(count):
+        if not math.isnan(predicted[row, 0]):
+            cell = int((predicted[row, 1] - low_y) / side) * columns + int((predicted[row, 0] - low_x) / side)
+            begin[cell + 1] += 1
+    for cell in range(columns * rows):
+        begin[cell + 1] += begin[cell]
+    member = np.empty(count, np.int64)
+    fill = begin[:-1].copy()
+    for row in range(count):
+        if not math.isnan(predicted[row, 0]):
+            cell = int((predicted[row, 1] - low_y) / side) * columns + int((predicted[row, 0] - low_x) / side)
+            member[fill[cell]] = row
+            fill[cell] += 1
+    found = 0
+    capacity = other.shape[0]
+    reach_squared = reach_m * reach_m
+    for i in range(position.shape[0]):
+        start[i] = min(found, capacity)
+        x = position[i, 0]
+        y = position[i, 1]
+        first_column = max(0, int(math.floor((x - reach_m - low_x) / side)))
+        last_column = min(columns - 1, int(math.floor((x + reach_m - low_x) / side)))
+        first_row = max(0, int(math.floor((y - reach_m - low_y) / side)))
+        last_row = min(rows - 1, int(math.floor((y + reach_m - low_y) / side)))
+        for cell_row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = cell_row * columns + column
+                for k in range(begin[cell], begin[cell + 1]):
+                    row = member[k]
+                    dx = predicted[row, 0] - x
+                    dy = predicted[row, 1] - y
+                    if dx * dx + dy * dy <= reach_squared and row != own_row[i]:
+                        if found < capacity:
+                            other[found] = row
+                        found += 1
+    start[position.shape[0]] = min(found, capacity)
+    return found
+
+
+@kernel
+def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None:
+    """Drop from the edge list robots that are not of a robot's own team.
+
+    Parameters
+    ----------
+    start, other : as `all_pairs` fills them; both are rewritten in place
+    own_team : (n,) team of each own robot; 0: it keeps all its neighbours
+    teams : (m,) team of each robot heard
+    """
+    kept = 0
+    for i in range(own_team.shape[0]):
+        first = start[i]
+        start[i] = kept
+        mine = own_team[i]
+        for edge in range(first, start[i + 1]):
+            row = other[edge]
+            if mine == 0 or teams[row] == mine:
+                other[kept] = row
+                kept += 1
+    start[own_team.shape[0]] = kept

@@ -1,0 +1,99 @@
+"""What robots know of the static obstacles: from the map they were given, from their own eyes, from the others.
+
+An obstacle is a row of six numbers as in ``Reading.obstacles``. It is known once it was seen within the sensing radius
+and is never forgotten: the arena is taken for static.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.config import SwarmConfig
+from fullswarm.kernels import Array, kernel
+
+GIVEN, SHARED, OWN = "given", "shared", "own"
+MOST = 1000
+"""Most obstacles kept: a sender on the bus must not fill a robot's memory."""
+
+
+@kernel
+def notice(position: Array, obstacles: Array, count: int, reach_m: float, seen: NDArray[np.bool_]) -> int:
+    """Mark in `seen` (n, capacity) which of the obstacles each robot sees; return how many marks are new."""
+    new = 0
+    for i in range(position.shape[0]):
+        for k in range(count):
+            if not seen[i, k] and box_gap(position[i, 0], position[i, 1], obstacles, k)[0] <= reach_m:
+                seen[i, k] = True
+                new += 1
+    return new
+
+
+class ObstacleMap:
+    """The obstacles that n robots know.
+
+    Parameters
+    ----------
+    given : (k, 6) the map; may be empty
+    """
+
+    def __init__(self, count: int, given: Array) -> None:
+        self.given = given
+        self._index: dict[bytes, int] = {}
+        self._rows = np.zeros((16, 6))
+        self._seen = np.zeros((count, 16), bool)
+        self._last: Array | None = None
+        self._known: dict[tuple[str, int], Array] = {}
+
+    def look(self, position: Array, obstacles: Array, reach_m: float) -> int:
+        """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
+        if obstacles is not self._last:
+            self._last = obstacles
+            for row in obstacles:
+                self._add(row)
+        new = notice.run(position, self._rows, len(self._index), reach_m, self._seen)
+        if new:
+            self._known.clear()
+        return int(new)
+
+    def seen(self) -> Array:
+        """Return what these robots have seen themselves, (k, 6)."""
+        return self._rows[: len(self._index)][self._seen[:, : len(self._index)].any(axis=0)]
+
+    def tell(self, obstacles: Array) -> None:
+        """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
+        before = len(self._index)
+        sound = np.isfinite(obstacles).all(axis=1) & (obstacles[:, 2:4] >= 0.0).all(axis=1) & (obstacles[:, 5] >= 0.0)
+        for row in obstacles[sound]:
+            self._add(row)
+        if len(self._index) != before:
+            self._known.clear()
+
+    def known(self, row: int, source: str) -> Array:
+        """Return the obstacles (k, 6) that robot `row` knows from `source`: GIVEN, SHARED or OWN."""
+        if source == GIVEN:
+            return self.given
+        key = (source, row if source == OWN else 0)
+        found = self._known.get(key)
+        if found is None:
+            rows = self._rows[: len(self._index)]
+            found = self._known[key] = rows[self._seen[row, : len(rows)]] if source == OWN else rows.copy()
+        return found
+
+    def _add(self, row: Array) -> None:
+        name = np.round(row, 3).tobytes()
+        if name in self._index or len(self._index) >= MOST:
+            return
+        place = self._index[name] = len(self._index)
+        if place == len(self._rows):
+            self._rows = np.vstack([self._rows, np.zeros_like(self._rows)])
+            self._seen = np.hstack([self._seen, np.zeros_like(self._seen)])
+        self._rows[place] = row
+
+
+def map_of(config: SwarmConfig) -> Array:
+    """Return the map that the fleet file gives, (k, 6): its boxes; the arena's edge is known anyway."""
+    boxes = config.world.boxes if config.world else ()
+    rows = [(x, y, size_x / 2, size_y / 2, yaw, 0.0) for x, y, size_x, size_y, yaw in boxes]
+    return np.array(rows, float).reshape(-1, 6)

@@ -1,0 +1,234 @@
+"""The latched e-stops of an agent's robots: each order is carried out once, its receipt given as often as asked for."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import structlog
+
+from fullswarm.agent.motion.reflexes import Standstill
+from fullswarm.agent.motion.robot_controller import RobotController
+from fullswarm.agent.state import AgentState
+from fullswarm.bus.base import Bus
+from fullswarm.drivers.base import Fleet
+from fullswarm.keys import Keys
+from fullswarm.messages import EStop, EStopReceipt
+
+REMEMBERED = 256
+SETTLE_TIMEOUT_S = 5.0
+"""A robot that still moves so long after an e-stop is reported as not standing; it is watched on."""
+TICKS = 2.0
+"""For so many periods after the order a reading may still show the rest before a motion that was just commanded."""
+
+Key = tuple[str, bool]
+"""An order: its id, engaged or released."""
+
+
+@dataclass(slots=True)
+class Rolling:
+    """A robot between an e-stop and standing.
+
+    The way is taken from odometry: a pose that is corrected or noisy adds metres that no wheel rolled. It is summed
+    over legs longer than the make's odometry wanders at standstill, so that noise is no way.
+    """
+
+    order: EStop
+    since_s: float
+    place: tuple[float, float]  # odometry, m
+    seen_s: float
+    wander_m: float
+    rolled_m: float = 0.0
+    told: bool = False  # that it does not come to rest
+    leg: tuple[float, float] = field(init=False)  # where the present leg begins
+
+    def __post_init__(self) -> None:
+        self.leg = self.place
+
+    def follow(self, place: tuple[float, float], stamp_s: float, fastest_m_s: float) -> None:
+        """Add the way to `place`; a jump that no wheel can make is a driver that counts anew."""
+        if self.seen_s == -math.inf:  # there was no reading yet when the order came
+            self.place, self.leg, self.seen_s = place, place, stamp_s
+        if stamp_s <= self.seen_s:
+            return
+        if math.dist(place, self.place) > 2.0 * fastest_m_s * (stamp_s - self.seen_s) + 0.05:
+            self.leg = self.leg[0] + place[0] - self.place[0], self.leg[1] + place[1] - self.place[1]
+        leg_m = math.dist(place, self.leg)
+        if leg_m > self.wander_m:
+            self.rolled_m += leg_m
+            self.leg = place
+        self.place, self.seen_s = place, stamp_s
+
+
+class EStops:
+    """Engages and releases, and confirms.
+
+    Orders are remembered by id. Operators repeat theirs until every robot has confirmed, so copies of an order come
+    after another operator's newer one: those must not undo it.
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: AgentState,
+        controller: RobotController, standstill: Standstill, wake: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._fleet, self._state = bus, keys, fleet, state
+        self._controller, self._standstill, self._wake = controller, standstill, wake
+        self._commanded_s = TICKS / control_rate_hz
+        # The receipts that still hold, by row; an order that a newer one has overruled has none.
+        self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
+        self._rolling: dict[tuple[int, Key], Rolling] = {}
+        self._folder: LatchFolder | None = None
+
+    def remember(self, folder: LatchFolder) -> None:
+        """Keep latches in `folder`, and latch the robots that it names: a new process must not undo an e-stop."""
+        self._folder = folder
+        for row, robot in enumerate(self._fleet.ids):
+            if folder.holds(robot):
+                self._controller.estop[row] = True
+
+    def repeats(self, order: EStop) -> bool:
+        """Tell whether the order was carried out before; then confirm it again where it still holds."""
+        receipts = self._orders.get((order.id, order.engaged)) if order.id else None
+        if receipts is None:
+            return False
+        for receipt in receipts.values():
+            self._publish(receipt)
+        return True
+
+    def carry_out(self, order: EStop, rows: Iterable[int], now_s: float) -> None:
+        """Latch or release the robots `rows`; confirm at once, an engaged one again when it stands.
+
+        The wheels come first, then the receipts, then the disk, which may take its time.
+        """
+        key, rows = (order.id, order.engaged), list(rows)
+        self._orders[key] = {}
+        while len(self._orders) > REMEMBERED:
+            self._drop(self._orders.popitem(last=False)[0])
+        changed = [row for row in rows if self._controller.estop[row] != order.engaged]
+        for row in changed:
+            self._overrule(row)
+            self._controller.estop[row] = order.engaged
+        for row in rows if order.engaged else ():
+            place, stamp_s = self._place(row)
+            wander_m = self._fleet.descriptions[row].standstill.wander_m
+            self._rolling[row, key] = Rolling(order, now_s, place, stamp_s, wander_m)
+        self._wake()
+        for row in rows:
+            self._confirm(row, EStopReceipt(id=order.id, robot=self._fleet.ids[row], engaged=order.engaged))
+        self._keep(order, [self._fleet.ids[row] for row in rows])
+
+    def watch(self, now_s: float) -> None:
+        """Follow the robots that still roll; confirm again once they stand, with the distance."""
+        for (row, key), rolling in list(self._rolling.items()):
+            place, stamp_s = self._place(row)
+            rolling.follow(place, stamp_s, float(self._controller.speed_limit[row]))
+            # An old reading proves nothing: a robot without a driver is latched, but its standstill is unverified.
+            rests = rolling.since_s <= self._standstill.since_s[row] < math.inf
+            standing = stamp_s > rolling.since_s + self._commanded_s and bool(rests)
+            late = now_s - rolling.since_s > SETTLE_TIMEOUT_S
+            if standing:
+                del self._rolling[row, key]
+            if standing or (late and not rolling.told):
+                rolling.told = True
+                robot, rolled_m = self._fleet.ids[row], rolling.rolled_m
+                self._confirm(
+                    row,
+                    EStopReceipt(id=rolling.order.id, robot=robot, engaged=True, rolled_m=rolled_m, standing=standing),
+                )
+
+    def _place(self, row: int) -> tuple[tuple[float, float], float]:
+        """Return the odometry of a robot, m, and the stamp of that reading, s; -inf when there is none."""
+        reading = self._state.reading
+        if reading is None:
+            return (0.0, 0.0), -math.inf
+        return (float(reading.odometry[row, 0]), float(reading.odometry[row, 1])), float(reading.stamp_s[row])
+
+    def _keep(self, order: EStop, robots: Iterable[str]) -> None:
+        if self._folder is None:
+            return
+        for robot in robots:
+            if order.engaged:
+                self._folder.engage(robot, order)
+            else:
+                self._folder.release(robot)
+
+    def _overrule(self, row: int) -> None:
+        for receipts in self._orders.values():
+            receipts.pop(row, None)
+        for each in [each for each in self._rolling if each[0] == row]:
+            del self._rolling[each]
+
+    def _drop(self, key: Key) -> None:
+        for each in [each for each in self._rolling if each[1] == key]:
+            del self._rolling[each]
+
+    def _confirm(self, row: int, receipt: EStopReceipt) -> None:
+        receipts = self._orders.get((receipt.id, receipt.engaged))
+        if receipts is not None:
+            receipts[row] = receipt
+        self._publish(receipt)
+
+    def _publish(self, receipt: EStopReceipt) -> None:
+        self._bus.publish(self._keys.estop_receipt(receipt.robot), receipt)
+
+
+log = structlog.get_logger()
+
+
+class LatchFolder:
+    """Files ``<robot>.estop``. What is in them is for people; that a file is there is the latch.
+
+    So a file that was cut short by a power loss, or that cannot be read, still holds the robot.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def holds(self, robot: str) -> bool:
+        """Tell whether `robot` was latched and never released; when in doubt it was."""
+        try:
+            self._file(robot).stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError as error:
+            log.error("cannot tell whether its e-stop was latched: it is taken for so", robot=robot, error=str(error))
+        return True
+
+    def engage(self, robot: str, order: EStop) -> None:
+        """Write the file and wait for the disk: pulling the battery is what comes next after an e-stop."""
+        text = {"id": order.id, "source": order.source, "reason": order.reason}
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with self._file(robot).open("wb") as file:
+                file.write(msgspec.json.encode(text) + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+            self._sync()
+        except OSError as error:
+            log.error("a restart of this agent would not know of the e-stop", robot=robot, error=str(error))
+
+    def release(self, robot: str) -> None:
+        """Take the file away."""
+        try:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                self._file(robot).unlink()
+                self._sync()
+        except OSError as error:
+            log.error("a restart of this agent would engage the e-stop again", robot=robot, error=str(error))
+
+    def _file(self, robot: str) -> Path:
+        return self._folder / f"{robot}.estop"
+
+    def _sync(self) -> None:
+        """Have the names on the disk too."""
+        folder = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

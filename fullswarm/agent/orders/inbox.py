@@ -1,0 +1,350 @@
+"""What an agent is told: control requests, commands, stops, e-stops, heartbeats."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+
+from fullswarm.agent.message_delay import MessageDelay
+from fullswarm.agent.motion.reflexes import Reflexes, Standstill
+from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
+from fullswarm.agent.orders.estops import EStops
+from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.pose.conflicts import PoseConflicts
+from fullswarm.agent.state import AgentState
+from fullswarm.bus.base import Bus
+from fullswarm.config import AgentConfig
+from fullswarm.drivers.base import Fleet, Hazard
+from fullswarm.errors import FullswarmError
+from fullswarm.keys import Keys
+from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
+from fullswarm.reasons import NONE, Code, Reason, given, reason, spent
+from fullswarm.runtime import Scheduler
+
+REMEMBERED_STOPS = 256
+
+UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
+"""Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it. A
+switch is: what is asked for meanwhile would start when a person who works on the robot turns it."""
+
+
+class Inbox:
+    """Applies what arrives to the agent's tasks and controller, and answers it.
+
+    Parameters
+    ----------
+    wake : acts on the change now instead of at the next tick
+
+    Attributes
+    ----------
+    ended : why the last task of each robot was ended on board; false: it was not
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: AgentState,
+        tasks: Tasks, controller: RobotController, reflexes: Reflexes, conflicts: PoseConflicts,
+        standstill: Standstill, wake: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._scheduler, self._config = bus, keys, scheduler, config
+        self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
+        self._reflexes, self._conflicts, self._wake = reflexes, conflicts, wake
+        ids = fleet.ids
+        self.ended = [NONE] * len(ids)
+        self._row = {robot: row for row, robot in enumerate(ids)}
+        self._cores = Cores(config.core_silence_s)
+        self._epochs = [CoreEpoch(self._cores) for _ in ids]
+        self._newest: list[tuple[str, int]] = [("", 0)] * len(ids)
+        self._answers: list[ControlAck | None] = [None] * len(ids)
+        self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
+        self._delays = [MessageDelay() for _ in ids]
+        self._stops: OrderedDict[str, None] = OrderedDict()
+        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller, standstill, wake)
+        whose = ids[0] if len(ids) == 1 else "*"
+        self._subscriptions = [
+            bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
+            bus.subscribe(keys.command(whose), Command, self._on_command, latest=True),
+            bus.subscribe(keys.stop, StopRequest, self._on_stop),
+            bus.subscribe(keys.estop, EStop, self._on_estop),
+            bus.subscribe(keys.heartbeat("core"), Heartbeat, self._on_heartbeat, latest=True),
+            bus.subscribe(keys.ping(whose), Ping, self._on_ping),
+        ]
+
+    def core_alive(self, now_s: float) -> bool:
+        """Tell whether a core's heartbeat was heard within the configured silence."""
+        return self._cores.any_alive(now_s)
+
+    def core_age_s(self, now_s: float) -> float:
+        """Return how long ago a core's heartbeat was heard, in seconds; infinity when none ever was."""
+        return self._cores.age_s(now_s)
+
+    def _on_heartbeat(self, beat: Heartbeat) -> None:
+        if self._cores.hear(beat.process, self._scheduler.now_s()):
+            self._tell_of_stops()
+
+    def _on_ping(self, ping: Ping) -> None:
+        if ping.robot in self._row:
+            self._bus.publish(self._keys.pong(ping.robot), ping)
+
+    def _tell_of_stops(self) -> None:
+        """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
+        for row, epoch in enumerate(self._epochs):
+            if epoch.halted:
+                robot = self._fleet.ids[row]
+                # An id of its own: the core carries out each stop once, and other robots may tell of the same one.
+                stop = StopRequest(id=f"{epoch.halted}@{robot}", robots=(robot,), source=robot)
+                self._remember(stop.id)  # it comes back here
+                self._bus.publish(self._keys.stop, stop)
+
+    # ------------------------------------------------------------------ behaviours
+    def _on_control(self, request: ControlRequest) -> None:
+        row = self._row.get(request.robot)
+        if row is None:
+            return
+        if self._epochs[row].replaced(request.core, self._scheduler.now_s()):
+            answer = self._answer(row, request, reason(Code.OTHER_CORE))
+            self._bus.publish(self._keys.ack(request.robot), answer)
+            return
+        core, sequence = self._newest[row]
+        if request.core == core and request.sequence <= sequence:
+            # Delivered again: nothing changes, but the answer may have been lost.
+            last = self._answers[row]
+            if last and request.sequence == sequence:
+                self._bus.publish(self._keys.ack(request.robot), last)
+            return
+        self._newest[row] = (request.core, request.sequence)
+        why_not = self._apply(row, request)
+        self._wake()  # the wheels first, then the words
+        self._answers[row] = answer = self._answer(row, request, why_not)
+        self._bus.publish(self._keys.ack(request.robot), answer)
+
+    def _answer(self, row: int, request: ControlRequest, why_not: Reason) -> ControlAck:
+        task = self._tasks.of[row]
+        return ControlAck(
+            request_id=request.request_id,
+            robot=request.robot,
+            behaviour=request.behaviour,
+            enabled=task is not None and task.request.request_id == request.request_id,
+            accepted=not why_not,
+            reason=why_not.text,
+            code=why_not.code,
+            parameters=dict(why_not.parameters),
+            core=request.core,
+            sequence=request.sequence,
+        )
+
+    def _apply(self, row: int, request: ControlRequest) -> Reason:
+        """Do what is asked; return why not, false if it is done."""
+        epoch = self._epochs[row]
+        if not request.enable:
+            self._drop(row)
+            return NONE
+        epoch.see(request.request_id)
+        if self._controller.estop[row]:
+            return reason(Code.ESTOP_LATCHED)
+        if request.request_id in epoch.spent:
+            return spent(epoch.spent[request.request_id])
+        hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
+        if hazards & UNSAFE:
+            # Accepted, it would drive off out of the hands that put it back on safe ground.
+            seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
+            return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
+        if self._reflexes.flat[row] and request.expires_s <= 0.0:
+            return reason(Code.BATTERY)
+        conflict = self._conflicts.reason(row)
+        if conflict and request.expires_s <= 0.0:
+            return conflict
+        try:
+            self._tasks.enable(row, Task(request, self._sent_s(row, request)))
+        except FullswarmError as error:
+            return given(str(error))
+        epoch.accept()
+        self._controller.law_failed[row] = False
+        self.ended[row] = NONE
+        if request.centralised:
+            self._controller.forget(row)
+        return NONE
+
+    def _sent_s(self, row: int, request: ControlRequest) -> float:
+        """Return when an intent was sent, as far as can be known: it lives from then on, not from its arrival."""
+        now_s = self._scheduler.now_s()
+        if request.expires_s <= 0.0 or request.stamp_s == 0.0:
+            return now_s
+        return now_s - self._delays[row].delay_s(request.core, request.stamp_s, now_s)
+
+    def spend(self, row: int, why: Reason) -> None:
+        """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
+        task = self._tasks.of[row]
+        if task is None:
+            return
+        self._epochs[row].spent.note(task.request.request_id, why)
+        self.ended[row] = why
+        self._drop(row)
+
+    def _drop(self, row: int) -> None:
+        self._tasks.disable(row)
+        self._controller.forget(row)
+
+    def _on_command(self, command: Command) -> None:
+        row = self._row.get(command.robot)
+        task = self._tasks.of[row] if row is not None else None
+        if row is None or task is None or not task.request.centralised:
+            return
+        if command.request_id != task.request.request_id:
+            return
+        if not math.isfinite(command.linear_m_s + command.angular_rad_s + command.ttl_s + command.stamp_s):
+            return
+        core, request_id, sequence = self._command_sequence[row]
+        if (core, request_id) == (task.request.core, command.request_id) and command.sequence <= sequence:
+            return
+        # A core numbers requests and commands in one row: what is older than the request comes from another core.
+        if command.sequence < task.request.sequence:
+            return
+        self._command_sequence[row] = (task.request.core, command.request_id, command.sequence)
+        now_s = self._scheduler.now_s()
+        ttl_s = min(command.ttl_s, self._config.command_ttl_s)
+        delay_s = self._delays[row].delay_s(task.request.core, command.stamp_s, now_s)
+        if delay_s >= ttl_s:
+            return
+        self._controller.submit(row, command.linear_m_s, command.angular_rad_s, now_s + ttl_s - delay_s)
+        self._wake()
+
+    # ------------------------------------------------------------------ stops
+    def _on_stop(self, stop: StopRequest) -> None:
+        if stop.id in self._stops:
+            return
+        self._remember(stop.id)
+        for row in self._addressed(stop.robots):
+            self._halt(row, stop.id or "stop", reason(Code.STOPPED, by=stop.source or "an operator"))
+        self._wake()
+
+    def _remember(self, stop_id: str) -> None:
+        if stop_id:
+            self._stops[stop_id] = None
+            while len(self._stops) > REMEMBERED_STOPS:
+                self._stops.popitem(last=False)
+
+    def _on_estop(self, order: EStop) -> None:
+        if self.estops.repeats(order):
+            return
+        rows = self._addressed(order.robots)
+        for row in rows:
+            # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
+            # not be started by it. Releasing a robot that is not latched stops nothing.
+            if order.engaged or self._controller.estop[row]:
+                code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
+                self._halt(row, order.id or "estop", reason(code, by=order.source or "an operator"))
+        self.estops.carry_out(order, rows, self._scheduler.now_s())
+
+    def _halt(self, row: int, order_id: str, why: Reason) -> None:
+        """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
+        unheard = not self.core_alive(self._scheduler.now_s())
+        self._epochs[row].halt(order_id if unheard else "", why)
+        self.spend(row, why)
+        self._drop(row)
+
+    def watch_estops(self, now_s: float) -> None:
+        """Confirm the e-stops of robots that have come to a stand."""
+        self.estops.watch(now_s)
+
+    def _addressed(self, robots: Iterable[str]) -> list[int]:
+        rows = [self._row[robot] for robot in dict.fromkeys(robots) if robot in self._row]
+        return rows if robots else list(self._row.values())
+
+    def close(self) -> None:
+        """Stop listening."""
+        for subscription in self._subscriptions:
+            subscription.close()
+
+
+REMEMBERED = 64
+
+
+class Memory(OrderedDict[str, Reason]):
+    """The newest `REMEMBERED` names with a reason for each."""
+
+    def note(self, name: str, why: Reason = NONE) -> None:
+        """Remember `name`, forgetting the oldest when there are too many."""
+        self[name] = why
+        self.move_to_end(name)
+        while len(self) > REMEMBERED:
+            self.popitem(last=False)
+
+
+class Cores:
+    """Core processes by their heartbeats."""
+
+    def __init__(self, silence_s: float) -> None:
+        self._silence_s = silence_s
+        self._heard_s: OrderedDict[str, float] = OrderedDict()
+        self._newest_s = -math.inf
+
+    def hear(self, process: str, now_s: float) -> bool:
+        """Take a heartbeat; tell whether it is the first of its process."""
+        new = process not in self._heard_s
+        self._heard_s[process] = self._newest_s = now_s
+        while len(self._heard_s) > REMEMBERED:
+            self._heard_s.popitem(last=False)
+        return new
+
+    def alive(self, process: str, now_s: float) -> bool:
+        """Tell whether the process was heard within the configured silence."""
+        return now_s - self._heard_s.get(process, -math.inf) <= self._silence_s
+
+    def any_alive(self, now_s: float) -> bool:
+        """Tell whether any core was."""
+        return now_s - self._newest_s <= self._silence_s
+
+    def age_s(self, now_s: float) -> float:
+        """Return how long ago any core was heard, in seconds; infinity when none ever was."""
+        return now_s - self._newest_s
+
+
+class CoreEpoch:
+    """What one robot refuses.
+
+    Attributes
+    ----------
+    spent : request id → why it may not start again
+    halted : id of a stop that no core heard, since which nothing was accepted; empty: none
+    """
+
+    def __init__(self, cores: Cores) -> None:
+        self._cores = cores
+        self._core = ""
+        self._replaced = Memory()
+        self._seen = Memory()
+        self.spent = Memory()
+        self.halted = ""
+
+    def replaced(self, core: str, now_s: float) -> bool:
+        """Tell whether `core` has been replaced by another one, so that its messages are late; else follow it.
+
+        A replaced core is followed again when it alone lives: then the other one was started by mistake.
+        """
+        if core == self._core:
+            return False
+        if core in self._replaced and (self._cores.alive(self._core, now_s) or not self._cores.alive(core, now_s)):
+            return True
+        self._replaced.pop(core, None)
+        if self._core:
+            self._replaced.note(self._core)
+        self._core = core
+        return False
+
+    def see(self, request_id: str) -> None:
+        """Remember a request that was to start here."""
+        self._seen.note(request_id)
+
+    def accept(self) -> None:
+        """Something was started: no stop is in force any more."""
+        self.halted = ""
+
+    def halt(self, order_id: str, why: Reason) -> None:
+        """Spend every request seen so far: a stop overrules also those that are wanted but not running.
+
+        `order_id` is empty when a core was there to hear of it.
+        """
+        for request_id in self._seen:
+            self.spent.note(request_id, why)
+        self.halted = self.halted or order_id

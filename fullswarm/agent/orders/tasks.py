@@ -1,0 +1,322 @@
+"""Which robot runs what: one task per robot, grouped so that a law is called once for all robots that run it."""
+
+from __future__ import annotations
+
+import functools
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from fullswarm import registry
+from fullswarm.agent.view import Params, View, column_width
+from fullswarm.config.models import EXPIRES_S, HEARING_M
+from fullswarm.config.parameter import FILTER, Parameter
+from fullswarm.errors import ConfigError
+from fullswarm.kernels import Array, Index
+from fullswarm.messages import ControlRequest, Value
+
+CENTRALISED = ""
+"""Law name of a task that has no law on board and obeys Command messages."""
+
+HEARING = "hearing_m"
+
+
+def _kind(name: str, value: Value) -> tuple[str, str]:
+    """Return what robots must have in common to share one call of a law: kinds, words, and how far they listen."""
+    width = column_width(value)
+    return name, str(width) if width and name != HEARING else repr(value)
+
+
+def _alike(one: ControlRequest, other: ControlRequest) -> bool:
+    """Tell whether two requests differ by no more than their parameters and their time."""
+    return (
+        one.law == other.law
+        and one.filtered == other.filtered
+        and one.centralised == other.centralised
+        and one.survives_core == other.survives_core
+    )
+
+
+def _number(value: Value | None, otherwise: float) -> float:
+    return float(value) if isinstance(value, int | float) else otherwise
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What one robot was asked to run."""
+
+    request: ControlRequest
+    arrived_s: float
+
+    @property
+    def law(self) -> str:
+        """Name of the law on board, empty for a centralised behaviour."""
+        return CENTRALISED if self.request.centralised else self.request.law
+
+    @property
+    def lapses_s(self) -> float:
+        """When an intent runs out; never for a lasting request."""
+        return self.arrived_s + self.request.expires_s if self.request.expires_s > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Robots that run the same law."""
+
+    law: str
+    call: Callable[[View, Params], Array]  # the law
+    planar: bool  # it wishes planar velocities, not twists
+    rows: Index
+    params: Params
+    hearing_m: float  # 0: the sensing radius
+
+
+@dataclass(slots=True)
+class Tasks:
+    """The tasks of n robots, and what the tick needs of them as arrays.
+
+    Attributes
+    ----------
+    active : (n,) a task is on
+    filtered : (n,) it runs behind the safety filter
+    lasting : (n,) it is filtered and no intent of a stick
+    any_filtered : some task does
+    survives_core : (n,) it goes on without the core
+    team : (n,) which robots its law counts as neighbours; 0: all that are sensed
+    lapses_s : (n,) when it ends by itself; inf
+    margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
+    """
+
+    count: int
+    usual_margin_m: float
+    usual_gain_per_s: float
+    gain_limit_per_s: Array  # (n,) what the brakes can follow
+    of: list[Task | None] = field(init=False)
+    active: NDArray[np.bool_] = field(init=False)
+    filtered: NDArray[np.bool_] = field(init=False)
+    lasting: NDArray[np.bool_] = field(init=False)
+    survives_core: NDArray[np.bool_] = field(init=False)
+    team: Index = field(init=False)
+    margin_m: Array = field(init=False)
+    gain_per_s: Array = field(init=False)
+    lapses_s: Array = field(init=False)
+    any_filtered: bool = field(init=False, default=False)
+    _groups: list[Group] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.of = [None] * self.count
+        self.active = np.zeros(self.count, bool)
+        self.filtered = np.zeros(self.count, bool)
+        self.lasting = np.zeros(self.count, bool)
+        self.survives_core = np.zeros(self.count, bool)
+        self.team = np.zeros(self.count, np.int64)
+        self.margin_m = np.full(self.count, self.usual_margin_m)
+        self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
+        self.lapses_s = np.full(self.count, math.inf)
+
+    def enable(self, row: int, task: Task) -> None:
+        """Give robot `row` a task in place of the one it has.
+
+        Raises
+        ------
+        ConfigError
+            The robot has no such law, or a parameter is out of range.
+        """
+        request, before = task.request, self.of[row]
+        check(request)
+        alike = before is not None and _alike(before.request, request)
+        if not alike and task.law != CENTRALISED:
+            registry.law_module(task.law)
+        self.of[row] = task
+        self.lapses_s[row] = task.lapses_s
+        self.team[row] = request.team
+        if request.filtered:
+            self.lasting[row] = request.expires_s <= 0.0
+            self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
+            gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
+            self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
+        if alike and self._renew(row, request):
+            return
+        self.active[row] = True
+        self.filtered[row] = request.filtered
+        self.lasting[row] = request.filtered and request.expires_s <= 0.0
+        self.survives_core[row] = request.survives_core
+        self._groups = None
+
+    def _renew(self, row: int, request: ControlRequest) -> bool:
+        """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
+        for group in self._groups or ():
+            place = 0 if self.count == 1 else int(np.searchsorted(group.rows, row))
+            if place < len(group.rows) and group.rows[place] == row:
+                same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
+                # By the class: a parameter may be called "update".
+                return same_reach and Params.update(group.params, place, request.parameters)
+        return False
+
+    def disable(self, row: int) -> None:
+        """Take robot `row`'s task away."""
+        self.of[row] = None
+        self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
+        self.lapses_s[row] = math.inf
+        self.team[row] = 0
+        self._groups = None
+
+    def groups(self) -> list[Group]:
+        """Return the robots with a law on board, grouped by law and kind of parameters."""
+        if self._groups is None:
+            self.any_filtered = bool(self.filtered.any())
+            members: dict[tuple[str, tuple[tuple[str, str], ...]], list[int]] = {}
+            for row, task in enumerate(self.of):
+                if task is not None and task.law != CENTRALISED:
+                    kinds = tuple(sorted(_kind(*each) for each in task.request.parameters.items()))
+                    members.setdefault((task.law, kinds), []).append(row)
+            self._groups = [self._group(law, rows) for (law, _), rows in members.items()]
+        return self._groups
+
+    def _group(self, law: str, rows: list[int]) -> Group:
+        parameters = [task.request.parameters for row in rows if (task := self.of[row]) is not None]
+        module = registry.law_module(law)
+        planar = hasattr(module, "velocity")
+        return Group(
+            law=law,
+            call=module.velocity if planar else module.twist,
+            planar=planar,
+            rows=np.array(rows, np.int64),
+            params=Params(parameters),
+            hearing_m=_number(parameters[0].get(HEARING), 0.0),
+        )
+
+
+RECORDS = Path(__file__).parents[2] / "core" / "behaviours.toml"
+
+GREATEST = 1e7
+"""Of a number that no record knows: no coordinate, speed or weight is larger."""
+LONGEST = 1000
+"""Of a word that no record knows, in characters."""
+
+OWN = {**FILTER, "hearing_m": Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1])}
+"""Parameters that the agent itself reads, whatever the law."""
+
+Allowed = Mapping[str, tuple[Parameter, ...]]
+
+
+def check(request: ControlRequest) -> None:
+    """Let a request pass that a robot may run.
+
+    Raises
+    ------
+    ConfigError
+        A parameter has another type than its record says or is out of range, or the request would never lapse; says
+        which and what is wanted.
+    """
+    low_s, high_s = EXPIRES_S
+    if not math.isfinite(request.stamp_s):  # or an intent would never lapse
+        raise ConfigError(f"stamp_s = {request.stamp_s} is no time")
+    if not low_s <= request.expires_s <= high_s:
+        raise ConfigError(f"expires_s = {request.expires_s:g} is outside [{low_s:g}, {high_s:g}] s")
+    spans, allowed = _known(request.law)
+    for name, value in request.parameters.items():
+        low, high = spans.get(name, (-GREATEST, GREATEST))
+        if type(value) is float and low <= value <= high:  # what a stick sends twenty times a second
+            continue
+        try:
+            _fits(name, value, OWN.get(name), allowed.get(name, ()))
+        except ValueError as error:
+            raise ConfigError(f"the robot refuses {error}") from None
+
+
+def _fits(name: str, value: Value, own: Parameter | None, allowed: tuple[Parameter, ...]) -> None:
+    """Raise the ``ValueError`` of the first record when no record allows the value."""
+    if own is not None:
+        own.check(name, value)
+    elif not allowed:
+        _can_be(name, value)
+    problem: ValueError | None = None
+    for parameter in allowed:
+        try:
+            parameter.check(name, value)
+        except ValueError as error:
+            problem = problem or error
+        else:
+            return
+    if problem is not None:
+        raise problem
+
+
+def _can_be(name: str, value: Value | list[float]) -> None:
+    """Raise a ``ValueError`` for what cannot be a parameter of any law."""
+    if isinstance(value, list):
+        for each in value:
+            _can_be(name, each)
+    elif isinstance(value, str):
+        if len(value) > LONGEST:
+            raise ValueError(f"{name}: a word of {len(value)} letters")
+    elif not abs(value) <= GREATEST:
+        raise ValueError(f"{name} = {value:g} is not a number within ±{GREATEST:g}")
+
+
+@functools.cache
+def _known(law: str) -> tuple[dict[str, tuple[float, float]], Allowed]:
+    """Return what a law's records say of each parameter: floats that need no further look, and the whole."""
+    allowed: dict[str, tuple[Parameter, ...]] = {}
+    for name, parameter in _parameters(law):
+        if parameter not in allowed.get(name, ()):
+            allowed[name] = (*allowed.get(name, ()), parameter)
+    spans = {name: (max(low for low, _ in each), min(high for _, high in each)) for name, each in _spans(allowed)}
+    return spans, allowed
+
+
+def _spans(allowed: Allowed) -> Iterator[tuple[str, list[tuple[float, float]]]]:
+    for name in {**allowed, **OWN}:
+        own = [OWN[name].span] if name in OWN else []
+        yield name, [*own, *(each.span for each in allowed.get(name, ()))]
+
+
+def _parameters(law: str) -> Iterator[tuple[str, Parameter]]:
+    tables = _tables()
+    for record in tables.values():
+        if law and _inherited(tables, record, "law") == law:
+            for name, raw in _merged(tables, record).items():
+                try:
+                    yield name, Parameter.model_validate(raw)
+                except ValidationError:  # the core says what is wrong with it
+                    continue
+
+
+@functools.cache
+def _tables() -> dict[str, dict[str, Any]]:
+    """Return the records that are installed here; a file that cannot be read says nothing."""
+    tables: dict[str, Any] = {}
+    for file in (*registry.record_files(), RECORDS):
+        try:
+            tables |= tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+            continue
+    return {name: each for name, each in tables.items() if isinstance(each, dict)}
+
+
+def _lineage(tables: Mapping[str, dict[str, Any]], record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a record and those that it is like, the nearest first; each once."""
+    line = [record]
+    while (base := tables.get(str(line[-1].get("like")))) is not None and base not in line:
+        line.append(base)
+    return line
+
+
+def _inherited(tables: Mapping[str, dict[str, Any]], record: dict[str, Any], key: str) -> object:
+    return next((each[key] for each in _lineage(tables, record) if key in each), None)
+
+
+def _merged(tables: Mapping[str, dict[str, Any]], record: dict[str, Any]) -> dict[str, Any]:
+    merged: dict[str, Any] = {}
+    for each in reversed(_lineage(tables, record)):
+        parameters = each.get("parameters")
+        merged |= parameters if isinstance(parameters, dict) else {}
+    return merged

@@ -1,0 +1,180 @@
+"""Samples what robots measure of themselves, ten times a second, and puts it into a message (paper II.F.1).
+
+Arrival and distance to the goal, the gap to the nearest neighbour, standing still, stepping aside. Beside them the
+measurement carries what others have counted anyway: the filter's deviation, energy, deadlines and messages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.pose.conflicts import Near
+from fullswarm.agent.safety.deadlock import Deadlocks
+from fullswarm.agent.state import AgentState, Identity
+from fullswarm.bus.base import CountingBus
+from fullswarm.kernels import Array, Index, kernel
+from fullswarm.messages import RobotMeasurement
+from fullswarm.runtime import LoopStats
+
+PERIOD_S = 0.1
+ARRIVE_M = 0.1
+"""A robot so near its goal has arrived, when neither the request nor the file says another radius."""
+FRESH_S = 0.3
+"""A neighbour heard longer ago may be anywhere: it makes no gap."""
+
+# Columns of the goals and of the state, one row per robot.
+GOAL_X, GOAL_Y, REACH, ASKED, BUSY = range(5)
+ARRIVED, DISTANCE, GAP, ASIDE, ANCHOR_X, ANCHOR_Y, MOVED = range(7)
+
+
+@kernel
+def gauge(
+    now_s: float, dt_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, start: Index, other: Index,
+    places: Array, heard: Array, arrival_s: Array, state: Array,
+) -> None:  # fmt: skip
+    """Look once, `dt_s` after the last look.
+
+    Parameters
+    ----------
+    pose, radius : (n, 3), (n,) of the own robots
+    goals : (n, 5) goal, its radius, when it was asked for; whether a task is on
+    until_s : (n,) until when each steps aside
+    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
+    state : (n, 7) in and out
+    """
+    for i in range(pose.shape[0]):
+        if until_s[i] > now_s:
+            state[i, ASIDE] += dt_s
+        x = float(pose[i, 0])
+        y = float(pose[i, 1])
+        if not math.isfinite(x + y):
+            continue
+        state[i, DISTANCE] = math.hypot(x - goals[i, GOAL_X], y - goals[i, GOAL_Y])  # NaN without a goal
+        if state[i, DISTANCE] <= goals[i, REACH]:
+            if math.isnan(state[i, ARRIVED]):
+                state[i, ARRIVED] = now_s - goals[i, ASKED]
+        else:
+            state[i, ARRIVED] = math.nan
+        way = math.hypot(x - state[i, ANCHOR_X], y - state[i, ANCHOR_Y])
+        if not way <= radius[i] or goals[i, BUSY] == 0.0:  # true while there is no anchor
+            state[i, ANCHOR_X] = x
+            state[i, ANCHOR_Y] = y
+            state[i, MOVED] = now_s
+        for edge in range(start[i], start[i + 1]):
+            j = other[edge]
+            if now_s - arrival_s[j] <= FRESH_S:
+                gap = math.hypot(x - places[j, 0], y - places[j, 1]) - radius[i] - heard[j, 5]
+                if gap < state[i, GAP]:  # false for a place that is not known
+                    state[i, GAP] = gap
+
+
+class MetricSampler:
+    """The gauges of the robots of one agent.
+
+    Parameters
+    ----------
+    arrive_radius_m
+        Overrides the request's; None: it does not.
+    """
+
+    def __init__(
+        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: AgentState, tasks: Tasks,
+        neighbours: Neighbours, near: Near, deadlocks: Deadlocks,
+    ) -> None:  # fmt: skip
+        self._ids, self._arrive_radius_m, self._motion, self._all_tasks = ids, arrive_radius_m, state, tasks
+        self._neighbours, self._near, self._deadlocks = neighbours, near, deadlocks
+        count = len(ids)
+        self._looked_s = math.inf
+        self._tasks: list[Task | None] = [None] * count
+        self._of: list[str] = [""] * count  # the request that gave the goal
+        self._goals = np.full((count, 5), math.nan)
+        self._goals[:, BUSY] = 0.0
+        self._state = np.zeros((count, 7))
+        self._state[:, [ARRIVED, DISTANCE, ANCHOR_X, ANCHOR_Y, MOVED]] = math.nan
+        self._state[:, GAP] = math.inf
+
+    def look(self, now_s: float) -> None:
+        """Take in how things are now: every `PERIOD_S`, and before they are told."""
+        dt_s = min(max(now_s - self._looked_s, 0.0), PERIOD_S)
+        self._looked_s = now_s
+        if self._tasks != self._all_tasks.of:
+            self._follow()
+        start, other = self._near(now_s)
+        neighbours = self._neighbours
+        gauge.run(
+            now_s, dt_s, self._motion.pose, self._motion.radius, self._goals, self._deadlocks.until_s, start, other,
+            neighbours.places, neighbours.heard, neighbours.arrival_s, self._state,
+        )  # fmt: skip
+
+    def message(
+        self,
+        now_s: float,
+        identity: Identity,
+        loop: LoopStats,
+        traffic: CountingBus,
+        counted: Mapping[str, Array],
+    ) -> RobotMeasurement:
+        """Return the measurement; what its columns mean stands in ``perf/metrics.py``.
+
+        `counted` are the columns of others, (n,) each: the calculators' and the filter's.
+        """
+        state = self._state
+        x, y, heading = self._motion.pose.T.tolist()
+        arrived, goal, gap, aside = state[:, :ANCHOR_X].T.tolist()
+        still_s = np.where(self._goals[:, BUSY] > 0.0, now_s - state[:, MOVED], math.nan)
+        columns = {
+            "x_m": x,
+            "y_m": y,
+            "heading_rad": heading,
+            "goal_m": goal,
+            "arrived_s": arrived,
+            "still_s": still_s.tolist(),
+            "gap_m": gap,
+            "draws": self._deadlocks.draws.tolist(),
+            "aside_s": aside,
+            **{name: column.tolist() for name, column in counted.items()},
+        }
+        totals = {
+            "ticks": float(loop.ticks), "late": float(loop.late), "missed": float(loop.missed),
+            "worst_late_s": loop.worst_late_s, "sent": float(traffic.sent), "received": float(traffic.received),
+        }  # fmt: skip
+        return RobotMeasurement(
+            host=identity.host,
+            process=identity.process,
+            robots=self._ids,
+            columns={name: tuple(values) for name, values in columns.items()},
+            totals=totals,
+            stamp_s=now_s,
+        )
+
+    def _follow(self) -> None:
+        """Take over the goals of new tasks. Intents of a stick, and the end of a task, leave the goal as it is."""
+        for row, task in enumerate(self._all_tasks.of):
+            if task is self._tasks[row]:
+                continue
+            self._tasks[row] = task
+            lasting = task is not None and task.request.expires_s <= 0.0
+            self._goals[row, BUSY] = float(lasting)
+            if task is not None and lasting:
+                self._aim(row, task)
+
+    def _aim(self, row: int, task: Task) -> None:
+        request, goals = task.request, self._goals
+        point = request.parameters.get("goal", request.parameters.get("target"))
+        reach_m = self._arrive_radius_m or request.parameters.get("arrive_radius_m")
+        goals[row, REACH] = reach_m if isinstance(reach_m, int | float) else ARRIVE_M
+        goals[row, :2] = _point(point)
+        if request.request_id != self._of[row]:  # the same request comes again after a restart of the core
+            self._of[row], goals[row, ASKED] = request.request_id, task.arrived_s
+            self._state[row, ARRIVED] = math.nan
+
+
+def _point(value: object) -> tuple[float, float]:
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(each, int | float) for each in value):
+        return float(value[0]), float(value[1])
+    return math.nan, math.nan

@@ -1,0 +1,203 @@
+"""The commands that show a swarm: `status`, `watch`, `behaviours`, and `robots` without a verb."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fullswarm import output
+from fullswarm.cli import completion
+from fullswarm.cli.options import Json, Robots, Timeout, robot_ids, shell_command
+from fullswarm.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fullswarm.cli.options import Target
+    from fullswarm.operator.view import FleetView, RobotRow, Snapshot
+
+COLLECT_S = 1.0
+"""Two periods of the health reports."""
+REFRESH_S = 0.25
+GROUPS_TIMEOUT_S = 3.0
+
+
+@shell_command()
+def status(target: Target, robots: Robots = None, as_json: Json = False) -> int:
+    """Show the swarm, or some robots of it, once; those that need attention come first."""
+    from fullswarm.operator.render import fleet_table
+
+    seen = _collect(target, members(target, robots))
+    if as_json:
+        output.data_json(seen.as_dict())
+    else:
+        output.data_table(fleet_table(seen))
+    return 0
+
+
+@shell_command()
+def watch(
+    target: Target,
+    robots: Robots = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a line of JSON at each refresh, four a second.")
+    ] = False,
+) -> int:
+    """Show the swarm, or some robots of it, live until Ctrl-C; those that need attention come first."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from fullswarm.operator import session
+    from fullswarm.operator.render import fleet_table
+    from fullswarm.operator.view import FleetView
+
+    ids = members(target, robots)
+    with session.connect(target) as connection:
+        view = FleetView(connection.bus, connection.keys, connection.runtime, ids)
+        connection.on_interrupt = connection.finish
+        if as_json:
+            connection.runtime.every(REFRESH_S, lambda: output.data_json(_only(view, ids).as_dict(), indent=None))
+            connection.run()
+            return 0
+        console = Console(highlight=False)
+        # rich's own refreshing would need a thread; the runtime's timer does.
+        with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
+
+            def refresh() -> None:
+                # Of the screen's height the title and the header take two lines, what stands below a third.
+                below = max(3, console.size.height // 3)
+                table = fleet_table(_only(view, ids), max(3, console.size.height - 2 - below), below)
+                live.update(table, refresh=True)
+
+            connection.runtime.every(REFRESH_S, refresh, first_s=0.0)
+            connection.run()
+        output.data_table(fleet_table(_only(view, ids)))  # the last state stays on the screen
+    return 0
+
+
+def list_robots(target: Target, *, as_json: bool) -> int:
+    """Print the robots of a swarm: make, model, driver, firmware, battery."""
+    from rich.markup import escape
+
+    seen = _collect(target)
+    if as_json:
+        output.data_json(seen.as_dict()["robots"])
+        return 0
+    table = output.plain_table("robot", "make", "model", "state", "battery", "firmware", "driver")
+    for row in seen.robots:
+        table.add_row(*map(escape, _robot_cells(row)))
+    output.data_table(table)
+    return 0
+
+
+def members(target: Target, robots: Iterable[str] | None) -> tuple[str, ...]:
+    """Return the ids that `robots` stand for; the core knows the members of a group. None: the whole swarm.
+
+    Raises
+    ------
+    ConfigError
+        There is no such group, or a name that no robot can have.
+    Unreachable
+        A group is named and no core answers.
+    """
+    from fullswarm.operator.leases import GROUP
+
+    ids = robot_ids(robots, groups=True)
+    if not any(each.startswith(GROUP) for each in ids):
+        return ids
+    groups = _tables(target, "group/", GROUPS_TIMEOUT_S)
+    found: dict[str, None] = {}
+    for each in ids:
+        name = each.removeprefix(GROUP)
+        if name == each:
+            found[each] = None
+        elif name in groups:
+            members = groups[name].get("robots")
+            found |= dict.fromkeys(map(str, members) if isinstance(members, list) else ())
+        else:
+            raise ConfigError(
+                f"no group '{each}'", where="--robots", hint=did_you_mean(each, [GROUP + name for name in groups])
+            )
+    return tuple(found)
+
+
+def _tables(target: Target, prefix: str, timeout_s: float) -> dict[str, dict[str, Any]]:
+    """Return name → table of all entries of the core's database whose keys begin with `prefix`."""
+    from fullswarm.operator.params import ask
+
+    entries = ask(target, "core", "get", f"{prefix}*", timeout_s)
+    return {entry.key.removeprefix(prefix): entry.value for entry in entries if isinstance(entry.value, dict)}
+
+
+def _only(view: FleetView, ids: tuple[str, ...]) -> Snapshot:
+    seen = view.snapshot()
+    return seen.only(ids) if ids else seen
+
+
+def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
+    from fullswarm.operator import session
+    from fullswarm.operator.view import FleetView
+
+    with session.connect(target) as connection:
+        view = FleetView(connection.bus, connection.keys, connection.runtime, ids)
+        connection.run(COLLECT_S)
+        return _only(view, ids)
+
+
+def _robot_cells(row: RobotRow) -> tuple[str, ...]:
+    health = row.health
+    if health is None:
+        return row.robot, "-", "-", "no health report", "-", "-", "-"
+    battery = "-" if health.battery < 0 else f"{health.battery:.0%}"
+    state = "SILENT" if row.silent else health.lifecycle
+    return row.robot, health.make, health.model, state, battery, health.firmware or "-", health.driver
+
+
+# ---------------------------------------------------------------- behaviours
+@shell_command()
+def behaviours(
+    target: Target,
+    name: Annotated[
+        str | None, typer.Argument(help="Show the parameters of this one.", autocompletion=completion.behaviours)
+    ] = None,
+    timeout: Timeout = 3.0,
+    as_json: Json = False,
+) -> int:
+    """List the behaviours that can be requested, or the parameters of one."""
+    from rich.markup import escape
+
+    records = _tables(target, "behaviour/", timeout)
+    if name is not None and name not in records:
+        raise ConfigError(f"no behaviour '{name}'", hint=did_you_mean(name, records))
+    if name is not None:
+        records = {name: records[name]}
+    if as_json:
+        output.data_json(records)
+        return 0
+    table = output.plain_table("behaviour", "what it does")
+    for each, record in sorted(records.items()):
+        marks = [word for word in ("centralised", "filtered") if record.get(word)]
+        summary = str(record.get("summary", "")) + (f" ({', '.join(marks)})" if marks else "")
+        table.add_row(escape(each), escape(summary))
+    output.data_table(table)
+    if name is not None:
+        output.data_table(_parameter_table(records[name]))
+    else:
+        output.progress("`fullswarm behaviours NAME` shows the parameters of one")
+    return 0
+
+
+def _parameter_table(record: dict[str, Any]) -> Table:
+    from rich.markup import escape
+
+    table = output.plain_table("parameter", "type", "default", "from", "to", "unit", "meaning")
+    for name, spec in (record.get("parameters") or {}).items():
+        required, default = spec.get("required"), spec.get("default")
+        shown = "required" if required else "" if default is None else json.dumps(default)
+        limits = ["" if spec.get(end) is None else f"{spec[end]:g}" for end in ("min", "max")]
+        words = (name, spec.get("type", ""), shown, *limits, spec.get("unit", ""), spec.get("doc", ""))
+        table.add_row(*(escape(str(word)) for word in words))
+    return table

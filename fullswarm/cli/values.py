@@ -1,0 +1,102 @@
+"""Parses ``key=value`` and values of a command line."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, cast
+
+from fullswarm.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fullswarm.messages import Value
+
+
+def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
+    """Return the parameters that ``--set key=value`` options give.
+
+    Raises
+    ------
+    ConfigError
+        No equals sign, a key twice, or a value that no parameter can have; says which.
+    """
+    found: dict[str, Value] = {}
+    for option in options:
+        key, equals, raw = option.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise ConfigError(f"'{option}' is not key=value", where="--set", hint="e.g. --set speed=0.3")
+        if key in found:
+            raise ConfigError("is given twice", where=f"--set {key}")
+        found[key] = parse_value(raw, where=f"--set {key}")
+    return found
+
+
+def parse_value(raw: str, where: str = "") -> Value:
+    """Read ``1.5``, ``true``, ``[1, 2]``, ``5,5`` (a point), ``"text"`` or a bare word.
+
+    Raises
+    ------
+    ConfigError
+        Not finite, empty, a table, or a list of something else than numbers and points.
+    """
+    value = parse_stored(raw, where)
+    if isinstance(value, list):
+        if not value or not all(_is_number(item) or _is_point(item) for item in value):
+            raise ConfigError(f"'{raw}' is not a list of numbers or points", where=where, hint="e.g. [1, 2.5]")
+    elif not isinstance(value, bool | int | float | str):
+        raise ConfigError(f"'{raw}' cannot be a parameter", where=where, hint="flag, number, word, point or list")
+    return cast("Value", value)
+
+
+def parse_stored(raw: str, where: str = "") -> Any:
+    """Read a value for a local database: as for parameters, and JSON objects and null too.
+
+    Raises
+    ------
+    ConfigError
+        Empty, not finite, or brackets and quotes that do not match.
+    """
+    text = raw.strip()
+    if not text:
+        raise ConfigError("has no value", where=where)
+    value = _read(text)
+    if not _is_finite(value):
+        raise ConfigError(f"'{text}' is not finite", where=where)
+    if isinstance(value, str) and value == text and text[0] in "[{\"'":
+        raise ConfigError(f"'{text}' does not end", where=where, hint="check brackets and quotes")
+    return value
+
+
+def _read(text: str) -> Any:
+    readings = [text]
+    if "," in text and text[0] not in "{\"'":
+        readings.append(f"[{text}]")  # a point without its brackets, which a shell would want quoted
+    for reading in readings:
+        try:
+            return json.loads(reading)
+        except ValueError:
+            pass
+        try:
+            table = tomllib.loads(f"v = {reading}")
+        except ValueError:
+            continue
+        if list(table) == ["v"] and isinstance(table["v"], bool | int | float | str | list):
+            return table["v"]
+    return text
+
+
+def _is_number(item: object) -> bool:
+    return isinstance(item, int | float) and not isinstance(item, bool)
+
+
+def _is_point(item: object) -> bool:
+    return isinstance(item, list) and len(item) > 0 and all(map(_is_number, item))
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, list | dict):
+        return all(map(_is_finite, value.values() if isinstance(value, dict) else value))
+    return not isinstance(value, float) or math.isfinite(value)

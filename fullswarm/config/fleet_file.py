@@ -1,0 +1,253 @@
+"""Reads and writes fleet files: all errors at once, each with its file, line and key."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tomlkit
+from pydantic import BaseModel, Field, ValidationError
+
+from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
+from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
+from fullswarm.errors import ConfigError, did_you_mean
+
+Table = dict[str, Any]
+S = TypeVar("S", bound=BaseModel)
+
+_SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
+_PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
+
+HOW_A_BOX = "write centre x, y, size x, y in m, yaw in rad"
+
+
+class FleetShorthand(Section):
+    """``[fleet]``: robots by the number, ``<prefix>1`` to ``<prefix><count>``."""
+
+    count: int = Field(ge=1, le=10_000)
+    prefix: RobotId = "r"
+    driver: str = "sim"  # a scheme, or a URL with {id} or {n} in it
+
+    def robots(self) -> tuple[RobotConfig, ...]:
+        """Return the robots that the shorthand stands for."""
+        return tuple(
+            RobotConfig(id=f"{self.prefix}{number}", driver=self._url(f"{self.prefix}{number}", number))
+            for number in range(1, self.count + 1)
+        )
+
+    def _url(self, robot: str, number: int) -> str:
+        if "://" not in self.driver:
+            return f"{self.driver}://{robot}"
+        return self.driver.replace("{id}", robot).replace("{n}", str(number))
+
+
+Check = Callable[[SwarmConfig], Iterable[tuple[str, str, str]]]
+"""What else is wrong with a fleet's robots: (id, key, what)."""
+
+
+def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | None = None) -> SwarmConfig:
+    """Read and check a fleet file, then lay `overrides` (``a.b=1``, values as in TOML) over it.
+
+    `check` is asked once all else is right; what needs to know the drivers is in :mod:`fullswarm.drivers.fleet_file`.
+
+    Raises
+    ------
+    ConfigError
+        All that is wrong, one line each: ``file:line: key: what``; overrides as ``--set key: what``.
+    """
+    text = _read(Path(path))
+    document = _Document(str(path), _parse(str(path), text), line_numbers(text))
+    for override in overrides:
+        document.override(override)
+    return document.check(check)
+
+
+def write_swarm(config: SwarmConfig, path: Path) -> None:
+    """Write all settings in force, defaults included, as a fleet file that `load_swarm` reads back equal."""
+    values = config.model_dump(mode="json", exclude_none=True)
+    path.write_text(tomlkit.dumps(values), encoding="utf-8")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        near = sorted(each.name for each in path.parent.glob("*.toml")) if path.parent.is_dir() else []
+        there = f"in that folder: {', '.join(near[:5])}" if near else "give the path of a fleet file (TOML)"
+        raise ConfigError("no such file", where=str(path), hint=there) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", where=str(path)) from None
+
+
+def _parse(name: str, text: str) -> Table:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what, at = str(error), _SYNTAX_AT.search(str(error))
+        line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
+        hint = "is a quote not closed in that line?" if "Illegal character '\\n'" in what else ""
+        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', what)}", hint=hint) from None
+    except RecursionError:
+        raise ConfigError(f"{name}:1: not valid TOML: nested too deeply") from None
+
+
+class _Document:
+    """A parsed file with its lines, the overrides laid over it and the complaints so far."""
+
+    def __init__(self, name: str, data: Table, lines: dict[KeyPath, int]) -> None:
+        self._name, self._data, self._lines = name, data, lines
+        self._overridden: dict[KeyPath, str] = {}
+        self._problems: list[tuple[int, str]] = []  # line, text
+
+    def override(self, text: str) -> None:
+        """Lay ``key=value`` over the data; a robot may be named by its id: ``robot.r1.driver=…``."""
+        key, equals, raw = text.partition("=")
+        parts = [part.strip() for part in key.split(".")]
+        label = f"--set {key.strip()}"
+        if not equals or not all(parts):
+            self._problems.append((0, f"--set {text}: expected key=value, e.g. --set agent.sensing_radius_m=2.5"))
+            return
+        try:
+            value = _toml_value(raw.strip())
+        except ValueError:
+            self._problems.append((0, f"{label}: '{raw.strip()}' is not a TOML value; text goes in quotes"))
+            return
+        path = self._write(parts, value)
+        if path is None:
+            robots = [str(each.get("id")) for each in self._data.get("robot", ()) if isinstance(each, dict)]
+            known = f" ({did_you_mean(parts[1], robots)})" if parts[0] == "robot" and len(parts) > 1 else ""
+            self._problems.append((0, f"{label}: there is no such place in {self._name}{known}"))
+        else:
+            self._overridden[path] = label
+
+    def _write(self, parts: list[str], value: object) -> KeyPath | None:
+        at: Any = self._data
+        path: KeyPath = ()
+        for position, part in enumerate(parts):
+            last = position == len(parts) - 1
+            step: str | int | None = part if isinstance(at, dict) else _element(at, part)
+            if step is None:
+                return None
+            path = (*path, step)
+            if last:
+                at[step] = value
+            elif isinstance(at, dict):
+                at = at.setdefault(part, {})
+            else:
+                at = at[step]
+        return path
+
+    def check(self, more: Check | None = None) -> SwarmConfig:
+        """Return the settings, or raise all complaints, sorted by line."""
+        data = dict(self._data)
+        fleet_table = data.pop("fleet", None)
+        config = self._validate(SwarmConfig, data, ())
+        if config is not None and config.world is not None and data["world"].keys() == {"origin"}:
+            # Real robots have a place on earth, and by that alone no simulated world with its bounds and limits.
+            config = config.model_copy(update={"origin": config.world.origin, "world": None})
+        fleet = None if fleet_table is None else self._validate(FleetShorthand, fleet_table, ("fleet",))
+        shorthand = () if fleet is None else fleet.robots()
+        if fleet and fleet.count > 1 and "://" in fleet.driver and not re.search(r"\{(id|n)\}", fleet.driver):
+            self._complain(("fleet", "driver"), "is the same for every robot: put {id} or {n} into it")
+        self._find_duplicates(data.get("robot"), {each.id: "[fleet]" for each in shorthand})
+        if config is not None and (fleet is not None or fleet_table is None):
+            self._find_strangers(config, [each.id for each in (*shorthand, *config.robot)])
+        if config is not None:
+            self._find_odd_boxes(config)
+        if config is not None and not self._problems:
+            places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
+            config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
+            for robot, key, what in () if more is None else more(config):
+                self._complain((*places.get(robot, ("fleet",)), key), what)
+        if self._problems or config is None:
+            lines = dict.fromkeys(text for _, text in sorted(self._problems, key=lambda problem: problem[0]))
+            raise ConfigError("\n".join(lines))
+        return config
+
+    def _find_odd_boxes(self, config: SwarmConfig) -> None:
+        """Complain of boxes without a size, or without a part in the arena: a slip of the unit or of the order."""
+        world = config.world_or_default
+        x_min, y_min, x_max, y_max = world.bounds_m
+        for index, (x, y, size_x, size_y, yaw) in enumerate(world.boxes):
+            if not (size_x > 0.0 and size_y > 0.0):
+                self._complain(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
+            cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
+            reach_x, reach_y = (cos * size_x + sin * size_y) / 2.0, (sin * size_x + cos * size_y) / 2.0
+            if x + reach_x <= x_min or x - reach_x >= x_max or y + reach_y <= y_min or y - reach_y >= y_max:
+                arena = ", ".join(f"{each:g}" for each in world.bounds_m)
+                what = f"lies outside the arena, bounds_m = [{arena}]: {HOW_A_BOX}"
+                self._complain(("world", "boxes", index), what)
+
+    def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:
+        try:
+            # JSON mode is strict (no "5" or true for 5) and yet takes lists for tuples and text for paths.
+            return schema.model_validate_json(json.dumps(data, default=str), strict=True)
+        except ValidationError as error:
+            for details in error.errors(include_url=False):
+                path, what = explain(details, schema, () if base else ("fleet",))
+                self._complain(base + path, what)
+            return None
+
+    def _find_duplicates(self, robots: object, taken: dict[str, str]) -> None:
+        for index, robot in enumerate(robots if isinstance(robots, list) else ()):
+            name = robot.get("id") if isinstance(robot, dict) else None
+            if not isinstance(name, str):
+                continue
+            if name in taken:
+                self._complain(("robot", index, "id"), f"'{name}' is already taken by {taken[name]}")
+            else:
+                line = self._lines.get(("robot", index))
+                taken[name] = f"the robot in line {line}" if line else f"robot[{index}]"
+
+    def _find_strangers(self, config: SwarmConfig, robots: list[str]) -> None:
+        """Complain of groups that name robots which the file has not; one without robots leaves them to join."""
+        for group, members in config.groups.items() if robots else ():
+            for index, robot in enumerate(members):
+                if robot not in robots:
+                    guess = did_you_mean(robot, robots)
+                    self._complain(("groups", group, index), f"no robot '{robot}' in this file, {guess}")
+
+    def _complain(self, path: KeyPath, what: str) -> None:
+        """Note `what`, at the override that set the value or at the nearest line of the file."""
+        key = dotted(path)
+        for length in range(len(path), 0, -1):
+            label = self._overridden.get(path[:length])
+            if label is not None:
+                self._problems.append((0, f"{label}: {what}" if length == len(path) else f"{label}: {key}: {what}"))
+                return
+            line = self._lines.get(path[:length])
+            if line is not None:
+                self._problems.append((line, f"{self._name}:{line}: {key}: {what}"))
+                return
+        inner = (label for place, label in self._overridden.items() if place[: len(path)] == path)
+        self._problems.append((0, f"{next(inner, self._name)}: {key}: {what}"))
+
+
+def _element(container: object, part: str) -> int | None:
+    """Return the index of a list's element, given as a number or as a robot's id."""
+    if not isinstance(container, list):
+        return None
+    if part.isdecimal():
+        return int(part) if int(part) < len(container) else None
+    ids = [each.get("id") if isinstance(each, dict) else None for each in container]
+    return ids.index(part) if part in ids else None
+
+
+def _toml_value(raw: str) -> object:
+    """Read a TOML value; a plain word needs no quotes, which a shell would eat anyway."""
+    try:
+        table = tomllib.loads(f"v = {raw}")
+    except tomllib.TOMLDecodeError:
+        if _PLAIN_WORD.fullmatch(raw):
+            return raw
+        raise
+    if list(table) != ["v"]:
+        raise ValueError(raw)
+    return table["v"]

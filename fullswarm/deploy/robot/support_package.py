@@ -1,0 +1,150 @@
+"""Packs the robot support package: what is on a robot outside every release, as one tar that ``install.sh`` installs.
+
+::
+
+    install.sh            run as root in the folder that the tar was unpacked to; safe to run again
+    kit.sums              `sha256sum` lines of what follows, by destination: what is installed, and whether it is whole
+    files/<destination>   opt/fullswarm/bin, etc/systemd/system, etc/udev/rules.d, etc/fullswarm …
+
+The same input gives the same bytes, so that a robot that has a package already need not get it again: `package_id` of
+the tar is what ``fullswarm-robot facts`` calls ``kit`` while all its files are there unchanged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+import tarfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import tomlkit
+
+from fullswarm.bus.endpoint import host_of, is_loopback
+from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.errors import ConfigError
+
+TOOLS = Path(__file__).parent
+DESTINATIONS = {
+    "fullswarm-robot": "opt/fullswarm/bin/fullswarm-robot",
+    "robot-shipping.sh": "opt/fullswarm/bin/robot-shipping.sh",
+    "robot-facts.sh": "opt/fullswarm/bin/robot-facts.sh",
+    "fullswarm-agent.service": "etc/systemd/system/fullswarm-agent.service",
+    "fullswarm-boot.service": "etc/systemd/system/fullswarm-boot.service",
+    "60-fullswarm-ports.rules": "etc/udev/rules.d/60-fullswarm-ports.rules",
+    "60-fullswarm-journal.conf": "etc/systemd/journald.conf.d/60-fullswarm-journal.conf",
+    "60-fullswarm-sshd.conf": "etc/ssh/sshd_config.d/60-fullswarm.conf",
+}
+"""Where each file of this folder belongs, from the root."""
+PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
+SUDOERS = "etc/sudoers.d/fullswarm"
+
+_USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
+_VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+
+
+def support_package(
+    robot: RobotConfig,
+    config: SwarmConfig,
+    signers: str,
+    *,
+    ssh_user: str | None = None,
+    environment: Mapping[str, str] | None = None,
+    tools: Path = TOOLS,
+) -> bytes:
+    """Return the kit of one robot: an uncompressed tar, some 50 kB.
+
+    Parameters
+    ----------
+    signers
+        Text of ``allowed_signers``: whose releases the robot takes.
+    ssh_user
+        The user who may run ``fullswarm-robot`` as root without a password; None: the fleet file's. ``root`` needs no
+        rule.
+    environment
+        Further lines of ``robot.env``, which the agent gets as its environment.
+    tools
+        Folder of the files to install; another release's ``robot/`` for its own.
+
+    Raises
+    ------
+    ConfigError
+        A user or an environment that cannot be written to the robot's files.
+    """
+    files = {destination: (tools / name).read_bytes() for name, destination in DESTINATIONS.items()}
+    files["etc/fullswarm/robot.env"] = robot_env(robot, config, environment or {}).encode()
+    files["etc/fullswarm/fleet.toml"] = fleet_file(config).encode()
+    files["etc/fullswarm/allowed_signers"] = signers.encode()
+    user = robot.ssh_user if ssh_user is None else ssh_user
+    if user != "root":
+        files[SUDOERS] = _sudoers(user).encode()
+    sums = "".join(f"{hashlib.sha256(files[path]).hexdigest()}  {path}\n" for path in sorted(files))
+    members = {f"files/{path}": files[path] for path in sorted(files)}
+    return _tar({"install.sh": (tools / "install.sh").read_bytes(), "kit.sums": sums.encode(), **members})
+
+
+def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
+    """Refuse an endpoint of the hub that leads a robot to itself.
+
+    Raises
+    ------
+    ConfigError
+        The hub's address is this machine's own loopback, and the robot is another machine.
+    """
+    if is_loopback(host_of(config.hub.endpoint)) and not is_loopback(robot.host or robot.id):
+        hint = (
+            'write the base\'s own address, [hub] endpoint = "tcp/10.0.0.1:7447", and start it there: '
+            "`fullswarm hub --listen tcp/10.0.0.1:7447 --insecure-network`"
+        )
+        raise ConfigError(f"{robot.id} cannot reach {config.hub.endpoint}", where="hub.endpoint", hint=hint)
+
+
+def package_id(archive: bytes) -> str:
+    """Return the name of a kit: what a robot answers under ``kit`` that has it installed, and unchanged."""
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        sums = tar.extractfile("kit.sums")
+        assert sums is not None  # noqa: S101  (`kit` has put it there)
+        return hashlib.sha256(sums.read()).hexdigest()[:12]
+
+
+def fleet_file(config: SwarmConfig) -> str:
+    """Return the fleet as a robot needs it: only what differs from the defaults.
+
+    An older release that the robot goes back to must be able to read it: each key less is one that it need not know.
+    """
+    values = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    for each in values.get("robot", ()):
+        for key in ("host", "ssh_user", "ssh_port"):
+            each.pop(key, None)
+    values.pop("core", None)  # files of the base
+    return tomlkit.dumps(values)
+
+
+def robot_env(robot: RobotConfig, config: SwarmConfig, environment: Mapping[str, str]) -> str:
+    """Return ``robot.env``, which both systemd and a shell read: ``NAME="value"`` lines."""
+    values = {"ROBOT": robot.id, "FULLSWARM_SWARM": config.swarm, **environment}
+    for name, value in values.items():
+        if not _VARIABLE.match(name) or re.search(r'["\\$`\n\0]', value):
+            raise ConfigError(
+                f"'{name}={value}' cannot stand in a robot's environment", hint="no quotes, $, backslashes or newlines"
+            )
+    return "".join(f'{name}="{value}"\n' for name, value in sorted(values.items()))
+
+
+def _sudoers(user: str) -> str:
+    if not _USER.match(user):
+        raise ConfigError(f"'{user}' cannot name a user", where="ssh_user", hint="a plain Linux login: a-z, 0-9, - _")
+    return f"{user} ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot\n"
+
+
+def _tar(members: Mapping[str, bytes]) -> bytes:
+    """Pack without times and owners: the same members give the same bytes."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, content in members.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(content)
+            entry.mode = 0o755 if name.removeprefix("files/") in PROGRAMS else 0o644
+            tar.addfile(entry, io.BytesIO(content))
+    return buffer.getvalue()

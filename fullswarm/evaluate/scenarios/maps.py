@@ -1,0 +1,213 @@
+"""Draws arenas and coverage grids as maps: as text, and for ROS as a PGM picture with map_server's YAML file beside it.
+
+Row 0 of a grid lies at the lowest y; the first row of a picture is its top. Pixels as map_server writes them:
+0 occupied, 205 unknown, 254 free.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.evaluate.scenarios.model import Box, Scenario
+from fullswarm.evaluate.scenarios.placement import boxes_for
+from fullswarm.perf.coverage import GridFrame
+
+OCCUPIED, UNKNOWN, FREE = 0, 205, 254
+OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+"""(255 - 205) / 255 = 0.19608 is just not free: with map_server's other default, 0.25, unknown would be free."""
+
+Pixels = NDArray[np.uint8]
+
+_TOUCH_M = 1e-9
+_GAP = rb"(?:\s|#[^\n]*\n)+"
+_PGM_HEAD = re.compile(rb"P5" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)\s")
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """Where a map's cells lie, and their pixels, shape (rows, columns), row 0 at the lowest y."""
+
+    frame: GridFrame
+    pixels: Pixels
+
+
+def coverage_map(frame: GridFrame, covered: NDArray[np.generic], occupied: NDArray[np.bool_] | None = None) -> Map:
+    """Return what a swarm has seen as a map: covered cells are free, others unknown, `occupied` ones occupied.
+
+    Parameters
+    ----------
+    covered, occupied
+        Shape (rows, columns); not zero means yes.
+
+    Raises
+    ------
+    ConfigError
+        A grid's shape is not the frame's.
+    """
+    grid = np.asarray(covered).astype(bool)
+    for each in (grid, occupied):
+        if each is not None and each.shape != (frame.rows, frame.columns):
+            raise ConfigError(f"a grid of shape {each.shape} in a frame of {frame.rows} x {frame.columns} cells")
+    pixels = np.where(grid, FREE, UNKNOWN).astype(np.uint8)
+    if occupied is not None:
+        pixels[occupied] = OCCUPIED
+    return Map(frame, pixels)
+
+
+def scenario_map(scenario: Scenario, seed: int, cell_m: float) -> Map:
+    """Return a scenario's boxes as a map; with walls there is one more row of cells all around, occupied.
+
+    Raises
+    ------
+    ConfigError
+        The boxes do not fit, or the map would be too large.
+    """
+    frame = GridFrame.over(scenario.bounds_m, cell_m)
+    occupied = occupied_cells(frame, boxes_for(scenario, seed))
+    if scenario.walls:
+        occupied = np.pad(occupied, 1, constant_values=True)
+        frame = GridFrame(
+            frame.origin_x_m - cell_m, frame.origin_y_m - cell_m, cell_m, frame.rows + 2, frame.columns + 2
+        )
+    return Map(frame, np.where(occupied, OCCUPIED, FREE).astype(np.uint8))
+
+
+def occupied_cells(frame: GridFrame, boxes: tuple[Box, ...]) -> NDArray[np.bool_]:
+    """Return which cells a box reaches into, be it by a corner, shape (rows, columns).
+
+    Two rectangles overlap unless one of their four axes parts them (separating axis theorem).
+    """
+    half = frame.cell_m / 2.0
+    x = frame.origin_x_m + frame.cell_m * np.arange(frame.columns) + half
+    y = frame.origin_y_m + frame.cell_m * np.arange(frame.rows) + half
+    occupied = np.zeros((frame.rows, frame.columns), np.bool_)
+    for centre_x, centre_y, size_x, size_y, yaw in boxes:
+        cos, sin = abs(np.cos(yaw)), abs(np.sin(yaw))
+        reach_x, reach_y = (size_x * cos + size_y * sin) / 2.0, (size_x * sin + size_y * cos) / 2.0
+        columns = np.flatnonzero(np.abs(x - centre_x) < reach_x + half - _TOUCH_M)
+        rows = np.flatnonzero(np.abs(y - centre_y) < reach_y + half - _TOUCH_M)
+        dx, dy = x[columns][None, :] - centre_x, y[rows][:, None] - centre_y
+        cell_reach = half * (cos + sin) - _TOUCH_M
+        along = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) < size_x / 2.0 + cell_reach
+        across = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) < size_y / 2.0 + cell_reach
+        occupied[np.ix_(rows, columns)] |= along & across
+    return occupied
+
+
+def write_map(grid: Map, path: Path) -> tuple[Path, Path]:
+    """Write the picture and its YAML file beside it; return both paths. `path` may end in .pgm or .yaml, or not.
+
+    Raises
+    ------
+    ConfigError
+        They cannot be written.
+    """
+    stem = path.with_suffix("") if path.suffix in (".pgm", ".yaml") else path
+    picture, sidecar = (stem.with_name(stem.name + ending) for ending in (".pgm", ".yaml"))
+    frame = grid.frame
+    head = f"P5\n{frame.columns} {frame.rows}\n255\n".encode("ascii")
+    text = (
+        f"image: {_quoted(picture.name)}\n"
+        "mode: trinary\n"
+        f"resolution: {frame.cell_m!r}\n"
+        f"origin: [{frame.origin_x_m!r}, {frame.origin_y_m!r}, 0.0]\n"
+        "negate: 0\n"
+        f"occupied_thresh: {OCCUPIED_THRESHOLD}\n"
+        f"free_thresh: {FREE_THRESHOLD}\n"
+    )
+    try:
+        picture.write_bytes(head + np.ascontiguousarray(grid.pixels[::-1]).tobytes())
+        sidecar.write_text(text, "utf-8")
+    except OSError as error:
+        raise ConfigError(f"cannot write the map: {error.strerror or error}", where=str(picture)) from error
+    return picture, sidecar
+
+
+def read_map(sidecar: Path) -> Map:
+    """Return the map that a YAML file of map_server describes, with a binary PGM of 8 bits as its picture.
+
+    Raises
+    ------
+    ConfigError
+        Not readable, a key is missing, a turned map, or another kind of picture.
+    MissingExtra
+        PyYAML is not installed.
+    """
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtra("reading maps needs PyYAML", hint="pip install 'fullswarm[experiments]'") from error
+    try:
+        told = yaml.safe_load(sidecar.read_text("utf-8"))
+        x, y, yaw = (float(each) for each in told["origin"])
+        cell_m, name = float(told["resolution"]), str(told["image"])
+        data = (sidecar.parent / name).read_bytes()
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"not a map of map_server: {error}", where=str(sidecar)) from error
+    if yaw != 0.0 or told.get("negate", 0):
+        raise ConfigError("turned or negated maps are not read", where=str(sidecar))
+    pixels = _read_pgm(data, sidecar.parent / name)
+    return Map(GridFrame(x, y, cell_m, *pixels.shape), pixels)
+
+
+def _read_pgm(data: bytes, path: Path) -> Pixels:
+    """Return the pixels of a binary PGM, row 0 the lowest."""
+    head = _PGM_HEAD.match(data)
+    if head is None or head[3] != b"255":
+        raise ConfigError("not a binary PGM of 8 bits", where=str(path))
+    columns, rows, position = int(head[1]), int(head[2]), head.end()
+    if len(data) - position != rows * columns or not rows * columns:
+        raise ConfigError(f"the picture should have {rows} x {columns} pixels", where=str(path))
+    return np.frombuffer(data, np.uint8, offset=position).reshape(rows, columns)[::-1].copy()
+
+
+def _quoted(name: str) -> str:
+    """Return a YAML string in double quotes where it needs them."""
+    plain = name.replace(".", "").replace("_", "").replace("-", "").isalnum() and name[0].isalpha()
+    return name if plain and name.isascii() else json.dumps(name)
+
+
+COLUMNS = 64
+"""Width of the map; a character is about twice as high as wide, so two cells side by side are one square."""
+
+BOX, ROBOT, GOAL, START, FLOOR = "#", "R", "o", ".", " "
+LEGEND = f"{BOX} box or wall   {ROBOT} robot   {GOAL} goal   {START} where robots start"
+
+
+def text_map(scenario: Scenario, boxes: tuple[Box, ...], robots: list[tuple[float, float]]) -> str:
+    """Return the arena seen from above, y upwards, with a frame where it has walls."""
+    x_min, y_min, x_max, y_max = scenario.bounds_m
+    cell_x = max((x_max - x_min) / COLUMNS, (y_max - y_min) / COLUMNS)
+    columns, rows = max(1, round((x_max - x_min) / cell_x)), max(1, round((y_max - y_min) / (2 * cell_x)))
+    # A character is a box when boxes reach into a sixth of its 3 x 6 parts: thin walls stay, most gaps stay open.
+    parts = occupied_cells(GridFrame(x_min, y_min, cell_x / 3, 6 * rows, 3 * columns), boxes)
+    solid = parts.reshape(rows, 6, columns, 3).mean(axis=(1, 3)) >= 1 / 6 - 1e-9
+    lines = []
+    for row in reversed(range(rows)):
+        line = []
+        for column in range(columns):
+            x, y = x_min + (column + 0.5) * cell_x, y_min + (row + 0.5) * 2 * cell_x
+            line.append(BOX if solid[row, column] else _floor(scenario, x, y))
+        lines.append(line)
+    for x, y in robots:
+        column, row = int((x - x_min) / cell_x), int((y - y_min) / (2 * cell_x))
+        if 0 <= column < columns and 0 <= row < rows:
+            lines[rows - 1 - row][column] = ROBOT
+    side, corner = (BOX, BOX) if scenario.walls else ("|", "+")
+    edge = corner + (BOX if scenario.walls else "-") * columns + corner
+    return "\n".join([edge, *(f"{side}{''.join(line)}{side}" for line in lines), edge])
+
+
+def _floor(scenario: Scenario, x: float, y: float) -> str:
+    goal_x, goal_y = scenario.goal.centre_m
+    if (x - goal_x) ** 2 + (y - goal_y) ** 2 <= scenario.goal.radius_m**2:
+        return GOAL
+    left, low, right, high = scenario.spawn.region_m
+    return START if left <= x <= right and low <= y <= high else FLOOR

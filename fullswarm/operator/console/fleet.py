@@ -1,0 +1,113 @@
+"""The page's table of robots, its chart of metrics, and the states that its map draws."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from fullswarm.messages import RobotHealth, Summary
+from fullswarm.operator.robot_state import advise, row_state
+from fullswarm.operator.view import RobotRow, Snapshot
+
+CORE = "core"
+CHART_S, CHART_RATE_HZ = 600.0, 2.0
+CHART_NAMES = ("work_m", "coverage", "collisions")
+_CHARTED = (("work", "total_m"), ("coverage", "fraction"), ("collisions", "events"))
+UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
+"""A robot of which only the position is received."""
+
+
+def states(seen: Snapshot) -> list[list[Any]]:
+    """Return ``[id, x, y, heading, speed, age_s]`` per robot; rounded to what can be seen."""
+    return [
+        [
+            row.robot,
+            round(row.x_m, 3),
+            round(row.y_m, 3),
+            round(row.heading_rad, 3),
+            round(row.speed_m_s, 3),
+            round(row.age_s, 2),
+        ]
+        for row in seen.robots
+        if math.isfinite(row.x_m)
+    ]
+
+
+def core_age_s(seen: Snapshot) -> float | None:
+    """Return how long the core has been silent; None: it was never received."""
+    return next((node.age_s for node in seen.nodes if node.node == CORE), None)
+
+
+def fleet(seen: Snapshot, now_s: float) -> dict[str, Any]:
+    """Return the frame ``fleet``."""
+    age_s = core_age_s(seen)
+    return {
+        "t": "fleet",
+        "at": round(now_s, 3),
+        "hub": seen.connected,
+        "core_age_s": None if age_s is None else round(age_s, 2),
+        "nodes": [{"node": node.node, "age_s": round(node.age_s, 2), "active": node.active} for node in seen.nodes],
+        "robots": [_robot(row) for row in seen.robots],
+        "missing": seen.missing,
+        "silent": seen.silent,
+    }
+
+
+def _robot(row: RobotRow) -> dict[str, Any]:
+    state = row_state(row)
+    health = row.health or UNKNOWN
+    return {
+        "robot": row.robot,
+        "age_s": round(row.age_s, 2),
+        "silent": row.silent,
+        "host": row.host,
+        "version": row.version,
+        "make": health.make,
+        "model": health.model,
+        "driver": health.driver,
+        "firmware": health.firmware,
+        "lifecycle": health.lifecycle,
+        "behaviour": health.behaviour,
+        "request_id": health.request_id,
+        "moving": health.moving,
+        "estop": health.estop,
+        "state": state.text,
+        "state_word": state.word,
+        "state_why": state.why,
+        "attention": state.attention,
+        "stop_reason": health.stop_reason,
+        "stop_code": health.stop_code,
+        "fault": health.fault,
+        "advice": advise(row),
+        "battery": None if health.battery < 0.0 else _finite(health.battery),
+        "contacts": health.contacts,
+        "collisions": health.collisions,
+        "radius_m": _finite(row.radius_m),
+        "pose_source": health.pose_source,
+        "pose_note": health.pose_note,
+        "deviation_m_s": _finite(health.deviation_m_s),
+        "filter_note": health.filter_note,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
+
+
+@dataclass(slots=True)
+class Charts:
+    """Rows ``[at_s, work_m, coverage, collisions]``; None where it is not known."""
+
+    rows: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=int(CHART_S * CHART_RATE_HZ)))
+
+    def add(self, summaries: tuple[Summary, ...], now_s: float) -> list[float | None] | None:
+        """Return the new row; None while there is nothing to draw."""
+        by_name = {each.metric: each.values for each in summaries}
+        values = [by_name.get(metric, {}).get(key) for metric, key in _CHARTED]
+        if all(value is None for value in values):
+            return None
+        row = [round(now_s, 2), *(None if value is None else round(value, 4) for value in values)]
+        self.rows.append(row)
+        return row

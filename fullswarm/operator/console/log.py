@@ -1,0 +1,265 @@
+"""The log that the page shows: requests with their outcomes, stops, leases, and changes of hub, core and robots."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Literal
+
+import msgspec
+
+from fullswarm.messages import BehaviourRequest, Lease, RequestStatus
+from fullswarm.operator.console.fleet import core_age_s
+from fullswarm.operator.view import Snapshot
+from fullswarm.reasons import Code
+
+LOG_LENGTH = 200
+
+LogKind = Literal["request", "refused", "stop", "estop", "lease", "link", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A line of the log; `by` is the operator that caused it."""
+
+    at_s: float
+    clock: str
+    kind: LogKind
+    text: str
+    robots: tuple[str, ...] = ()
+    request_id: str = ""
+    by: str = ""
+
+    def shown(self, reader: str) -> dict[str, Any]:
+        """Return it as operator `reader` sees it."""
+        return {
+            "at": round(self.at_s, 2),
+            "clock": self.clock,
+            "kind": self.kind,
+            "text": self.text,
+            "robots": self.robots,
+            "request_id": self.request_id,
+            "mine": bool(reader) and self.by == reader,
+        }
+
+
+class EventLog:
+    """The lines of the log, in a ring of fixed size. The wall clock is only for its readers."""
+
+    def __init__(self, wall_s: Callable[[], float], on_entry: Callable[[Entry], None]) -> None:
+        self.entries: deque[Entry] = deque(maxlen=LOG_LENGTH)
+        self._wall_s, self._on_entry = wall_s, on_entry
+
+    def add(
+        self,
+        at_s: float,
+        kind: LogKind,
+        text: str,
+        robots: tuple[str, ...] = (),
+        *,
+        request_id: str = "",
+        by: str = "",
+    ) -> None:
+        """Write a line."""
+        clock = f"{datetime.fromtimestamp(self._wall_s()):%H:%M:%S}"
+        entry = Entry(at_s, clock, kind, text[:500], robots, request_id, by)
+        self.entries.append(entry)
+        self._on_entry(entry)
+
+
+REMEMBERED = 512
+STREAM_GAP_S = 2.0
+"""A stick that was at rest for this long gets a new line in the log."""
+NAMES_SHOWN = 6
+SUPERSEDED = (Code.SUPERSEDED, Code.CAME_FIRST)
+ON_PAGE: dict[str, str] = {Code.ESTOP_LATCHED: "its e-stop is latched; clear it with the button 'Clear the e-stop…'"}
+"""Reasons whose texts name a shell command; the page has a button instead."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRecord:
+    """A request that was received."""
+
+    operator: str
+    robots: tuple[str, ...]
+    intent: bool
+    behaviour: str = ""
+
+
+@dataclass(slots=True)
+class RequestLog:
+    """Logs requests with their operators and outcomes; the stream of a stick counts as one.
+
+    Parameters
+    ----------
+    expires
+        Returns whether a behaviour is an intent.
+    """
+
+    journal: EventLog
+    expires: Callable[[str], bool]
+    _requests: OrderedDict[str, RequestRecord] = field(default_factory=OrderedDict)
+    _newest: OrderedDict[str, RequestStatus] = field(default_factory=OrderedDict)
+    _streams: OrderedDict[tuple[str, ...], float] = field(default_factory=OrderedDict)
+
+    def add_request(self, request: BehaviourRequest, now_s: float) -> None:
+        """Log a request; copies of it change nothing."""
+        if request.id in self._requests:
+            return
+        operator = request.operator or request.source
+        intent = self.expires(request.behaviour)
+        self._requests[request.id] = RequestRecord(operator, request.robots, intent, request.behaviour)
+        _bound(self._requests)
+        if intent and not self._begins((operator, request.behaviour), now_s):
+            return
+        text = f"{operator}: {request.behaviour} for {named(request.robots)}"
+        request_id = "" if intent else request.id
+        self.journal.add(now_s, "request", text, request.robots, request_id=request_id, by=operator)
+
+    def add_stop(self, order_id: str, act: str, operator: str) -> None:
+        """Note a stop or an e-stop, which ends requests by its id."""
+        self._requests[order_id] = RequestRecord(operator, (), False, act)
+        _bound(self._requests)
+
+    def operator_of(self, request_id: str) -> str:
+        """Return the operator of a request; empty if the request was not received."""
+        record = self._requests.get(request_id)
+        return record.operator if record else ""
+
+    def add_status(self, status: RequestStatus, now_s: float) -> bool:
+        """Log a status of the core; return whether the page shall get it. A repeated status is not logged."""
+        record = self._requests.get(status.request_id)
+        if record is not None and record.intent:
+            # Twenty a second: only a refusal is logged, and not each time.
+            stream = (record.operator, status.behaviour, status.reason)
+            if status.phase != "refused" or not self._begins(stream, now_s):
+                return False
+            self._log(status, record.operator, now_s)
+            return True
+        plain, before = msgspec.structs.replace(status, stamp_s=0.0), self._newest.get(status.request_id)
+        if plain == before:
+            return False
+        self._newest[status.request_id] = plain
+        _bound(self._newest)
+        halted = record is None and status.behaviour == "stop"  # a stop or an e-stop: logged already
+        if not halted and (before is None or (before.phase, before.refused_by) != (status.phase, status.refused_by)):
+            self._log(status, record.operator if record else "", now_s)
+        return True
+
+    def _begins(self, stream: tuple[str, ...], now_s: float) -> bool:
+        """Return whether a stream was at rest for a while, and note that it no longer is."""
+        before_s = self._streams.get(stream)
+        self._streams[stream] = now_s
+        _bound(self._streams)
+        return before_s is None or now_s - before_s > STREAM_GAP_S
+
+    def _readable(self, status: RequestStatus) -> str:
+        """Return the reason, with behaviour and operator of another request in place of its id."""
+        record = self._requests.get(status.parameters.get("by", "")) if status.code in SUPERSEDED else None
+        return for_page(status) if record is None else f"superseded by {record.behaviour} of {record.operator}"
+
+    def _log(self, status: RequestStatus, operator: str, now_s: float) -> None:
+        because = f": {self._readable(status)}" if status.reason else ""
+        if status.phase == "refused":
+            text = f"{status.behaviour} refused{because}"
+        elif status.refused_by:
+            text = f"{status.behaviour} refused by {named(status.refused_by)}{because}"
+        elif status.phase in ("accepted", "scheduled"):
+            return  # the request itself was a line
+        elif status.phase == "running":
+            text = f"{status.behaviour} runs on {len(status.running)} of {len(status.robots)}"
+        elif status.code in SUPERSEDED:
+            text = f"{status.behaviour} {because.removeprefix(': ')}"
+        else:
+            text = f"{status.behaviour} {status.phase}{because}"
+        kind: LogKind = "refused" if status.phase == "refused" or status.refused_by else "request"
+        self.journal.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
+
+
+def for_page(status: RequestStatus) -> str:
+    """Return the reason for readers of the page, who have its buttons and maybe no shell."""
+    text = ON_PAGE.get(status.code)
+    if text is None:
+        return status.reason
+    return f"{', '.join(status.refused_by)}: {text}" if status.refused_by else text
+
+
+def named(robots: Sequence[str]) -> str:
+    """Return robots as text."""
+    if not robots:
+        return "the whole swarm"
+    more = len(robots) - NAMES_SHOWN
+    return ", ".join(robots[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _bound(table: OrderedDict[Any, Any]) -> None:
+    while len(table) > REMEMBERED:
+        table.popitem(last=False)
+
+
+CORE_SILENT_S = 1.0
+NO_REASON = "a fault without a reason"
+
+
+@dataclass(slots=True)
+class ChangeLog:
+    """Logs each change of hub, core, robots and leases once."""
+
+    journal: EventLog
+    _hub: bool | None = None
+    _core: bool | None = None
+    _silent: dict[str, bool] = field(default_factory=dict)
+    _faults: dict[str, str] = field(default_factory=dict)
+    _leases: dict[str, str] = field(default_factory=dict)
+
+    def look(self, seen: Snapshot, now_s: float) -> None:
+        """Log what has changed of hub, core and robots."""
+        if seen.connected != self._hub:
+            if self._hub is not None or not seen.connected:
+                text = "the hub is connected" if seen.connected else "the hub is not connected"
+                self.journal.add(now_s, "link", text)
+            self._hub = seen.connected
+        age_s = core_age_s(seen)
+        core = age_s is not None and age_s <= CORE_SILENT_S
+        if core != self._core:
+            if self._core is not None:
+                self.journal.add(now_s, "link", "the core is running" if core else "the core is silent")
+            self._core = core
+        self._robots(seen, now_s)
+
+    def _robots(self, seen: Snapshot, now_s: float) -> None:
+        gone: list[str] = []
+        back: list[str] = []
+        faults: dict[str, list[str]] = {}
+        for row in seen.robots:
+            if row.silent != self._silent.get(row.robot, False):
+                (gone if row.silent else back).append(row.robot)
+            self._silent[row.robot] = row.silent
+            health = row.health
+            fault = "" if health is None or row.silent else health.fault or NO_REASON * (health.lifecycle == "FAULT")
+            if fault and fault != self._faults.get(row.robot):
+                faults.setdefault(fault, []).append(row.robot)
+            self._faults[row.robot] = fault
+        for fault, robots in faults.items():
+            self.journal.add(now_s, "fault", f"{named(robots)}: {fault}", tuple(robots))
+        for robots, text in ((gone, "silent"), (back, "received again")):
+            if robots:
+                self.journal.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
+
+    def leased(self, leases: tuple[Lease, ...], now_s: float) -> bool:
+        """Log which operator holds which robots; return whether that has changed."""
+        before, self._leases = self._leases, {lease.robot: lease.operator for lease in leases}
+        if before == self._leases:
+            return False
+        taken: dict[tuple[str, str], list[str]] = {}
+        for robot in sorted({*before, *self._leases}):
+            change = before.get(robot, ""), self._leases.get(robot, "")
+            if change[0] != change[1]:
+                taken.setdefault(change, []).append(robot)
+        for (old, new), robots in taken.items():
+            whom = named(robots)
+            text = f"{new} holds {whom}" + (f", taken from {old}" if old else "") if new else f"{old} releases {whom}"
+            self.journal.add(now_s, "lease", text, tuple(robots), by=new or old)
+        return True

@@ -1,0 +1,263 @@
+"""Carries out what one operator does in the console: requests, driving, leases, stops and e-stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from fullswarm.bus.base import Bus
+from fullswarm.clock import clock_id
+from fullswarm.errors import did_you_mean
+from fullswarm.keys import Keys
+from fullswarm.messages import RequestStatus
+from fullswarm.operator.client import Operator
+from fullswarm.operator.console import frames
+from fullswarm.operator.console.frames import Answer
+from fullswarm.operator.console.log import for_page
+from fullswarm.operator.console.world import World
+from fullswarm.operator.estop import EStopOrder
+from fullswarm.operator.leases import LeaseHolder
+from fullswarm.operator.teleop import Teleop
+from fullswarm.runtime import Scheduler, Timer
+
+DEAD_MAN_S = 0.25
+"""After this long without a frame the stick counts as released."""
+WATCH_S = 0.05
+CLEAR_S = 5.0
+"""A forgotten page must not release a robot that comes back tomorrow; an e-stop is repeated without end."""
+
+READ_ONLY = "this console is read-only: it was started with --read-only"
+
+
+class Listener(Protocol):
+    """A page that is open. It takes frames at once and never blocks."""
+
+    def put(self, kind: str, text: str) -> None:
+        """Send a frame; of some kinds only the newest is kept."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ConsoleContext:
+    """What all operator sessions share."""
+
+    bus: Bus
+    keys: Keys
+    scheduler: Scheduler
+    world: World
+    present: Callable[[], Iterable[str]]  # robots that are present
+    end_estops: Callable[[tuple[str, ...]], None]  # no session may repeat an e-stop that is released
+    read_only: bool = False
+
+
+class OperatorSession:
+    """Carries out the frames of an operator's pages. It survives a reload; driving ends with the page that drives.
+
+    Parameters
+    ----------
+    key, source, name
+        The secret of the operator's pages; the unique source of its messages; the operator's name.
+    """
+
+    def __init__(self, context: ConsoleContext, key: str, source: str, name: str) -> None:
+        self.key, self.source, self.name = key, source, name
+        self.listeners: list[Listener] = []
+        self._context = context
+        self._operator = Operator(context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id())
+        self._leases = LeaseHolder(context.bus, context.keys, context.scheduler, name, on_lost=self._lost)
+        self._teleop = self._new_teleop()
+        self._driver: Listener | None = None
+        self._drove_s = -math.inf
+        self._blocked = ""  # why the dead-man must be released first; empty: it need not
+        self._watch: Timer | None = None
+        self._estops: list[EStopOrder] = []
+
+    # ---------------------------------------------------------------- pages
+    def leave(self, listener: Listener) -> None:
+        """Remove a page; what it drove stops at once."""
+        if listener in self.listeners:
+            self.listeners.remove(listener)
+        if self._driver is listener or not self.listeners:
+            self._blocked = ""
+            self._release()
+
+    def close(self) -> None:
+        """Release the robots, send nothing more."""
+        self._release()
+        self._leases.close()
+        self._operator.close()
+
+    def send(self, kind: str, frame: dict[str, Any]) -> None:
+        """Send a frame to this operator's pages."""
+        text = frames.encode(frame)
+        for listener in tuple(self.listeners):
+            listener.put(kind, text)
+
+    # ---------------------------------------------------------------- commands
+    def handle(self, command: frames.Command, listener: Listener) -> Answer:
+        """Carry out a frame that came by `listener`."""
+        ref = command.ref
+        if isinstance(command, frames.Ping):
+            return Answer(ref=ref)
+        if self._context.read_only:
+            return Answer(ref=ref, ok=False, reason=READ_ONLY)
+        match command:
+            case frames.Drive():
+                reason = self._drive(command, listener)
+            case frames.Release():
+                if self._driver in (None, listener):  # else another window of this operator drives
+                    self._blocked = ""
+                    self._release()
+                reason = ""
+            case frames.Lease():
+                reason = self._lease(command)
+            case frames.Request():
+                return self._request(command)
+            case _:
+                return self._halt(command)
+        return Answer(ref=ref, ok=not reason, reason=reason)
+
+    def _request(self, command: frames.Request) -> Answer:
+        held = False
+
+        def receive(status: RequestStatus) -> None:
+            nonlocal held
+            # Leases come with a request that the core has accepted: a refused one shall hold no robot.
+            if command.robots and not held and status.phase in ("accepted", "scheduled", "running"):
+                held = True
+                self._leases.hold(status.robots)
+
+        pending = self._operator.request(
+            command.behaviour, command.robots, command.parameters, receive, take=command.take
+        )
+        return Answer(ref=command.ref, request_id=pending.request.id)
+
+    def _halt(self, command: frames.Stop | frames.Estop | frames.Clear) -> Answer:
+        robots, reason = self._expand(command.robots)
+        if reason:
+            return Answer(ref=command.ref, ok=False, reason=reason)
+        if isinstance(command, frames.Stop):
+            self.stopped(robots)
+            self._operator.stop(robots)
+            return Answer(ref=command.ref)
+        engaged = isinstance(command, frames.Estop)
+        if engaged:
+            self.stopped(robots)
+        else:
+            self._context.end_estops(robots)
+        order = self._operator.estop(
+            engaged,
+            robots,
+            command.reason if isinstance(command, frames.Estop) else "",
+            known=self._context.present,
+            deadline_s=math.inf if engaged else CLEAR_S,
+        )
+        self._estops = [*(each for each in self._estops if not each.done), order]
+        return Answer(ref=command.ref, request_id=order.message.id)
+
+    def end_estops(self, robots: tuple[str, ...]) -> None:
+        """Stop repeating e-stops that concern `robots` (none: all): another operator has released them."""
+        for order in self._estops:
+            theirs = order.message.robots
+            if order.message.engaged and (not robots or not theirs or not set(theirs).isdisjoint(robots)):
+                order.close()
+        self._estops = [each for each in self._estops if not each.message.engaged]
+
+    def stopped(self, robots: tuple[str, ...]) -> None:
+        """Note that `robots` (none: all) were stopped: driving one again needs the dead-man released first."""
+        mine = self._teleop.robots
+        if self._teleop.held and (not robots or not mine or not set(mine).isdisjoint(robots)):
+            self._block("stopped while driving")
+
+    def _block(self, why: str) -> None:
+        self._blocked = why
+        self._teleop.release()
+
+    def _new_teleop(self) -> Teleop:
+        def receive(status: RequestStatus) -> None:
+            # While it is held: afterwards it is the answer to the final zeros.
+            if status.phase == "refused" and teleop is self._teleop and teleop.held:
+                self._block(for_page(status) or "refused without a reason")
+
+        teleop = Teleop(self._operator, self._context.scheduler, on_status=receive)
+        return teleop
+
+    # ---------------------------------------------------------------- driving
+    def _drive(self, command: frames.Drive, listener: Listener) -> str:
+        """Return why robots cannot be driven; empty if they can."""
+        robots, reason = self._expand(command.robots)
+        if reason:
+            return reason
+        world, behaviour = self._context.world, command.behaviour
+        if not world.known:
+            return "the core has not reported its behaviours yet"
+        if not world.expires(behaviour):
+            return f"{behaviour} does not end by itself when the stick is released; request it instead"
+        held = self._leases.held_by_others(robots or self._context.present())
+        if held:
+            return "; ".join(f"{robot} is held by {operator}" for robot, operator in sorted(held.items()))
+        self._drove_s = self._context.scheduler.now_s()
+        if self._watch is None:
+            self._watch = self._context.scheduler.every(WATCH_S, self._check)
+        if self._blocked:
+            return f"{self._blocked}: release the dead-man switch first"
+        if self._driver not in (None, listener):
+            return "another window of yours drives"
+        if self._driver is None or self._teleop.robots != robots:
+            if self._teleop.held:
+                self._teleop.release()
+                self._teleop = self._new_teleop()  # the zeros continue for robots that were released
+            self._teleop.robots = robots
+            self._leases.hold(robots)
+        self._driver = listener
+        self._teleop.hold(behaviour, command.sticks, command.fixed)
+        return ""
+
+    def _check(self) -> None:
+        if self._context.scheduler.now_s() - self._drove_s >= DEAD_MAN_S:
+            self._release()
+
+    def _release(self) -> None:
+        self._driver = None
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        if self._teleop.held:
+            self._teleop.release()
+
+    # ---------------------------------------------------------------- leases
+    def _lease(self, command: frames.Lease) -> str:
+        robots, reason = self._expand(command.robots)
+        if reason:
+            return reason
+        if not command.hold:
+            self._leases.release(robots or None)
+            return ""
+        robots = robots or tuple(self._context.present())
+        held = self._leases.held_by_others(robots)
+        if held and not command.take:
+            return "; ".join(f"{robot} is held by {operator}" for robot, operator in sorted(held.items()))
+        self._leases.hold(robots, take=command.take)
+        return ""
+
+    def _lost(self, robots: tuple[str, ...], operator: str) -> None:
+        mine = self._teleop.robots
+        if self._teleop.held and (not mine or not set(mine).isdisjoint(robots)):
+            self._block(f"{', '.join(robots)} taken over by {operator}")
+        self.send("lost", {"t": "lost", "robots": robots, "by": operator})
+
+    def _expand(self, robots: Iterable[str]) -> tuple[tuple[str, ...], str]:
+        """Return the robots with groups expanded, or why that is not possible."""
+        found: dict[str, None] = {}
+        for each in robots:
+            if not each.startswith("@"):
+                found[each] = None
+                continue
+            members = self._context.world.group(each[1:])
+            if not members:
+                hint = did_you_mean(each[1:], self._context.world.shown()["groups"])
+                return (), f"no group '{each[1:]}' ({hint})"
+            found |= dict.fromkeys(members)
+        return tuple(found), ""

@@ -1,0 +1,119 @@
+"""States in a few words what a robot does, whether it needs attention, and what to do about that.
+
+Only a reason with a code gets advice of its own. For all others the driver's own words, which stand beside the advice,
+are all that is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fullswarm.messages import RobotHealth
+from fullswarm.operator.view import RobotRow
+from fullswarm.reasons import DELIBERATE, Code
+
+STANDSTILL_M_S = 0.005
+LOW_BATTERY = 0.2
+UNKNOWN = "Do what its driver says; where that names no cause, the cause is unknown: see the robot's log."
+BARRED = "It is connected, but bars motion: mend what it says, then ask again."
+
+_FLOOR = "Put all its wheels on the floor, away from edges."
+_CAUSES: dict[str, str] = {
+    Code.CHARGER: "Take it off its charger.",
+    Code.CLIFF: _FLOOR,
+    Code.WHEEL_DROP: _FLOOR,
+    Code.OVERCURRENT: "Free its wheels.",
+    Code.MOTORS_OFF: "Release its safety switch.",
+}
+_STOPS: dict[str, str] = _CAUSES | {
+    Code.DRIVER: "Wait a moment; if it stays so, the robot's log says what its driver waits for.",
+    Code.READING: "No sensor data comes, the cause is unknown: see the robot's log.",
+    Code.HUB: "Bring the hub or its network back; the robot goes on by itself then.",
+    Code.CORE: "See that the core runs and its network is up; the robot goes on by itself then.",
+    Code.STALE: "See that the process which computes this behaviour runs and its network is up.",
+    Code.BATTERY: "Charge it, or drive it there by hand.",
+    Code.CLOCK: "Its computer is overloaded or was suspended: close other work there.",
+    Code.POSE: "See that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
+    Code.FENCE: "Drive it back by hand, or give it a goal inside the arena.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RowState:
+    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
+
+    word: str
+    why: str = ""
+    attention: bool = False
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.word}: {self.why}" if self.why else self.word
+
+
+def row_state(row: RobotRow) -> RowState:
+    """Return what a robot is doing."""
+    health = row.health
+    if row.silent:
+        return RowState(f"SILENT for {row.age_s:.0f} s", attention=True)
+    if health is None:
+        return RowState("no health report", attention=True)
+    if health.fault or health.lifecycle == "FAULT":
+        latched = "E-STOP, " if health.estop else ""
+        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
+        word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
+        return RowState(latched + word, health.fault or "no reason given", attention=True)
+    if health.estop:
+        # Health comes twice a second, states twenty times: a robot at standstill must not be shown as moving.
+        rolls = health.moving and not abs(row.speed_m_s) < STANDSTILL_M_S
+        return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
+    alarm = health.behaviour or health.stop_code not in DELIBERATE
+    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
+        return RowState("STOPPED", health.stop_reason, attention=True)
+    doing = "moving" if health.moving else "standing"
+    if health.lifecycle not in ("READY", "ACTIVE"):
+        doing = f"{health.lifecycle.lower()}, not ready"
+    if health.contacts:
+        return RowState(f"{doing}, TOUCHING", attention=True)
+    if 0.0 <= health.battery < LOW_BATTERY:
+        return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
+    return RowState(doing)
+
+
+def advise(row: RobotRow) -> str:
+    """Return what to do about a robot; empty when there is nothing to do."""
+    health = row.health
+    if row.silent:
+        return "Look whether it has power and network, and whether its agent runs; without its hub it stands by itself."
+    if health is None:
+        return "Only its place is heard: its agent may be starting."
+    return _of(health)
+
+
+def _of(health: RobotHealth) -> str:
+    if health.lifecycle == "FAULT":
+        return _CAUSES.get(health.fault_code, UNKNOWN)
+    if health.fault:
+        return _CAUSES.get(health.fault_code, BARRED)
+    if health.estop:
+        return "Look whether the way is free, then clear the e-stop."
+    if health.stop_reason and (known := _on_stop(health)):
+        return known
+    if 0.0 <= health.battery < LOW_BATTERY:
+        return "Charge it soon."
+    if health.contacts:
+        return "It touches something: drive it back by hand, or move the obstacle."
+    if health.pose_note:
+        return "Its pose is doubtful: see that its position source can see it, and that nobody carried it."
+    if health.filter_note:
+        return "The safety filter holds it back: give it more room, or another goal."
+    return ""
+
+
+def _on_stop(health: RobotHealth) -> str:
+    """Return what to do about why it stands; empty where one of several causes is not known."""
+    if health.stop_code != Code.HAZARD:
+        return _STOPS.get(health.stop_code, "")
+    found = dict.fromkeys(_CAUSES.get(each, "") for each in health.stop_parameters.get("hazards", "").split())
+    return " ".join(found) if all(found) else ""
