@@ -29,7 +29,7 @@ import psutil
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.keys import Keys
-from fullswarm.launch.ports import free_port
+from fullswarm.launch.network import free_port
 from fullswarm.launch.processes import PARENT
 from fullswarm.messages import HealthReport, Heartbeat, RobotHealth, RobotStates
 from fullswarm.runtime import Mailbox, Runtime

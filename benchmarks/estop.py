@@ -16,7 +16,7 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.messages import EStopReceipt, Value
 from fullswarm.operator.client import Operator

@@ -38,7 +38,7 @@ from benchmarks.beside_hop import (
     swarm_processes,
 )
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from fullswarm.operator.joystick.pads import FULL
 from fullswarm.operator.joystick.pilot import DIGITS
 

@@ -42,7 +42,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Description, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes, processes
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from fullswarm.messages import BehaviourRequest, ControlRequest
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Mailbox, Runtime

@@ -1,12 +1,64 @@
-"""``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of a robot's unit."""
+"""``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of the agent's unit on a robot.
 
+``python -m fullswarm agent ROBOT --fleet FILE`` runs the agent without the rest of the command line when
+``FULLSWARM_HEALTH`` is set; nothing is imported before it is known that this is wanted.
+"""
+
+from __future__ import annotations
+
+import os
 import sys
+from collections.abc import Sequence
 
-from fullswarm.launch import unit
+from fullswarm.launch import HEALTH
+
+
+def plain_logs() -> None:
+    """Log to stderr for a journal, without colours; and without rich, which structlog imports for screens only.
+
+    With it come pygments and a parser of markdown: 8 MB and half a second that a small computer feels.
+    """
+    if "structlog" not in sys.modules and "rich" not in sys.modules:
+        sys.modules["rich"] = None  # type: ignore[assignment]  # as if it were not installed
+        import structlog
+
+        del sys.modules["rich"]
+    import structlog
+
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.StackInfoRenderer(),
+            structlog.dev.ConsoleRenderer(colors=False, exception_formatter=structlog.dev.plain_traceback),
+        ],
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
+    )
+
+
+def asked_for(arguments: Sequence[str]) -> tuple[str, str] | None:
+    """Return (robot, fleet file) of ``agent ROBOT --fleet FILE`` where a health file is wanted, else None."""
+    if not os.environ.get(HEALTH) or len(arguments) != 4 or (arguments[0], arguments[2]) != ("agent", "--fleet"):
+        return None
+    return arguments[1], arguments[3]
+
+
+def run_agent(robot: str, fleet: str) -> int:
+    """Run the agent of `robot` as its unit does: what ``fullswarm agent`` is, without the rest of the command line."""
+    plain_logs()
+    from fullswarm.output import run_guarded
+
+    def command() -> int:
+        from fullswarm.config import load_swarm
+        from fullswarm.launch import processes
+
+        return processes.agent(load_swarm(fleet), robot, with_parent=False)
+
+    return run_guarded(command)
+
 
 if __name__ == "__main__":
-    if on_board := unit.asked_for(sys.argv[1:]):
-        sys.exit(unit.main(*on_board))
+    if on_board := asked_for(sys.argv[1:]):
+        sys.exit(run_agent(*on_board))
     from fullswarm.cli.main import main
 
     main()

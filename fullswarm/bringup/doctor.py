@@ -5,15 +5,23 @@ Nothing moves and nothing is changed. The machine's own checks are in :mod:`.mac
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import typer
-
-from fullswarm.bringup import checks, gamepad, machine
+from fullswarm.bringup import checks
 from fullswarm.bringup.checks import Check
+from fullswarm.bringup.machine import (
+    access,
+    clocks,
+    extras,
+    gamepads,
+    interferer,
+    network_time,
+    python,
+    resources,
+    serial_ports,
+)
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Description
@@ -25,33 +33,6 @@ from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 
 HUB_S = 1.5
 LOW_BATTERY = 0.2
-
-
-def preflight(fleet: Path | None, robot: str, *, press: bool, yes: bool, as_json: bool) -> int:
-    """Print the checks of one robot and its computer; see :mod:`fullswarm.bringup.preflight`.
-
-    Parameters
-    ----------
-    press, yes
-        Its e-stop may be pressed for a moment; without a question.
-
-    Raises
-    ------
-    ConfigError
-        No fleet file, a wrong one, or one without this robot.
-    """
-    from fullswarm.bringup import preflight
-
-    if fleet is None:
-        hint = "fullswarm doctor --robot r1 --fleet lab.toml, or FULLSWARM_FLEET"
-        raise ConfigError("the fleet file says where a robot is: name it", where="--robot", hint=hint)
-    agree = (lambda _: True) if yes else _ask
-    return preflight.run(load_fleet(fleet), robot, agree if press else None, as_json=as_json)
-
-
-def _ask(question: str) -> bool | None:
-    """Ask at the terminal; None: there is none."""
-    return typer.confirm(question, err=True) if sys.stdin.isatty() else None
 
 
 def run(fleet: Path | None, *, as_json: bool) -> int:
@@ -69,15 +50,15 @@ def run(fleet: Path | None, *, as_json: bool) -> int:
 def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     clock = MonotonicClock()
     began_s, began_wall_s = clock.now_s(), wall_time_s()
-    yield machine.python()
-    yield from machine.extras(_needed_extras(config))
+    yield python()
+    yield from extras(_needed_extras(config))
     for why in broken().values():
         yield Check("outside make", "failure", why, "install its package again, or remove it")
-    yield from machine.serial_ports()
-    yield machine.interferer()
-    yield from gamepad.checks()
-    yield from machine.resources()
-    yield machine.network_time()
+    yield from serial_ports()
+    yield interferer()
+    yield from gamepads()
+    yield from resources()
+    yield network_time()
     if config is not None:
         yield from _frame(config)
         yield from _evidence(config)
@@ -85,7 +66,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
         for robot in config.robot:
             yield from _robot(config, robot)
     # Compared over all the checks before: no need to wait just for this.
-    yield machine.clocks(clock.now_s() - began_s, wall_time_s() - began_wall_s, wall_time_s())
+    yield clocks(clock.now_s() - began_s, wall_time_s() - began_wall_s, wall_time_s())
 
 
 def _needed_extras(config: SwarmConfig | None) -> frozenset[str]:
@@ -194,7 +175,7 @@ def _device(config: SwarmConfig, robot: RobotConfig) -> Iterator[Check]:
     if not Path(path).exists():
         yield Check(f"robot {robot.id}", "failure", f"{path} does not exist", "plug it in; see `fullswarm robots find`")
         return
-    yield machine.access(path)
+    yield access(path)
 
 
 def _answer(name: str, url: str) -> Iterator[Check]:

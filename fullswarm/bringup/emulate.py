@@ -1,30 +1,33 @@
-"""`fullswarm emulate MAKE`: one emulated robot on a real port, on an endless floor, for anybody's client.
+"""Runs `fullswarm emulate`: one emulated robot on a real port, with faults that are typed while it runs.
 
-Prints what a client opens on stdout and the commands that the robot receives on stderr; stdin takes faults to inject.
+A fault is a line such as ``cliff on``, ``battery 0.1`` or ``unplug``. Every make's emulator has the same names for
+them; what a make does not support is refused.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import signal
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from fullswarm import output
-from fullswarm.bringup import injected_faults
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
 from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
-from fullswarm.launch.typed import Typed
+from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.simulation.bodies import Body, FreeBody
 
 LOOK_S, TELL_S, LISTEN_S = 0.1, 1.0, 0.05
+SWITCHES = {"on": True, "off": False, "1": True, "0": False, "yes": True, "no": False}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +60,15 @@ def run(
     runtime.stop_on_signals()
     body = FreeBody()
     with _port_path(options) as path, _started(options, path, body) as emulator:
-        injected_faults.set_link(emulator, faults)
+        set_link(emulator, faults)
         for each in orders:
-            injected_faults.obey(emulator, each)
+            inject(emulator, each)
         _announce(options, emulator.url, as_json=as_json)
-        teller, typed = _Teller(emulator, body), Typed()
+        teller, typed = _Teller(emulator, body), TypedLines()
         runtime.every(LOOK_S, lambda: teller.look(runtime.now_s()), first_s=0.0)
         runtime.every(LISTEN_S, lambda: _listen(typed, emulator, runtime))
         runtime.run(seconds)
-    return 130 if runtime.exit_signal == 2 else 0
+    return output.INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0
 
 
 def _refuse_misfits(options: EmulateOptions) -> None:
@@ -176,15 +179,177 @@ def _plain(value: float) -> float:
     return round(value, 2) + 0.0  # -0.00 looks like a motion
 
 
-def _listen(typed: Typed, emulator: Emulator, runtime: Runtime) -> None:
+def _listen(typed: TypedLines, emulator: Emulator, runtime: Runtime) -> None:
     while (line := typed.line()) is not None:
         if line in ("quit", "exit"):
             runtime.stop()
         elif line == "help":
-            output.progress(injected_faults.explain(emulator))
+            output.progress(explain_faults(emulator))
         elif line:
             try:
-                injected_faults.obey(emulator, line)
+                inject(emulator, line)
                 output.progress(f"done: {line}")
             except FullswarmError as error:
                 output.progress(f"error: {error}")
+
+
+# ---------------------------------------------------------------- faults
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One command: how its argument is written, what it does, which method of the emulator it needs."""
+
+    usage: str
+    help: str
+    act: Callable[[Any, str], object]  # (emulator, argument)
+    needs: str = ""
+
+
+def switch(text: str) -> bool:
+    """Read ``on`` or ``off``."""
+    if text.lower() not in SWITCHES:
+        raise ConfigError(f"'{text}' is neither on nor off")
+    return SWITCHES[text.lower()]
+
+
+def number(text: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """Read a finite number within limits."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and low <= value <= high):
+        limits = f" from {low:g} to {high:g}" if math.isfinite(low) and math.isfinite(high) else ""
+        raise ConfigError(f"'{text}' is not a number{limits}")
+    return value
+
+
+def set_link(emulator: Any, faults: LinkFaults) -> None:
+    """Give an emulator's link these faults from now on."""
+    link: LinkFaults = emulator.faults
+    link.drop, link.corrupt, link.delay_s = faults.drop, faults.corrupt, faults.delay_s
+
+
+def _set_fault(name: str, high: float) -> Callable[[Any, str], None]:
+    def act(emulator: Any, text: str) -> None:
+        faults: LinkFaults = emulator.faults
+        setattr(faults, name, number(text, 0.0, high))
+
+    return act
+
+
+def _body(emulator: Any) -> FreeBody:
+    body: object = emulator.body
+    if not isinstance(body, FreeBody):
+        raise ConfigError("its body belongs to a simulated world and cannot be lifted here")
+    return body
+
+
+def _bump(emulator: Any, text: str) -> None:
+    sides = {"left": (True, False), "right": (False, True)}
+    left, right = sides[text] if text in sides else (switch(text),) * 2
+    _body(emulator).press(left, right)
+
+
+def _push(emulator: Any, text: str) -> None:
+    distance, _, turn = text.partition(" ")
+    _body(emulator).push(number(distance, -100.0, 100.0), number(turn or "0", -100.0, 100.0))
+
+
+def _cliff(emulator: Any, text: str) -> None:
+    floor_gone = switch(text)
+    emulator.set_cliff(front_left=floor_gone, front_right=floor_gone)
+
+
+def _wheel_drop(emulator: Any, text: str) -> None:
+    hang = switch(text)
+    emulator.set_wheel_drop(left=hang, right=hang)
+
+
+def _overcurrent(emulator: Any, text: str) -> None:
+    much = switch(text)
+    emulator.set_overcurrent(left=much, right=much)
+
+
+def _button(emulator: Any, text: str) -> None:
+    names = () if text == "none" else tuple(text.split(","))
+    try:
+        emulator.press_buttons(*names)
+    except KeyError as error:
+        known = "clean, spot, dock, minute, hour, day, schedule, clock, play, advance or none"
+        raise ConfigError(f"no button {error}", hint=known) from error
+
+
+def _light(emulator: Any, text: str) -> None:
+    left, right = (number(each, 0, 4095) for each in (text.partition(" ")[0], text.partition(" ")[2] or "0"))
+    emulator.set_light_bumper(
+        left=int(left), front_left=int(left), centre_left=int(left), centre_right=int(right), front_right=int(right),
+        right=int(right),
+    )  # fmt: skip
+
+
+def _infrared(emulator: Any, text: str) -> None:
+    code = None if text == "none" else int(number(text, 0, 255))
+    emulator.set_infrared(code, code or 0, code or 0)
+
+
+FAULTS: dict[str, Fault] = {
+    "unplug": Fault("", "pull the cable", lambda it, _: it.unplug(), "unplug"),
+    "replug": Fault("", "put it back", lambda it, _: it.replug(), "replug"),
+    "reboot": Fault("", "restart the firmware", lambda it, _: it.reboot(), "reboot"),
+    "mute": Fault("on|off", "hears, but says nothing", lambda it, text: it.mute(switch(text)), "mute"),
+    "stick": Fault("on|off", "repeats old sensor values", lambda it, text: it.stick_sensors(switch(text)),
+                   "stick_sensors"),
+    "battery": Fault("0..1", "charge", lambda it, text: it.set_battery(number(text, 0.0, 1.0)), "set_battery"),
+    "estop": Fault("on|off", "the red button", lambda it, text: it.press_estop(switch(text)), "press_estop"),
+    "cliff": Fault("on|off", "no floor in front", _cliff, "set_cliff"),
+    "wheel_drop": Fault("on|off", "the wheels hang", _wheel_drop, "set_wheel_drop"),
+    "overcurrent": Fault("on|off", "the wheels are blocked", _overcurrent, "set_overcurrent"),
+    "charger": Fault("on|off", "the charger's plug", lambda it, text: it.set_charger(switch(text)), "set_charger"),
+    "pilot": Fault("NUMBER", "the pilot's mode switch", lambda it, text: it.pilot_mode(int(number(text, 0, 255))),
+                   "pilot_mode"),
+    "gps": Fault("on|off", "position from satellites", lambda it, text: it.set_gps(switch(text)), "set_gps"),
+    "dock": Fault("on|off", "stands on its home base", lambda it, text: it.set_dock(switch(text)), "set_dock"),
+    "button": Fault("NAME[,NAME]|none", "buttons held down", _button, "press_buttons"),
+    "wall": Fault("0..1023", "wall at its right", lambda it, text: it.set_wall(int(number(text, 0, 1023))), "set_wall"),
+    "light": Fault("LEFT [RIGHT]", "light bumper, 0 to 4095", _light, "set_light_bumper"),
+    "infrared": Fault("0..255|none", "byte that it receives", _infrared, "set_infrared"),
+    "virtual_wall": Fault("on|off", "a virtual wall ahead", lambda it, text: it.set_virtual_wall(switch(text)),
+                          "set_virtual_wall"),
+    "bump": Fault("on|off|left|right", "press the bumper", _bump),
+    "push": Fault("METRES [RADIANS]", "move it by hand", _push),
+    "drop": Fault("0..1", "share of chunks lost", _set_fault("drop", 1.0), "faults"),
+    "corrupt": Fault("0..1", "share of chunks with a flipped bit", _set_fault("corrupt", 1.0), "faults"),
+    "delay": Fault("SECONDS", "of each direction", _set_fault("delay_s", 10.0), "faults"),
+}  # fmt: skip
+
+
+def inject(emulator: object, line: str) -> None:
+    """Apply one line of commands to an emulator.
+
+    Raises
+    ------
+    ConfigError
+        No such command, an argument that does not fit, or a fault that this make does not support.
+    """
+    name, _, argument = " ".join(line.split()).partition(" ")
+    order = FAULTS.get(name)
+    if order is None:
+        raise ConfigError(f"no command '{name}'", hint=did_you_mean(name, [*FAULTS, "help", "quit"]))
+    if order.needs and not hasattr(emulator, order.needs):
+        raise ConfigError(
+            f"'{name}' means nothing to this robot", hint=f"it knows: {', '.join(supported_faults(emulator))}"
+        )
+    if bool(argument) != bool(order.usage):
+        raise ConfigError(f"'{line}' is not how it is written", hint=f"{name} {order.usage}".strip())
+    order.act(emulator, argument)
+
+
+def supported_faults(emulator: object) -> list[str]:
+    """Return the commands that mean something to an emulator."""
+    return [name for name, order in FAULTS.items() if not order.needs or hasattr(emulator, order.needs)]
+
+
+def explain_faults(emulator: object) -> str:
+    """Return the commands with what they do, a line each."""
+    rows = [(f"{name} {FAULTS[name].usage}", FAULTS[name].help) for name in supported_faults(emulator)]
+    return "\n".join(f"  {usage:<26} {what}" for usage, what in [*rows, ("quit", "end")])

@@ -1,4 +1,4 @@
-"""What `fullswarm doctor` looks at on the machine itself: Python, extras, ports, clocks, disk, processor."""
+"""Checks the machine for `fullswarm doctor`: Python, extras, ports, gamepads, clocks, disk, processor."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from pathlib import Path
 
 from fullswarm import __version__
 from fullswarm.bringup.checks import Check, Status
+from fullswarm.errors import MissingExtra
+from fullswarm.operator.joystick import devices
 
 OLDEST_PYTHON = (3, 11)
 EXTRAS = {  # extra: modules it must bring
@@ -37,6 +39,7 @@ INTERFERERS = {
     "ModemManager": "it talks to new serial ports: sudo systemctl disable --now ModemManager",
     "brltty": "it takes USB serial ports for Braille displays: sudo apt remove brltty",
 }
+_PADS = "gamepad"
 
 
 def python() -> Check:
@@ -189,3 +192,24 @@ def resources() -> Iterator[Check]:
         yield Check("cpu", "warning", what, "find the process with: top")
     else:
         yield Check("cpu", "ok", what)
+
+
+# ---------------------------------------------------------------- gamepads
+def gamepads(folder: Path = devices.INPUT, listing: Path = devices.LIST) -> Iterator[Check]:
+    """Check that SDL is there, and that this user may read the gamepads that are plugged in."""
+    from fullswarm.operator.joystick.pads import load_sdl
+
+    found = devices.gamepads(folder, listing)
+    try:
+        load_sdl()
+    except MissingExtra as error:
+        # Without a pad it is not needed, and the line on extras has named how to get it.
+        yield Check(_PADS, "warning", error.what, error.hint) if found else Check(_PADS, "ok", "none is plugged in")
+        return
+    if not found:
+        yield Check(_PADS, "ok", "none is plugged in" if folder.is_dir() else f"none: there is no {folder}")
+    for each in found:
+        if each.readable:
+            yield Check(_PADS, "ok", f"{each.name} ({each.path})")
+        else:
+            yield Check(_PADS, "warning", devices.problem((each,)), devices.ACCESS)

@@ -11,11 +11,11 @@ from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 from fullswarm import output, registry
-from fullswarm.bringup.bench import Bench
+from fullswarm.bringup.robot_test import Bench
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
-from fullswarm.launch.typed import Typed
+from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.testing import Report, Rig, Wire, check_driver, serial_wire, udp_wire
 
@@ -132,7 +132,7 @@ def _confirm(url: str, hands: Rig) -> None:
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     output.progress(f"{url}\n{MOVES}")
-    if not Bench(hands.make(), runtime, Typed()).answers("Is it safe to drive?"):
+    if not Bench(hands.make(), runtime, TypedLines()).answers("Is it safe to drive?"):
         raise ConfigError("not confirmed: nothing was opened, nothing moved", where=url, hint="--yes skips the prompt")
 
 

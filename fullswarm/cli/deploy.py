@@ -11,7 +11,7 @@ from fullswarm.cli import completion
 from fullswarm.cli.options import Json, shell_command
 
 if TYPE_CHECKING:
-    from fullswarm.deploy.fleet.commands import Order
+    from fullswarm.deploy.fleet.commands import FleetRequest
 
 FleetFile = Annotated[
     Path,
@@ -50,10 +50,10 @@ AskPassword = Annotated[bool, typer.Option("--ask-sudo-password", help="Ask once
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Query the robots and print what would be done.")]
 
 
-def _order(fleet: Path, robots: list[str] | None, **rest: Any) -> Order:
-    from fullswarm.deploy.fleet.commands import Order
+def _order(fleet: Path, robots: list[str] | None, **rest: Any) -> FleetRequest:
+    from fullswarm.deploy.fleet.commands import FleetRequest
 
-    return Order(fleet, tuple(robots or ()), **rest)
+    return FleetRequest(fleet, tuple(robots or ()), **rest)
 
 
 @shell_command()
@@ -126,7 +126,7 @@ def update(
     After Ctrl-C each robot keeps what it ran; one that is switching rolls back by itself.
     """
     from fullswarm.deploy.fleet import commands
-    from fullswarm.deploy.fleet.rollout import Plan, share
+    from fullswarm.deploy.fleet.rollout import Plan, parse_share
 
     return commands.update(
         _order(
@@ -134,7 +134,7 @@ def update(
             robots,
             release=release,
             target=target,
-            plan=Plan(canary, share(wave), stop_at),
+            plan=Plan(canary, parse_share(wave), stop_at),
             guard_s=guard,
             force=force,
             keep_trying_s=keep_trying * 60.0,
@@ -157,10 +157,10 @@ def rollback(
     as_json: Json = False,
 ) -> int:
     """Roll robots back to the previous release."""
-    from fullswarm.deploy.fleet import visit
+    from fullswarm.deploy.fleet import commands
 
     rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
-    return visit.rollback(_order(fleet, robots, **rest, as_json=as_json))
+    return commands.rollback(_order(fleet, robots, **rest, as_json=as_json))
 
 
 @shell_command()
@@ -187,9 +187,9 @@ def logs(
     as_json: Json = False,
 ) -> int:
     """Print the log of a robot's agent."""
-    from fullswarm.deploy.fleet import terminal
+    from fullswarm.deploy.fleet import commands
 
-    return terminal.logs(_order(fleet, [robot], ask_password=ask_password, as_json=as_json), lines, follow=follow)
+    return commands.logs(_order(fleet, [robot], ask_password=ask_password, as_json=as_json), lines, follow=follow)
 
 
 @shell_command()
@@ -202,9 +202,9 @@ def shell(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the ssh command only.")] = False,
 ) -> int:
     """Open a shell on a robot, with the pinned host key and the fleet's key."""
-    from fullswarm.deploy.fleet import terminal
+    from fullswarm.deploy.fleet import commands
 
-    return terminal.shell(_order(fleet, [robot], dry_run=dry_run), words or [])
+    return commands.shell(_order(fleet, [robot], dry_run=dry_run), words or [])
 
 
 @shell_command()
@@ -222,7 +222,7 @@ def reboot(
     as_json: Json = False,
 ) -> int:
     """Restart the computers of robots, unless they are moving."""
-    from fullswarm.deploy.fleet import visit
+    from fullswarm.deploy.fleet import commands
 
     rest = {"force": force, "ask_password": ask_password, "at_a_time": at_a_time, "dry_run": dry_run}
-    return visit.reboot(_order(fleet, robots, **rest, as_json=as_json), wait)
+    return commands.reboot(_order(fleet, robots, **rest, as_json=as_json), wait)

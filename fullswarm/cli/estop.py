@@ -192,7 +192,7 @@ class EStopReport:
             for what, names in (
                 ("no answer from", mute),
                 ("nothing ever received from", never),
-                (f"{state}:", order.rolling()),
+                (f"{state}:", order.decelerating()),
             )
             if names
         ]

@@ -89,19 +89,19 @@ def flash(
 
     Exit code 0: written and read back; 1: a card failed; 2: refused; 3: --wait heard nothing.
     """
-    from fullswarm.deploy.flash import report as reports
-    from fullswarm.deploy.flash.order import Request
+    from fullswarm.deploy.flash.plan import FlashRequest
+    from fullswarm.deploy.flash.result import print_report
     from fullswarm.deploy.flash.run import run
     from fullswarm.errors import ConfigError
 
     if report is not None:
-        return reports.run(report, as_json=as_json)
+        return print_report(report, as_json=as_json)
     if not robots or fleet is None:
         missing = "robots" if not robots else "--fleet"
         hint = "fullswarm flash r1 --fleet lab.toml --image raspios.img.xz --device /dev/sdX"
         raise ConfigError(f"{missing} missing", where="flash", hint=hint)
     return run(
-        Request(
+        FlashRequest(
             robots=tuple(robots),
             fleet=fleet,
             image=image,

@@ -15,7 +15,7 @@ import typer
 from fullswarm.cli import completion
 from fullswarm.errors import ConfigError
 from fullswarm.keys import ROBOT_ID
-from fullswarm.launch.guard import run_guarded
+from fullswarm.output import run_guarded
 
 if TYPE_CHECKING:
     from fullswarm.operator.session import Target as Target
@@ -81,7 +81,7 @@ def shell_command(*, logs: bool = False) -> Callable[[Callable[..., int]], Calla
 
     It adds ``--debug``; a parameter ``target: Target`` becomes ``--hub`` and ``--swarm``, and a ``NamedTarget``
     ``--operator`` as well, behind the command's own options. An error becomes one line on stderr and an exit code: see
-    :func:`~fullswarm.launch.guard.run_guarded`.
+    :func:`~fullswarm.output.run_guarded`.
 
     Parameters
     ----------

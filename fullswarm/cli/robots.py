@@ -124,10 +124,10 @@ def doctor(
 
     Exit code 1: something is broken; 3: nothing of the --robot answers.
     """
-    from fullswarm.bringup import doctor
+    from fullswarm.bringup import doctor, preflight
 
     if robot is not None:
-        return doctor.preflight(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
+        return preflight.check_robot(fleet or fleet_option, robot, press=press, yes=yes, as_json=as_json)
     return doctor.run(fleet, as_json=as_json)
 
 

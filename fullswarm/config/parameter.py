@@ -60,18 +60,18 @@ class Parameter(Section):
             return value
         if self.type == "word":
             if not isinstance(value, str) or (self.choices and value not in self.choices):
-                raise ValueError(f"{name} = {value!r} is not {self.wanted()}")
+                raise ValueError(f"{name} = {value!r} is not {self.expected()}")
             return value
         if self.type == "point":
             return cast(Value, self._point(name, value))
         if self.type == "points":
             if not isinstance(value, list | tuple) or not value:
-                raise ValueError(f"{name} = {value!r} is not {self.wanted()}")
+                raise ValueError(f"{name} = {value!r} is not {self.expected()}")
             return [self._point(f"{name}[{k}]", each) for k, each in enumerate(value)]
         return self._number(name, value)
 
-    def wanted(self) -> str:
-        """Say in words what the parameter accepts: ``number in [0.05, 5] 1/s``."""
+    def expected(self) -> str:
+        """Return in words what the parameter accepts: ``number in [0.05, 5] 1/s``."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         shape = {"point": "point [x, y]", "points": "list of points [x, y]"}.get(self.type, self.type)

@@ -1,16 +1,16 @@
-"""The core layer (paper II.C): runs on the base station, decides which robot runs what, never touches one.
+"""The core layer (paper II.C): runs on the base station, decides which robot runs what, has no connection to a driver.
 
 In: ``BehaviourRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and ``ControlAck`` of the agents.
 Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all, ``Heartbeat``.
 
 ``behaviours.toml``    the behaviours that exist: people edit this
 ``behaviours.py``      reads and checks the records of behaviours; completes a request's parameters by its record
-``main_controller.py`` looks a request up, refuses or accepts it, hands it on
+``main_controller.py`` looks a request up, refuses or accepts it, passes it on
 ``groups.py``          ``@name`` stands for a group of robots wherever a request names robots
 ``leases.py``          which operator drives which robots (decision 17)
 ``request_order.py``   which request or stop of an operator is the newest for each robot
-``request_handler.py`` makes every robot run what is wanted of it, whatever gets lost or restarts
-``desired.py``         one robot: what is wanted, what it confirmed, what is on the way
+``request_handler.py`` brings every robot to its desired state, whatever message is lost or process restarted
+``desired.py``         one robot: its order, what it confirmed, the control request in flight
 ``request_status.py``  one request: its status, worked out from the states of its robots and published
 ``remap.py``           the core's end of the centralised behaviours
 ``roster.py``          which robots are present

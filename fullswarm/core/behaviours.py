@@ -42,11 +42,11 @@ FORMATION = ("targets", "shape", "centre", "spacing_m")
 
 
 class Record(Section):
-    """A behaviour that can be asked for by name."""
+    """A behaviour that can be requested by name."""
 
     name: str
     summary: str
-    law: str = ""  # module of the law; empty: nothing runs, the robot stands
+    law: str = ""  # module of the control law; empty: nothing runs, the robot stands
     centralised: bool = False
     filtered: bool = False  # behind the safety filter (`_bc`)
     survives_core: bool = False
@@ -63,7 +63,7 @@ class Record(Section):
             raise ValueError(f"'{self.name}' cannot name a behaviour: use letters, digits, '-' and '_', 64 at most")
         for name, value in self.static.items():
             if not _travels(value):
-                raise ValueError(f"static {name} is no flag, number, word, point or list of points")
+                raise ValueError(f"static {name} is not a flag, number, word, point or list of points")
         twice = sorted(set(self.parameters) & {*self.static, *self.static_from})
         if twice:
             raise ValueError(f"both static and a parameter: {', '.join(twice)}")
@@ -115,7 +115,7 @@ def all_records() -> dict[str, Table]:
     Raises
     ------
     ConfigError
-        A record is broken, or has a name that is taken; says in which file.
+        A record is broken, or has a name that is taken; names the file.
     """
     tables = load_records()
     owner: dict[str, Path] = {}
@@ -170,7 +170,7 @@ def make_record(name: str, tables: Mapping[str, Any]) -> Record:
     return record
 
 
-def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Table:
+def _inherit(name: str, tables: Mapping[str, Any], derived: tuple[str, ...]) -> Table:
     raw = tables[name]
     if not isinstance(raw, dict):
         raise ConfigError(f"{raw!r} is not a table", where=f"behaviour '{name}'", hint=SEE)
@@ -183,9 +183,9 @@ def _inherit(name: str, tables: Mapping[str, Any], heirs: tuple[str, ...]) -> Ta
         raise ConfigError(
             f"like: unknown behaviour '{base_name}'", where=where, hint=did_you_mean(str(base_name), tables)
         )
-    if base_name in (*heirs, name):
-        raise ConfigError(f"like: '{base_name}' leads back to itself", where=where)
-    base = _inherit(base_name, tables, (*heirs, name))
+    if base_name in (*derived, name):
+        raise ConfigError(f"like: '{base_name}' refers back to itself", where=where)
+    base = _inherit(base_name, tables, (*derived, name))
     merged = {**base, **own}
     for table in ("parameters", "static", "static_from"):
         if isinstance(base.get(table), dict) and isinstance(own.get(table), dict):
@@ -226,7 +226,7 @@ class Library:
         return record
 
     def expand(self, entry: ParamEntry) -> ParamEntry:
-        """Return a record's entry with everything that `like` lends it; any other entry as it is."""
+        """Return a record's entry with everything that it takes by `like`; any other entry as it is."""
         name, tables = entry.key.removeprefix(PREFIX), self.tables()
         if not entry.key.startswith(PREFIX) or name not in tables:
             return entry
@@ -264,14 +264,14 @@ class Library:
 def resolve(
     record: Record, parameters: Mapping[str, Value], robots: Sequence[str], lookup: Lookup = lambda _: None
 ) -> dict[str, dict[str, Value]]:
-    """Return each robot's complete parameters: what was asked, defaults, static ones, its target of a formation.
+    """Return each robot's complete parameters: requested ones, defaults, static ones, its target of a formation.
 
     Parameters
     ----------
     robots
         The robots addressed, in the order of the request: the k-th target of a formation is the k-th robot's.
     lookup
-        Reads the local database.
+        Reads a key of the local database.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def resolve(
         given = parameters.get(name)
         value = _default(parameter, lookup) if given is None else given
         low, high = parameter.span
-        if type(value) is float and low <= value <= high:  # what a stick sends twenty times a second
+        if type(value) is float and low <= value <= high:  # the fast path: a stick sends twenty requests a second
             complete[name] = value
         elif value is not None:
             try:
@@ -297,7 +297,7 @@ def resolve(
                 problems.append(str(error))
         elif parameter.required or parameter.default_from:
             origin = f" or {parameter.default_from} in the database" if parameter.default_from else ""
-            problems.append(f"{name} is missing: {parameter.wanted()}{origin}")
+            problems.append(f"{name} is missing: {parameter.expected()}{origin}")
     each = dict.fromkeys(robots, complete)
     if record.formation and not problems:
         each = _targets(record, complete, robots, problems)
@@ -340,7 +340,7 @@ def _targets(
         x, y = (float(each) for each in centre if isinstance(each, int | float))
         targets = shape(str(name), len(robots), (x, y), float(spacing))
     else:
-        problems.append(f"centre is missing: {record.parameters['centre'].wanted()}")
+        problems.append(f"centre is missing: {record.parameters['centre'].expected()}")
         return {}
     if len(targets) != len(robots):
         problems.append(f"{_count(len(targets), 'target')} for {_count(len(robots), 'robot')}: give one per robot")
@@ -365,7 +365,7 @@ def shape(name: str, count: int, centre: tuple[float, float], spacing_m: float) 
     """
     x, y = centre
     if name == "circle":
-        # Neighbours on the circle are a chord of 2 r sin(π/n) apart; one robot stands in the middle.
+        # Neighbours on the circle are a chord of 2 r sin(π/n) apart; a single robot stands in the middle.
         radius = spacing_m / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
         angles = [math.tau * k / count for k in range(count)]
         return [[x + radius * math.cos(angle), y + radius * math.sin(angle)] for angle in angles]

@@ -1,4 +1,4 @@
-"""Groups of robots in the core's database: ``@name`` stands for them wherever a request names robots."""
+"""Groups of robots in the core's database: ``@name`` names a group wherever a request names robots."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Groups:
         return self._robots[name]
 
     def expand(self, names: Sequence[str]) -> Sequence[str]:
-        """Put robots in the place of groups.
+        """Replace the names of groups by their robots.
 
         Raises
         ------
         RequestRefused
-            No such group, or it is empty: that must not turn into the whole swarm.
+            No such group, or it is empty: an empty list would mean the whole swarm.
         """
         if not any(name.startswith(MARK) for name in names):
             return names
@@ -96,5 +96,5 @@ class Groups:
     def _guess(self, name: str) -> str:
         groups = [MARK + entry.key.removeprefix(GROUP) for entry in self._store.list(GROUP)]
         if not groups:
-            return 'there are none: `params set group/NAME \'{"robots": ["r1"]}\'` makes one'
+            return 'there are no groups: `params set group/NAME \'{"robots": ["r1"]}\'` makes one'
         return did_you_mean(name, groups)

@@ -2,8 +2,8 @@
 
 A robot that reports no latch although it should be latched gets the order again, before any request to move. The agents
 carry e-stops out by themselves, with or without a core. Any message may be lost, so a latch is forgotten only when its
-release was heard, from the operator or in a robot's receipt, or when an agent that had it reports that it has it no
-more.
+release was received, from the operator or in a robot's receipt, or when an agent that had confirmed the latch reports
+that it is gone.
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ from fullswarm.store import Store
 LATCHED = "estop/"
 REMEMBERED = 1024
 OLD_REPORT_S = 1.0
-"""A report that comes so soon after an order or a receipt may be older than that; also how often an order is given
-again."""
+"""A report that arrives within this time of an order or a receipt may be older; also the period of repeated orders."""
 
 
 class Latch(msgspec.Struct, frozen=True):
     """One robot's e-stop, as it is kept in the local database."""
 
     reason: str
-    agent: str  # the process that latched it; empty: it was not there
-    held: bool = False  # that process has said so
+    agent: str  # the process that latched it; empty: the robot was absent
+    held: bool = False  # that process has confirmed it
 
 
 class Latches:
@@ -42,7 +41,7 @@ class Latches:
     Parameters
     ----------
     process
-        Name of this start of the core; its own orders bear it.
+        Name of this start of the core; marks its own orders.
     """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, store: Store, roster: Roster, process: str) -> None:
@@ -61,7 +60,7 @@ class Latches:
         roster.watch(self._reported, lambda _: None)
 
     def close(self) -> None:
-        """Remember nothing more."""
+        """Stop recording."""
         for subscription in self._subscriptions:
             subscription.close()
 
@@ -83,7 +82,7 @@ class Latches:
         self._keep(*robots)
 
     def _confirmed(self, receipt: EStopReceipt) -> None:
-        """Learn from a robot what it has done, perhaps by an order that got lost on the way to this core."""
+        """Record what a robot did, perhaps by an order that did not reach this core."""
         robot, latch = receipt.robot, self._latches.get(receipt.robot)
         if latch is None:
             return  # a latch that is new here will be in the robot's next report
@@ -119,13 +118,13 @@ class Latches:
         elif old:
             return
         elif latch.held:
-            del self._latches[robot]  # released while this core did not hear it
+            del self._latches[robot]  # released by an order that did not reach this core
         else:
             self._again(robot, latch, member.process)
         self._keep(robot)
 
     def _again(self, robot: str, latch: Latch, process: str) -> None:
-        """Order it once more; the next reports will tell whether that got through."""
+        """Repeat the order; the next reports show whether it arrived."""
         self._latches[robot] = Latch(latch.reason, process)
         self._since_s[robot] = self._scheduler.now_s()
         order = EStop(

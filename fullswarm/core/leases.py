@@ -1,7 +1,7 @@
 """Authority: who drives which robots (decision 17). A robot without a lease obeys every operator.
 
-Leases are kept in memory only. They lapse soon after the last word of their holder, who repeats it each second: so a
-core that is started again knows them a second later, and an operator who is gone holds nothing.
+Leases are kept in memory only. They expire soon after the last renewal by their holder, repeated each second: so a core
+that is started again has them a second later, and an operator who is gone holds nothing.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from fullswarm.messages import Lease, LeaseRequest, Leases
 from fullswarm.reasons import Code
 from fullswarm.runtime import Scheduler, Timer
 
-LAPSE_S = 3.0
-"""A lease ends so long after its last renewal: two of three words may be lost."""
-SAY_S = 1.0
+EXPIRE_S = 3.0
+"""A lease ends this long after its last renewal: two of three renewals may be lost."""
+PUBLISH_S = 1.0
 CHECK_S = 0.1
 LONGEST_NAME = 128
-"""A longer name of an operator is refused: it would go out with each of their leases every second."""
+"""A longer name of an operator is refused: it would be sent with each of their leases every second."""
 HINT = "to take over: `--take` in a shell, the button in the console"
 NAMED = 5
-"""So many of a holder's robots are named in a refusal."""
+"""Most robots of one holder that a refusal names."""
 
 Expand = Callable[[Sequence[str]], Iterable[str]]
 
@@ -47,7 +47,7 @@ class Authority:
     process
         Name of this start of the core.
     expand
-        Turns the names of a lease request into robots; leaves out what it does not know.
+        Turns the names of a lease request into robots; leaves out unknown ones.
     """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, process: str, expand: Expand) -> None:
@@ -55,8 +55,8 @@ class Authority:
         self._process, self._expand = process, expand
         self._held: dict[str, Held] = {}
         self._sequence = 0
-        self._lapsing: Timer | None = None  # runs only while there are leases
-        self._timer = scheduler.every(SAY_S, self._say, first_s=0.0)
+        self._expiry: Timer | None = None  # runs only while there are leases
+        self._timer = scheduler.every(PUBLISH_S, self._publish, first_s=0.0)
         self._subscription = bus.subscribe(keys.lease_request, LeaseRequest, self._requested)
 
     def holder(self, robot: str) -> str:
@@ -74,7 +74,7 @@ class Authority:
         """
         if not self._held:
             return
-        self._drop_lapsed()
+        self._drop_expired()
         found = [(robot, self._held[robot]) for robot in robots if robot in self._held]
         others = [(robot, held) for robot, held in found if held.operator != operator]
         if others and not take:
@@ -87,24 +87,24 @@ class Authority:
             else:
                 self._held[robot] = Held(operator[:LONGEST_NAME], now_s, now_s, held.operator)
         if others:
-            self._say()
+            self._publish()
 
     def close(self) -> None:
-        """Grant nothing more."""
+        """Stop granting."""
         self._subscription.close()
         self._timer.cancel()
-        if self._lapsing is not None:
-            self._lapsing.cancel()
+        if self._expiry is not None:
+            self._expiry.cancel()
 
     def _requested(self, request: LeaseRequest) -> None:
         if not request.operator or len(request.operator) > LONGEST_NAME:
             return
-        self._drop_lapsed()
+        self._drop_expired()
         robots = self._expand(request.robots)
         changed = self._grant(request, robots) if request.hold else self._give_back(request.operator, robots)
         if changed:
             self._watch()
-            self._say()
+            self._publish()
 
     def _grant(self, request: LeaseRequest, robots: Iterable[str]) -> bool:
         now_s, changed = self._scheduler.now_s(), False
@@ -124,25 +124,25 @@ class Authority:
             del self._held[robot]
         return bool(given)
 
-    def _drop_lapsed(self) -> None:
-        """End what was not renewed: by its time, not by when it is looked at."""
-        oldest_s = self._scheduler.now_s() - LAPSE_S
-        lapsed = [robot for robot, held in self._held.items() if held.renewed_s <= oldest_s]
-        for robot in lapsed:
+    def _drop_expired(self) -> None:
+        """End what was not renewed: by its time, not by the time of this check."""
+        oldest_s = self._scheduler.now_s() - EXPIRE_S
+        expired = [robot for robot, held in self._held.items() if held.renewed_s <= oldest_s]
+        for robot in expired:
             del self._held[robot]
-        if lapsed:
+        if expired:
             self._watch()
-            self._say()
+            self._publish()
 
     def _watch(self) -> None:
-        """Look out for leases that lapse, while there are any."""
-        if self._held and self._lapsing is None:
-            self._lapsing = self._scheduler.every(CHECK_S, self._drop_lapsed)
-        elif not self._held and self._lapsing is not None:
-            self._lapsing.cancel()
-            self._lapsing = None
+        """Check for expired leases while there are any."""
+        if self._held and self._expiry is None:
+            self._expiry = self._scheduler.every(CHECK_S, self._drop_expired)
+        elif not self._held and self._expiry is not None:
+            self._expiry.cancel()
+            self._expiry = None
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         self._sequence += 1
         now_s = self._scheduler.now_s()
         leases = tuple(

@@ -1,6 +1,6 @@
-"""The main controller (paper II.C.1): looks a request up, refuses or completes it, hands it on.
+"""The main controller (paper II.C.1): looks a request up, refuses or completes it, passes it to the request handler.
 
-Refusing is an answer too: every request gets a status, a repeated one gets its newest status again and nothing else.
+Every request gets a status, a refused one too; a repeated one gets its newest status again and nothing else.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from fullswarm.messages import (
 )
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
 
-UNNAMED = "somebody without a name"
+UNNAMED = "an unnamed operator"
 
 
 class MainController:
@@ -65,7 +65,7 @@ class MainController:
         ]
 
     def close(self) -> None:
-        """Take no more requests."""
+        """End the subscriptions."""
         for subscription in self._subscriptions:
             subscription.close()
 
@@ -142,12 +142,12 @@ class MainController:
         if not known:
             raise RequestRefused("no robot is present", hint="start an agent, or name the robots in the fleet file")
         meant = self._groups.expand(robots)
-        strangers = [robot for robot in meant if robot not in known]
-        if strangers and not (lenient and len(strangers) < len(meant)):
-            names = ", ".join(f"'{robot}'" for robot in strangers)
-            plural = "s" if len(strangers) > 1 else ""
-            origin = "" if strangers[0] in robots else " in a group"
-            raise RequestRefused(f"unknown robot{plural} {names}{origin}", hint=did_you_mean(strangers[0], known))
+        unknown = [robot for robot in meant if robot not in known]
+        if unknown and not (lenient and len(unknown) < len(meant)):
+            names = ", ".join(f"'{robot}'" for robot in unknown)
+            plural = "s" if len(unknown) > 1 else ""
+            origin = "" if unknown[0] in robots else " in a group"
+            raise RequestRefused(f"unknown robot{plural} {names}{origin}", hint=did_you_mean(unknown[0], known))
         return tuple(dict.fromkeys(robot for robot in meant if robot in known)) or known
 
     def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
@@ -157,14 +157,14 @@ class MainController:
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
-        """Want nothing of robots in e-stop: releasing it must not start any."""
+        """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 
     def _stand(self, request_id: str, robots: Sequence[str], why: Reason) -> None:
-        """Want nothing of `robots`, unknown ones left out: a stop is never refused for a slip of the pen."""
-        if not request_id:  # it cannot be told from others, so each one counts
+        """Order `robots` to stand, leaving out unknown ones: a stop is never refused for a misspelt name."""
+        if not request_id:  # it cannot be distinguished from others, so each one counts
             request_id = next(name for name in self._unnamed if not self._known(name))
         elif self._known(request_id):
             self._board.repeat(request_id)
@@ -175,7 +175,7 @@ class MainController:
         if orders:
             self._handler.submit(orders, why, at_once=True)
         else:
-            none = "no robot is known" if not robots else f"no robot is called {', '.join(robots)}"
+            none = "no robot is known" if not robots else f"no robot is named {', '.join(robots)}"
             self._board.publish(_status(request_id, STOP, "ended", given(none)))
 
 
@@ -194,7 +194,7 @@ def _status(request_id: str, behaviour: str, phase: Phase, why: Reason, robots: 
 def adopted_order(library: Library, remapper: Remapper, request_id: str, behaviour: str) -> Order | None:
     """Return the order for what a robot was found running, as far as it can be known without the request.
 
-    An intent is left to lapse. A centralised behaviour needs no parameters on board: its node still has them.
+    An intent is left to expire. A centralised behaviour needs no parameters on board: its node still has them.
     """
     try:
         record = library.get(behaviour)
@@ -209,19 +209,19 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
 
 
 def _team(request: BehaviourRequest, record: Record) -> int:
-    """Return the number of the team that the request's robots are; 0: their law's neighbours are the whole swarm.
+    """Return the number of the team that the request's robots are; 0: the law's neighbours are the whole swarm.
 
-    Each frame of a stick is a request of its own: there the team is all that one operator
+    Each frame of a stick is a request of its own: its team is all robots that one operator
     steers with one behaviour.
     """
     if record.team == "swarm":
         return 0
-    whose = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
-    return zlib.crc32(" ".join(whose).encode()) or 1
+    parts = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
+    return zlib.crc32(" ".join(parts).encode()) or 1
 
 
 def _line(request: BehaviourRequest) -> Line:
-    """Return whose stamps on which clock order this request."""
+    """Return the operator and the clock whose stamps order this request."""
     return request.operator or request.source, request.clock or request.source
 
 
@@ -233,7 +233,7 @@ def _order(
     stamp_s: float = 0.0,
     team: int = 0,
 ) -> Order:
-    # The robots need no parameters of a law that is computed elsewhere.
+    # Robots need no parameters of a law that is computed on the base station.
     given = {} if record.centralised else parameters
     return Order(
         request_id=request_id,

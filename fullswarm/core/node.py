@@ -27,10 +27,10 @@ NODE = "core"
 
 
 class Closing(Protocol):
-    """Anything that runs along with the core and has an end."""
+    """Anything that runs beside the core and can be closed."""
 
     def close(self) -> None:
-        """End it in order."""
+        """End it."""
         ...
 
 
@@ -42,7 +42,7 @@ class CoreNode:
     store
         The local database; seeded here. Its opener closes it, after this node.
     process
-        Name of this start, unlike any other's.
+        Name of this start, unique.
     extra
         Nodes that run beside it (summarizers, performance node), already built; closed with this one.
     """
@@ -103,7 +103,7 @@ class CoreNode:
         self._bus.publish(self._keys.heartbeat(NODE), heartbeat)
 
     def close(self) -> None:
-        """End all parts; the robots stop by themselves when the heartbeat is silent."""
+        """Close all parts; the robots stop by themselves when the heartbeat is silent."""
         self._timer.cancel()
         for part in self._parts:
             part.close()

@@ -1,7 +1,7 @@
 """The core's end of the centralised behaviours: keeps their node in step with what the robots shall run.
 
-The node answers with its heartbeat, which names the requests it has in hand. What it lacks is sent again, what it has
-too much is ended; so either side may lose messages or be started again.
+The node's heartbeat names the requests that it computes. A missing one is sent again, a superfluous one is ended; so
+either side may lose messages or be started again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fullswarm.store import Store
 NODE = "centralised"
 REFRESH_S = 1.0
 GRACE_S = 2.0
-"""A new core lets unknown requests run that long: their robots may still report them."""
+"""A new core leaves unknown requests running this long: their robots may still report them."""
 
 MEMORY = 1024
 KEPT = "centralised/"
@@ -47,11 +47,11 @@ class Remapper:
         self._held_elsewhere: set[str] = set()
         self._counter = itertools.count(1)
         self._started_s = scheduler.now_s()
-        self._subscription = bus.subscribe(keys.heartbeat(NODE), Heartbeat, self._heard)
+        self._subscription = bus.subscribe(keys.heartbeat(NODE), Heartbeat, self._on_heartbeat)
         self._timer = scheduler.every(REFRESH_S, self._refresh)
 
     def start(self, request: CentralisedRequest, *, lasting: bool) -> None:
-        """Have the node compute `request` from now on, also after a restart of the core if it is `lasting`."""
+        """Have the node compute `request` from now on; if `lasting`, also after a restart of the core."""
         self._active[request.request_id] = msgspec.structs.replace(request, enable=True, core=self._process)
         if lasting:
             self._kept.add(request.request_id)
@@ -59,7 +59,7 @@ class Remapper:
         self._send(request.request_id)
 
     def restore(self, holders: Callable[[str], tuple[str, ...]]) -> None:
-        """Go on with what was kept, for the robots of which it is still wanted."""
+        """Continue the stored requests, for those of their robots that still hold them."""
         for entry in self._store.list(KEPT):
             request_id = entry.key.removeprefix(KEPT)
             self._kept.add(request_id)
@@ -83,7 +83,7 @@ class Remapper:
         """Leave only `robots` in a request; without robots it ends."""
         request = self._active.get(request_id)
         if request is None and not robots:
-            self._held_elsewhere.discard(request_id)  # its node is told when it next names the request
+            self._held_elsewhere.discard(request_id)  # its node gets the end when it next names the request
         if request is None or request.robots == robots:
             return
         if robots:
@@ -95,7 +95,7 @@ class Remapper:
             self._end(request_id, request.behaviour)
 
     def spare(self, request_id: str) -> None:
-        """Let a request run that this core has no parameters of: robots found running it were adopted."""
+        """Leave a request running whose parameters this core lacks: robots found running it were adopted."""
         self._held_elsewhere.add(request_id)
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ class Remapper:
         )
         self._bus.publish(self._keys.centralised_request(behaviour), request)
 
-    def _heard(self, heartbeat: Heartbeat) -> None:
+    def _on_heartbeat(self, heartbeat: Heartbeat) -> None:
         for request_id in self._active:
             if request_id not in heartbeat.active:
                 self._send(request_id)
@@ -140,10 +140,10 @@ class Remapper:
             if request_id in self._active or request_id in self._held_elsewhere:
                 continue
             if request_id in self._ended or not grace:
-                # The node goes by the id; a behaviour that only an earlier core knew is "stop" here.
+                # The node uses the id only; a behaviour that only an earlier core knew is "stop" here.
                 self._end(request_id, self._ended.get(request_id, "stop"))
 
     def _refresh(self) -> None:
-        """Repeat everything now and then: the heartbeat does not tell whether a narrowed request arrived."""
+        """Repeat all requests: the heartbeat does not show whether a narrowed request arrived."""
         for request_id in self._active:
             self._send(request_id)

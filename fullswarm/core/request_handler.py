@@ -1,10 +1,10 @@
-"""The request handler (paper II.C.2): makes every robot run what is wanted of it, and hands out commands.
+"""The request handler (paper II.C.2): brings every robot to its desired state, and distributes centralised commands.
 
 It keeps a desired state per robot and compares it with what the robot acknowledges and reports. So a lost message, a
-robot that joins late or is started again, and a core that is started again, all end the same way: in the wanted
-state. Rapid requests are spread over `schedule_interval_s`: the first goes at once, the newest of those that follow
-goes at the end of the interval, each one it beats is told so. An intent of a stick is never held back by that: it
-would come when the stick has long been let go.
+robot that joins late or is started again, and a core that is started again, all end in the desired state. Rapid
+requests are spread over `schedule_interval_s`: the first is sent at once, the newest of those that follow at the end of
+the interval, the others are superseded. An intent of a stick is never delayed: it would arrive after the stick was
+released.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class RequestHandler:
     process
         Name of this start of the core; goes with every sequence number.
     interval_s
-        Reads the schedule interval, which may change while running.
+        Returns the schedule interval, which may change while running.
     command_ttl_s
         How long a robot may follow one command of a centralised behaviour.
     adopted
@@ -78,14 +78,14 @@ class RequestHandler:
         roster.watch(self._reported, self._fell_silent)
         self._subscriptions = [
             bus.subscribe(keys.ack(), ControlAck, self._acknowledged),
-            bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._hand_out),
+            bus.subscribe(keys.centralised_commands(), CentralisedCommands, self._distribute),
         ]
         self._timer = scheduler.every(TICK_S, self._tick)
         self._restore(request_order)
 
-    # ------------------------------------------------------------ asked by the main controller
+    # ------------------------------------------------------------ called by the main controller
     def submit(self, orders: Mapping[str, Order], why: Reason = NONE, *, at_once: bool = False) -> None:
-        """Want these orders, all of one request, of these robots.
+        """Order these robots to carry out one request.
 
         `at_once` skips the schedule interval: a stop waits for nothing.
         """
@@ -93,10 +93,10 @@ class RequestHandler:
             return
         first = next(iter(orders.values()))
         self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=why)
-        # The robots first, then the words: what this supersedes is told of at the end, without a timer.
+        # The robots first: the statuses of superseded requests follow at the end, without a timer.
         self._held_back = True
         applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]
-        self._keep(orders)  # before sending: a successor must not end what robots or operators have heard of
+        self._keep(orders)  # before sending: a restarted core must know all that others have received
         for robot in applied:
             self._advance(self._robots[robot])
         self._held_back = False
@@ -117,17 +117,17 @@ class RequestHandler:
         progress = self._requests.get(request_id)
         return progress.holders() if progress else ()
 
-    def wanted(self, robot: str) -> Order | None:
-        """Return what is wanted of `robot` now."""
+    def order_of(self, robot: str) -> Order | None:
+        """Return the present order of `robot`."""
         state = self._robots.get(robot)
         return state.order if state else None
 
     def watch_holders(self, callback: Release) -> None:
-        """Have ``callback(request_id, robots)`` called when robots left a request; none left: it is over."""
+        """Have ``callback(request_id, robots)`` called when robots left a request; no robots: it has ended."""
         self._on_change.append(callback)
 
     def close(self) -> None:
-        """Stop handling; the robots notice the silence by themselves."""
+        """Stop handling; the robots detect the silence by themselves."""
         self._closed = True
         for subscription in self._subscriptions:
             subscription.close()
@@ -163,16 +163,16 @@ class RequestHandler:
         now_s = self._scheduler.now_s()
         if before is None or before.behaviour != order.behaviour or not order.intent:
             state.switched_s = now_s
-        state.want(order, now_s)
+        state.set_order(order, now_s)
 
     def _leave(self, robot: str, old: Order, new: Order) -> None:
         if old.request_id != new.request_id:
-            self._release(robot, old.request_id, reason(Code.SUPERSEDED, by=new.request_id), beaten=True)
+            self._release(robot, old.request_id, reason(Code.SUPERSEDED, by=new.request_id), superseded=True)
 
-    def _release(self, robot: str, request_id: str, why: Reason, *, beaten: bool) -> None:
+    def _release(self, robot: str, request_id: str, why: Reason, *, superseded: bool) -> None:
         progress = self._requests.get(request_id)
         if progress is not None:
-            progress.leave(robot, why, beaten=beaten)
+            progress.leave(robot, why, superseded=superseded)
             self._mark(request_id)
 
     # ------------------------------------------------------------ sending
@@ -192,7 +192,7 @@ class RequestHandler:
     def _tick(self) -> None:
         now_s = self._scheduler.now_s() + 1e-9
         for state in self._robots.values():
-            if now_s >= state.lapses_s and state.order is not None:
+            if now_s >= state.expires_at_s and state.order is not None:
                 self._give_up(state, reason(Code.LAPSED, after_s=f"{state.order.expires_s:g}"))
             elif now_s >= state.resend_s and state.present:
                 self._send(state)
@@ -200,18 +200,18 @@ class RequestHandler:
     def _give_up(self, state: Desired, why: Reason) -> None:
         order = state.order
         if order is not None:
-            state.want(None, self._scheduler.now_s())
-            self._release(state.robot, order.request_id, why, beaten=False)
+            state.set_order(None, self._scheduler.now_s())
+            self._release(state.robot, order.request_id, why, superseded=False)
             self._keep([state.robot])
 
-    # ------------------------------------------------------------ what the robots say
+    # ------------------------------------------------------------ acknowledgements and reports
     def _acknowledged(self, ack: ControlAck) -> None:
         state = self._robots.get(ack.robot)
         if state is not None and state.acknowledge(ack, self._scheduler.now_s()):
             self._advance(state)
             self._mark_robot(state)
             if state.refused:
-                self._keep([state.robot])  # what was refused once shall not start after a restart of the core
+                self._keep([state.robot])  # a refused order must not start after a restart of the core
 
     def _reported(self, member: Member, restarted: bool) -> None:
         health = member.health
@@ -223,7 +223,7 @@ class RequestHandler:
         given_up = state.compare(health, restarted, self._scheduler.now_s())
         if given_up:
             self._give_up(state, given_up)
-        elif state.order is None and not state.obeyed and health.behaviour and health.core != self._process:
+        elif state.order is None and not state.acked_sequence and health.behaviour and health.core != self._process:
             self._adopt(state, health.request_id, health.behaviour)
         self._advance(state)
         if before != (state.present, state.settled, state.order):
@@ -235,25 +235,25 @@ class RequestHandler:
         self._mark_robot(state)
 
     def _adopt(self, state: Desired, request_id: str, behaviour: str) -> None:
-        """Want what a robot runs already: this core has no memory of it, and it shall not stop for that."""
+        """Adopt what a robot runs already: this core has no record of it, and the robot must not stop for that."""
         order = self._adopted(request_id, behaviour)
         if order is None:
             return
         self._hold(order, state.robot).reason = given("adopted after a restart of the core")
-        state.want(order, self._scheduler.now_s())
+        state.set_order(order, self._scheduler.now_s())
         state.settled = order.adopted
         self._keep([state.robot])
 
     # ------------------------------------------------------------ commands of centralised behaviours
-    def _hand_out(self, commands: CentralisedCommands) -> None:
-        """Give each robot its command, at once; robots that run something else by now get none."""
+    def _distribute(self, commands: CentralisedCommands) -> None:
+        """Send each robot its command at once; a robot that runs something else by now gets none."""
         columns = (commands.robots, commands.linear_m_s, commands.angular_rad_s)
         if len({len(column) for column in columns}) != 1:
             return
-        # Numbered by the core: a centralised node that was started again counts from one, robots want growing numbers.
+        # Numbered by the core: a restarted centralised node counts from one, robots require growing numbers.
         sequence, now_s = next(self._counter), self._scheduler.now_s()
         for robot, linear_m_s, angular_rad_s in zip(*columns, strict=True):
-            order = self.wanted(robot)
+            order = self.order_of(robot)
             finite = math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)
             if finite and order is not None and order.request_id == commands.request_id:
                 self._bus.publish(
@@ -282,7 +282,7 @@ class RequestHandler:
                 self._mark(order.request_id)
 
     def _mark(self, request_id: str) -> None:
-        """Have the status worked out once for all that happens at this moment."""
+        """Schedule one update of the status for all that happens at this moment."""
         if not self._dirty and not self._held_back:
             self._scheduler.after(0.0, self._flush)
         self._dirty[request_id] = None
@@ -298,7 +298,7 @@ class RequestHandler:
             return
         status = progress.status(self._robots)
         self._board.publish(status)
-        # A robot that refused is not asked again: when all did, the request is over.
+        # A robot that refused gets no further request: when all refused, the request has ended.
         holders = () if status.phase == "refused" else progress.holders()
         if len(holders) < len(progress.robots):
             if not holders:
@@ -307,7 +307,7 @@ class RequestHandler:
                 callback(request_id, holders)
 
     def _keep(self, robots: Iterable[str]) -> None:
-        """Write what is wanted into the local database; an intent leaves nothing to come back to."""
+        """Write the orders into the local database; an intent is not restored."""
         values: dict[str, dict[str, object] | None] = {}
         for robot in robots:
             state = self._robots[robot]
@@ -315,14 +315,14 @@ class RequestHandler:
             if order is not None and not order.intent:
                 values[WANTED + robot] = msgspec.to_builtins(order)
                 self._kept.add(robot)
-            elif robot in self._kept:  # a stream of intents must not ask the database twenty times a second
+            elif robot in self._kept:  # a stream of intents must not query the database twenty times a second
                 values[WANTED + robot] = None
                 self._kept.remove(robot)
         if values:
             self._store.keep(values, f"core {self._process}")
 
     def _restore(self, request_order: RequestOrder) -> None:
-        """Want again what was wanted before a restart, and remember which requests were done by then."""
+        """Restore the orders from before a restart, and remember which requests had ended by then."""
         for entry in self._store.history(WANTED + "*"):
             order = _order(entry)
             if order is None:
@@ -339,7 +339,7 @@ class RequestHandler:
             self._kept.add(robot)
             if wanted is not None:
                 self._hold(wanted, robot)
-                self._state(robot).want(wanted, self._scheduler.now_s())
+                self._state(robot).set_order(wanted, self._scheduler.now_s())
 
     def _hold(self, order: Order, robot: str) -> Progress:
         progress = self._requests.setdefault(order.request_id, Progress(order.request_id, order.behaviour, ()))

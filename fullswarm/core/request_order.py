@@ -1,8 +1,8 @@
 """Orders requests by age: an older request that arrives later must not supersede a newer one or a stop.
 
 Stamps of one clock are comparable, however long ago they were made: a clock that was restarted has another name.
-Requests of two clocks, and those of two operators, count in the order of their arrival. A stop also supersedes what
-other operators on its clock requested before it: held up on its way, such a request would start robots again.
+Requests of two clocks, and those of two operators, count in the order of their arrival. A stop also supersedes
+earlier requests of other operators on its clock: a delayed one would start robots again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections import OrderedDict
 from typing import NamedTuple, TypeVar
 
 REMEMBERED = 64
-"""Entries per robot: made-up names must not fill the memory."""
+"""Entries per robot: invented names must not fill the memory."""
 
 Line = tuple[str, str]
 """Operator and clock: requests of one line are ordered by their stamps."""
@@ -20,7 +20,7 @@ Line = tuple[str, str]
 Key = TypeVar("Key")
 
 
-class _Asked(NamedTuple):
+class _Entry(NamedTuple):
     request_id: str
     stamp_s: float
 
@@ -29,8 +29,8 @@ class RequestOrder:
     """The newest request of each operator, and the newest stop on each clock, for each robot."""
 
     def __init__(self) -> None:
-        self._requests: dict[str, OrderedDict[Line, _Asked]] = {}
-        self._stops: dict[str, OrderedDict[str, _Asked]] = {}
+        self._requests: dict[str, OrderedDict[Line, _Entry]] = {}
+        self._stops: dict[str, OrderedDict[str, _Entry]] = {}
 
     def note(self, robot: str, request_id: str, line: Line, stamp_s: float) -> str:
         """Record a request; return the id of the newer request or stop that supersedes it, or "" if there is none."""
@@ -41,20 +41,20 @@ class RequestOrder:
         stop = None if stops is None else stops.get(clock)
         if stop is not None and stamp_s < stop.stamp_s:
             return stop.request_id
-        return _record(self._requests.setdefault(robot, OrderedDict()), line, _Asked(request_id, stamp_s))
+        return _record(self._requests.setdefault(robot, OrderedDict()), line, _Entry(request_id, stamp_s))
 
     def stop(self, robot: str, request_id: str, clock: str, stamp_s: float) -> None:
         """Record a stop; with an empty `clock` its time cannot be compared."""
         if clock:
-            _record(self._stops.setdefault(robot, OrderedDict()), clock, _Asked(request_id, stamp_s))
+            _record(self._stops.setdefault(robot, OrderedDict()), clock, _Entry(request_id, stamp_s))
 
 
-def _record(entries: OrderedDict[Key, _Asked], key: Key, asked: _Asked) -> str:
-    """Keep the newest entry under `key`; return the id of the one that is newer than `asked`."""
+def _record(entries: OrderedDict[Key, _Entry], key: Key, entry: _Entry) -> str:
+    """Keep the newest entry under `key`; return the id of the one that is newer than `entry`."""
     newest = entries.get(key)
-    if newest is not None and asked.stamp_s < newest.stamp_s:
+    if newest is not None and entry.stamp_s < newest.stamp_s:
         return newest.request_id
-    entries[key] = asked
+    entries[key] = entry
     entries.move_to_end(key)
     while len(entries) > REMEMBERED:
         entries.popitem(last=False)

@@ -16,7 +16,7 @@ from fullswarm.reasons import NONE, Reason, joined
 from fullswarm.runtime import Scheduler
 
 AGAIN_S, FRESH_S, MANY = 0.5, 3.0, 8
-"""A status is said again at this interval while it is so young, for the newest few: the first word may be lost."""
+"""The newest `MANY` statuses are repeated at this interval while younger than `FRESH_S`: a message may be lost."""
 
 
 @dataclass(slots=True)
@@ -29,12 +29,12 @@ class Progress:
     ran: bool = False  # all robots present ran it at some time
     reason: Reason = NONE
     left: dict[str, Reason] = field(default_factory=dict)  # robot → why it does not hold the request any more
-    beaten: bool = False
+    superseded: bool = False
 
-    def leave(self, robot: str, reason: Reason, *, beaten: bool) -> None:
-        """Note that `robot` does not hold the request any more; `beaten`: by another request."""
+    def leave(self, robot: str, reason: Reason, *, superseded: bool) -> None:
+        """Note that `robot` does not hold the request any more; `superseded`: by another request."""
         self.left[robot] = reason
-        self.reason, self.beaten = reason, beaten
+        self.reason, self.superseded = reason, superseded
 
     def join(self, robot: str) -> None:
         """Note that `robot` holds the request, perhaps again."""
@@ -47,7 +47,7 @@ class Progress:
         return tuple(robot for robot in self.robots if robot not in self.left)
 
     def status(self, desired: Mapping[str, Desired]) -> RequestStatus:
-        """Return what to tell the operator now."""
+        """Return the present status."""
         running: list[str] = []
         missing: list[str] = []
         refused: dict[str, Reason] = {}
@@ -81,7 +81,7 @@ class Progress:
 
     def _phase(self, refused: int, waiting: bool) -> Phase:
         if len(self.left) == len(self.robots):
-            return "superseded" if self.beaten and not self.ran else "ended"
+            return "superseded" if self.superseded and not self.ran else "ended"
         if refused and refused + len(self.left) == len(self.robots):
             return "refused"
         if self.ran:
@@ -92,22 +92,22 @@ class Progress:
 class StatusBoard:
     """The newest status of the last `remember` requests.
 
-    Remembering is what makes a request happen once although it is sent until it is answered.
+    A remembered request is carried out once, although it is sent until it is answered.
     """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, remember: int = 8192) -> None:
         self._bus, self._keys, self._scheduler, self._remember = bus, keys, scheduler, remember
         self._newest: OrderedDict[str, RequestStatus] = OrderedDict()
-        self._said: OrderedDict[str, None] = OrderedDict()  # lately, not only remembered
-        self._timer = scheduler.every(AGAIN_S, self._again)
+        self._recent: OrderedDict[str, None] = OrderedDict()  # published, not only remembered
+        self._timer = scheduler.every(AGAIN_S, self._repeat_recent)
 
     def close(self) -> None:
-        """Say nothing more."""
+        """Stop repeating."""
         self._timer.cancel()
 
-    def _again(self) -> None:
+    def _repeat_recent(self) -> None:
         since_s = self._scheduler.now_s() - FRESH_S
-        for request_id in tuple(self._said):
+        for request_id in tuple(self._recent):
             status = self._newest.get(request_id)
             if status is not None and status.stamp_s >= since_s:
                 self._bus.publish(self._keys.behaviour_status, status)
@@ -117,14 +117,14 @@ class StatusBoard:
         return self._newest.get(request_id)
 
     def publish(self, status: RequestStatus) -> None:
-        """Send `status` with the present time, unless it says what the last one said."""
+        """Send `status` with the present time, unless it equals the last one."""
         old = self._newest.get(status.request_id)
         if old is not None and msgspec.structs.replace(status, stamp_s=old.stamp_s) == old:
             return
-        self._said[status.request_id] = None
-        self._said.move_to_end(status.request_id)
-        while len(self._said) > MANY:
-            self._said.popitem(last=False)
+        self._recent[status.request_id] = None
+        self._recent.move_to_end(status.request_id)
+        while len(self._recent) > MANY:
+            self._recent.popitem(last=False)
         self._bus.publish(self._keys.behaviour_status, self.remember(status))
 
     def remember(self, status: RequestStatus) -> RequestStatus:

@@ -1,4 +1,4 @@
-"""Which robots are present: one counts as there while its agent's health reports keep coming."""
+"""Which robots are present: a robot is present while its agent's health reports arrive."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from fullswarm.runtime import Scheduler
 SILENCE_S = 1.5
 CHECK_S = 0.1
 PAST = 16
-"""Processes of a robot's agent that are remembered after their end: their last reports may still be on the way."""
+"""Processes of a robot's agent that are remembered after their end: their last reports may still arrive."""
 PAST_S = 1.0
-"""They are ignored while a later process is heard. If that falls silent, it was the one that came late."""
+"""Their reports are ignored while a later process reports. If that one falls silent, its reports were the late ones."""
 
 
 @dataclass(slots=True)
@@ -25,7 +25,7 @@ class Member:
     """A robot of the swarm."""
 
     robot: str
-    heard_s: float = -math.inf
+    received_s: float = -math.inf
     present: bool = False
     process: str = ""  # of its agent; another one means that the agent was started again
     health: RobotHealth | None = None
@@ -33,21 +33,21 @@ class Member:
     past: deque[str] = field(default_factory=lambda: deque(maxlen=PAST))
 
     def overtaken(self, report: HealthReport, now_s: float) -> bool:
-        """Tell whether something newer was heard before this report."""
+        """Tell whether a newer report was received before this one."""
         if report.process == self.process:
             return report.stamp_s < self.stamp_s
-        return report.process in self.past and now_s - self.heard_s < PAST_S
+        return report.process in self.past and now_s - self.received_s < PAST_S
 
 
 class Roster:
-    """The configured robots and all that were ever heard.
+    """The configured robots and all that ever reported.
 
     Parameters
     ----------
     configured
         Ids of the fleet file, in its order.
     silence_s
-        Reads how long a robot may be silent before it counts as absent.
+        Returns how long a robot may be silent before it counts as absent.
     """
 
     def __init__(
@@ -72,15 +72,15 @@ class Roster:
         self._on_absence.append(on_absence)
 
     def known(self) -> tuple[str, ...]:
-        """Return all robots: those of the fleet file in its order, then the others as they came."""
+        """Return all robots: those of the fleet file in its order, then the others by their first report."""
         return tuple(self._members)
 
     def present(self) -> tuple[str, ...]:
-        """Return the robots that are there now, in the order of :meth:`known`."""
+        """Return the robots that are present now, in the order of :meth:`known`."""
         return tuple(robot for robot, member in self._members.items() if member.present)
 
     def is_present(self, robot: str) -> bool:
-        """Tell whether `robot` is there now."""
+        """Tell whether `robot` is present now."""
         member = self._members.get(robot)
         return member is not None and member.present
 
@@ -95,7 +95,7 @@ class Roster:
         return member.process if member else ""
 
     def close(self) -> None:
-        """Stop listening."""
+        """End the subscription."""
         self._subscription.close()
         self._timer.cancel()
 
@@ -112,7 +112,7 @@ class Roster:
             restarted = member.process != report.process
             if restarted and member.process:
                 member.past.append(member.process)
-            member.heard_s, member.present = now_s, True
+            member.received_s, member.present = now_s, True
             member.process, member.health, member.stamp_s = report.process, health, report.stamp_s
             for callback in self._on_report:
                 callback(member, restarted)
@@ -120,7 +120,7 @@ class Roster:
     def _check(self) -> None:
         oldest_s = self._scheduler.now_s() - self._silence_s()
         for member in tuple(self._members.values()):
-            if member.present and member.heard_s < oldest_s:
+            if member.present and member.received_s < oldest_s:
                 member.present = False
                 for callback in self._on_absence:
                     callback(member.robot)

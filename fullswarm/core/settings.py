@@ -42,7 +42,7 @@ _LIMITS = {
 
 
 def seeds(config: SwarmConfig) -> dict[str, Stored]:
-    """Return what the fleet file and ``behaviours.toml`` say, by key of the database."""
+    """Return the values of the fleet file and of ``behaviours.toml``, by key of the database."""
     world, agent = config.world, config.agent
     x_low, y_low, x_high, y_high = config.bounds_m
     values: dict[str, Stored] = {PREFIX + name: record for name, record in all_records().items()}
@@ -62,12 +62,12 @@ def seeds(config: SwarmConfig) -> dict[str, Stored]:
 
 
 class Settings:
-    """Settings as they are now. Reading one costs nothing: they are kept until the database changes.
+    """The current settings. Reading one costs nothing: they are cached until the database changes.
 
     Attributes
     ----------
     schedule_interval_s : rapid requests are spread over this
-    presence_silence_s : a robot not heard for longer is absent
+    presence_silence_s : a robot silent for longer is absent
     performance : conditions under which a trial is over
     """
 
@@ -109,7 +109,7 @@ def _within(key: str, value: object) -> Stored:
     try:
         return _LIMITS[key].check(key, value)
     except ValueError as error:
-        raise ConfigError(str(error), hint=f"wanted: {_LIMITS[key].wanted()}") from None
+        raise ConfigError(str(error), hint=f"expected: {_LIMITS[key].expected()}") from None
 
 
 def _validated(model: type[BaseModel], values: Mapping[str, object], key: str) -> BaseModel:
@@ -126,9 +126,9 @@ class ParamServer:
     ----------
     checks
         Key → ``check(key, value)``, which returns the value to store or raises ``ConfigError``. A key that ends in
-        ``*`` stands for all with its prefix. A key without a check cannot be set from outside.
+        ``*`` means all with its prefix. A key without a check cannot be set from outside.
     show
-        Turns an entry into what a reader shall see.
+        Turns an entry into the one that is sent to a reader.
     """
 
     def __init__(
@@ -142,12 +142,12 @@ class ParamServer:
     ) -> None:
         self._bus, self._keys, self._layer, self._store = bus, keys, layer, store
         self._checks, self._show = dict(checks or {}), show
-        self._done: dict[str, ParamReply] = {}  # a repeated set is answered, not done again
+        self._done: dict[str, ParamReply] = {}  # a repeated set is answered, not carried out again
         self._unwatch = store.watch(self._announce)
         self._subscription = bus.subscribe(keys.param_request(layer), ParamRequest, self._answer)
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._subscription.close()
         self._unwatch()
 

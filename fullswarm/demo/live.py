@@ -18,20 +18,18 @@ from fullswarm.demo.run import report
 from fullswarm.demo.show import Show, acts_for
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
-from fullswarm.launch.network import on_network
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, graphical, missing_extra, open_browser
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console.serve import OPEN_S, RedirectPage
 from fullswarm.operator.render import fleet_table
-from fullswarm.output import progress
+from fullswarm.output import INTERRUPTED, progress
 from fullswarm.runtime import Mailbox, Runtime
 
 START_TIMEOUT_S = 60.0
 REFRESH_S = 0.2
 POLL_S = 0.1
-INTERRUPTED = 130
 HOW_TO = "click robots, then a goal; start a behaviour; Space stops all"
 YIELDED = "you have control; Ctrl-C ends"
 OVER = "the show is over and the robots are yours; Ctrl-C ends"

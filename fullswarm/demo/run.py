@@ -1,4 +1,4 @@
-"""`fullswarm demo`: its settings, the run in lockstep, and the summary; live: `demo_live`."""
+"""Runs `fullswarm demo` in lockstep: its settings, and the summary, which the live run (``live.py``) prints as well."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import itertools
 import json
 import sys
 from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
 
 from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
 from fullswarm.demo.show import Show, acts_for
-from fullswarm.demo.summary import print_summary
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.keys import Keys
 from fullswarm.launch.network import with_network
 from fullswarm.operator.client import Operator
+from fullswarm.operator.render import fleet_table
+from fullswarm.operator.view import Snapshot
 from fullswarm.output import progress
 from fullswarm.simulation.starts import start_problems
 
@@ -65,3 +70,37 @@ def report(show: Show, as_json: bool, real_time_factor: float | None) -> int:
         return 0  # whatever was asked after that is not the show's to judge
     answered = all(each.acknowledged_s is not None for each in show.sent)
     return 0 if answered and len(show.sent) == len(show.acts) else 1
+
+
+def print_summary(document: dict[str, Any], snapshot: Snapshot) -> None:
+    """Print the fleet's last state, the requests and the totals to stdout."""
+    console = Console()
+    console.print(fleet_table(snapshot))
+    requests = Table(title="requests", title_justify="left")
+    for column in ("behaviour", "confirmed by", "after", "arrived", "then"):
+        requests.add_column(column)
+    for each in document["requests"]:
+        after_s = each["acknowledged_after_s"]
+        requests.add_row(
+            each["behaviour"],
+            f"{len(each['confirmed_by'])} robots",
+            "never" if after_s is None else f"{1000 * after_s:.0f} ms",
+            "-" if each["arrived"] is None else f"{len(each['arrived'])} robots",
+            each["phase"] + (f": {each['reason']}" if each["reason"] else ""),
+        )
+    console.print(requests)
+    totals = Table(title="summary", title_justify="left", show_header=False)
+    totals.add_row("work (distance, all robots)", _text(document["work_m"], "m", 1))
+    totals.add_row("coverage of the arena", _text(_percent(document["coverage"]), "%", 1))
+    totals.add_row("collisions", _text(document["collisions"], "", 0))
+    if document["real_time_factor"] is not None:
+        totals.add_row("real-time factor", _text(document["real_time_factor"], "", 2))
+    console.print(totals)
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _text(value: float | None, unit: str, digits: int) -> str:
+    return "not measured" if value is None else f"{value:.{digits}f} {unit}".strip()

@@ -1,11 +1,11 @@
-"""From a blank card to a robot that moves: releases, cards, first installs, updates that roll themselves back.
+"""Takes a robot from a blank card to a running agent: releases, cards, first installs, updates that roll back.
 
-``release/``      one signed, reproducible directory per target: what a robot runs, and nothing it must fetch
-``robot/``        what stands on a robot outside every release: the installer, ``fullswarm-robot``, units, udev rules
+``release/``      one signed, reproducible directory per target: what a robot runs, complete without a network
+``robot/``        what is on a robot outside every release: the installer, ``fullswarm-robot``, units, udev rules
 ``flash/``        writes a card whose first boot needs no network but the lab's
-``fleet/``        the same over SSH, many robots at a time: deploy, update in waves, roll back, look
+``fleet/``        the same over SSH, many robots at a time: deploy, update in waves, roll back, show
 
-Turns a fleet file and wheels into releases, cards and robots that run an agent. Nothing here
-runs on board but the shell scripts in ``robot/``: whether a release is good is the agent's own word
-(``agent/telemetry/health_file.py``), and a robot that hears no verdict goes back by itself.
+In: a fleet file and wheels. Out: releases, cards and robots that run an agent. Nothing here runs on board but the shell
+scripts in ``robot/``: whether a release is good is reported by the agent (``agent/telemetry/health_file.py``), and a
+robot whose release is not committed in time rolls back on its own.
 """

@@ -29,7 +29,7 @@ PROOFS: tuple[Proof, ...] = ("emulated", "recording", "real firmware", "hardware
 
 # ---------------------------------------------------------------- what a record names
 class Emulator(Protocol):
-    """An emulated robot on a port; it may have more methods, see :mod:`fullswarm.bringup.injected_faults`."""
+    """An emulated robot on a port; it may have more methods, see :mod:`fullswarm.bringup.emulate`."""
 
     @property
     def url(self) -> str:

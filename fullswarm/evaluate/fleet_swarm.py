@@ -35,9 +35,9 @@ from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness, in_s
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.launch.typed import Typed
 from fullswarm.messages import PoseFix
 from fullswarm.operator.estop import EStopOrder
+from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.simulation.starts import start_problems
 from fullswarm.simulation.world import World
@@ -141,7 +141,7 @@ class FleetRunner:
         self, fleet: SwarmConfig, *, yes: bool = False, insecure_network: bool = False, typed: Lines | None = None
     ) -> None:
         self._fleet, self._yes, self._insecure_network = fleet, yes, insecure_network
-        self._typed: Lines = typed or Typed()
+        self._typed: Lines = typed or TypedLines()
         self.held = ""
 
     def __call__(self, trial: Trial) -> Measurement:

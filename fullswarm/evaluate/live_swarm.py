@@ -20,9 +20,8 @@ from fullswarm.evaluate.trial import configure, drive, request_of, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.keys import Keys
-from fullswarm.launch.network import on_network
+from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
-from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value

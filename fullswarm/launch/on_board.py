@@ -1,14 +1,16 @@
-"""What the agent's process does on a robot's own computer: it tells systemd and the health file how it is.
+"""Reports from a robot's own computer: the agent's state to systemd (sd_notify) and to the health file.
 
-Only on demand: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The words come from the
-loop that drives the wheels: when that hangs, nothing is said, and systemd starts the agent again.
+Only on demand: systemd by ``NOTIFY_SOCKET``, the unit by ``FULLSWARM_HEALTH``. The reports come from the loop that
+drives the wheels: when it hangs, none is sent, and systemd restarts the agent.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import socket
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,12 +21,13 @@ from fullswarm.agent.telemetry import health_file
 from fullswarm.agent.telemetry.health_file import Process, Rate
 from fullswarm.config import AgentConfig
 from fullswarm.launch import HEALTH
-from fullswarm.launch.notify import Notifier
 from fullswarm.runtime import Runtime, Timer
 
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
 
+SOCKET = "NOTIFY_SOCKET"
+WATCHDOG_US, WATCHDOG_PID = "WATCHDOG_USEC", "WATCHDOG_PID"
 log = structlog.get_logger()
 
 LOOK_S = 0.05
@@ -32,6 +35,58 @@ LOOK_S = 0.05
 SHARE_OF_WATCHDOG = 0.25
 
 
+class Notifier:
+    """A way to the service manager that started this process.
+
+    Parameters
+    ----------
+    address
+        A path, or ``@name`` for an abstract socket.
+    watchdog_s
+        A process that is silent for so long is killed and started again; None: there is no watchdog.
+    """
+
+    def __init__(self, address: str, watchdog_s: float | None = None) -> None:
+        self.watchdog_s = watchdog_s
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket.setblocking(False)
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Notifier | None:
+        """Return the way to the service manager, None when it asks for no notices."""
+        address = environment.get(SOCKET, "")
+        if address[:1] not in ("/", "@") or len(address) < 2:
+            return None
+        meant = environment.get(WATCHDOG_PID, "") in ("", str(os.getpid()))
+        microseconds = environment.get(WATCHDOG_US, "")
+        watched = meant and microseconds.isdecimal() and int(microseconds) > 0
+        return cls(address, int(microseconds) / 1e6 if watched else None)
+
+    def ready(self, status: str) -> None:
+        """Say that the service serves."""
+        self._send("READY=1", f"STATUS={status}")
+
+    def alive(self, status: str) -> None:
+        """Say that it goes on; the watchdog counts anew."""
+        self._send("WATCHDOG=1", f"STATUS={status}")
+
+    def stopping(self) -> None:
+        """Say that it is about to end, in order."""
+        self._send("STOPPING=1")
+
+    def _send(self, *lines: str) -> None:
+        text = "\n".join(line.replace("\n", " ") for line in lines)
+        # A manager that is being replaced or swamped must not end a robot; the next word comes soon.
+        with suppress(OSError):
+            self._socket.sendto(text.encode(), self._address)
+
+    def close(self) -> None:
+        """Let go of the socket. Closing twice is fine."""
+        self._socket.close()
+
+
+# ---------------------------------------------------------------- the agent's reports
 def release() -> str:
     """Return the id of the release that this code lies in, ``<id>/app/fullswarm``; empty when it lies in none."""
     folder = Path(fullswarm.__file__).resolve().parents[2]

@@ -1,12 +1,16 @@
-"""One function per process. Each serves until Ctrl-C, SIGTERM or the death of the process that started it."""
+"""Serves one process: hub, core, centralised behaviours, agent or world; until Ctrl-C, SIGTERM or its parent's end."""
 
 from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from urllib.parse import urlsplit
+
+import platformdirs
 
 from fullswarm import registry
 from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
@@ -16,12 +20,28 @@ from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.frames import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.launch.nodes import Node, process_id
+from fullswarm.output import INTERRUPTED
 from fullswarm.runtime import Mailbox, Runtime
 
-INTERRUPTED = 130
+RUN = "FULLSWARM_RUN"
+"""Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
+STATE = "FULLSWARM_STATE"
+"""Folder for what must outlive every process and a power cut; none: the user's state folder."""
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
 """Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
+
+
+def latch_folder(config: SwarmConfig, robot: RobotConfig) -> Path:
+    """Return the folder for the latch of `robot`: a latch lives as long as the body that it holds."""
+    run = os.environ.get(RUN, "")
+    if robot.simulated and run:
+        return Path(run) / "estop"
+    state = os.environ.get(STATE, "")
+    folder = (Path(state) if state else platformdirs.user_state_path("fullswarm")) / "estop" / config.swarm
+    if not robot.simulated:
+        return folder
+    return folder / re.sub(r"[^A-Za-z0-9.-]", "_", config.world_or_default.address)
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
@@ -64,7 +84,6 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
     from fullswarm.launch import nodes
-    from fullswarm.launch.latching import latch_folder
     from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
@@ -99,7 +118,7 @@ def world(config: SwarmConfig, insecure_network: bool, with_parent: bool) -> int
 def driver_url(config: SwarmConfig, robot: RobotConfig) -> str:
     """Return the URL of a robot's driver; a simulated one gets the world's address unless it names its own."""
     if robot.emulate:
-        from fullswarm.launch.ports import emulated_url
+        from fullswarm.launch.network import emulated_url
 
         return emulated_url(config, robot)
     url = urlsplit(robot.url)

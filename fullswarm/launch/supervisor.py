@@ -16,8 +16,7 @@ import structlog
 from fullswarm.config import SwarmConfig
 from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
-from fullswarm.launch.latching import RUN
-from fullswarm.launch.processes import PARENT
+from fullswarm.launch.processes import PARENT, RUN
 from fullswarm.runtime import Scheduler
 
 log = structlog.get_logger()

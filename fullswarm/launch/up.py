@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 from fullswarm.bus.endpoint import check_endpoint
@@ -12,7 +13,7 @@ from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
-from fullswarm.output import progress
+from fullswarm.output import INTERRUPTED, progress
 from fullswarm.runtime import Runtime
 
 SETTLED_S = 1.0
@@ -61,4 +62,4 @@ def run(config: SwarmConfig, insecure_network: bool, network: str | None = None,
         runtime.run()
     finally:
         supervisor.close()
-    return 130 if runtime.exit_signal == 2 else 0
+    return INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0

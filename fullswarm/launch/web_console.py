@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.ports import free_port
+from fullswarm.launch.network import free_port
 from fullswarm.launch.supervisor import CONSOLE, Supervisor
 from fullswarm.operator.console.serve import RedirectPage
 from fullswarm.runtime import Scheduler

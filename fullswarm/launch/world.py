@@ -18,7 +18,7 @@ from fullswarm.drivers.make import Emulator, emulated_as, emulation_part
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
-from fullswarm.launch.ports import emulated_url, port_folder
+from fullswarm.launch.network import emulated_url, port_folder
 from fullswarm.messages import Heartbeat, PoseFix
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth

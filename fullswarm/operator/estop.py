@@ -1,4 +1,4 @@
-"""One e-stop order and the robots that have confirmed it."""
+"""Repeats one e-stop order until the robots have confirmed it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ LISTEN_S = 0.6
 class EStopOrder:
     """Repeats an e-stop until every robot concerned has confirmed it or the deadline is over.
 
-    An engaged e-stop is confirmed by a robot that *stands*; a release by a robot that is released.
+    A robot confirms an engaged e-stop at standstill, and a release when it is released.
 
     Attributes
     ----------
     receipts : robot → its newest receipt
     answered_s, confirmed_s : robot → seconds from the first sending to its first answer, and to its confirmation
-    overruled_by : robot that was latched anew after this order had released it; a release is given no longer then
+    overruled_by : robot that was latched again after this order had released it; the release is sent no longer then
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class EStopOrder:
         self._timer: Timer | None = None
 
     def start(self) -> None:
-        """Send now and go on until done."""
+        """Send now and repeat until done."""
         self._timer = self._scheduler.every(REPEAT_S, self._tick, first_s=REPEAT_S)
         self._repeat()
 
@@ -63,28 +63,33 @@ class EStopOrder:
         return self._scheduler.now_s() - self._began_s
 
     def concerned(self) -> tuple[str, ...]:
-        """Which must confirm: the robots addressed, or all that are known or have answered."""
+        """Return the robots that must confirm: those addressed, or all that are known or have answered."""
         return self.message.robots or tuple(sorted({*self._known(), *self.receipts}))
 
     def unconfirmed(self) -> tuple[str, ...]:
-        """Which have not confirmed yet, silent or still decelerating."""
+        """Return the robots that have not confirmed, silent or still decelerating."""
         return tuple(robot for robot in self.concerned() if not self._confirmed(robot))
 
     def silent(self) -> tuple[str, ...]:
-        """Which have not answered at all."""
+        """Return the robots that have not answered."""
         return tuple(robot for robot in self.unconfirmed() if robot not in self.receipts)
 
-    def rolling(self) -> tuple[str, ...]:
-        """Which have answered, but not confirmed."""
+    def decelerating(self) -> tuple[str, ...]:
+        """Return the robots that have answered, but not confirmed."""
         return tuple(robot for robot in self.unconfirmed() if robot in self.receipts)
 
+    def confirmed(self) -> bool:
+        """Return whether all robots are known and have confirmed."""
+        all_known = bool(self.message.robots) or self.elapsed_s >= LISTEN_S
+        return all_known and self.concerned() != () and not self.unconfirmed()
+
     def receive(self, receipt: EStopReceipt) -> None:
-        """Book a robot's receipt, of this order or of another one."""
+        """Process a robot's receipt, of this order or of another one."""
         if receipt.id != self.message.id:
             self._note_other(receipt)
             return
         before = self.receipts.get(receipt.robot)
-        # Copies come late and out of order: a robot at standstill does not roll again.
+        # Copies arrive late and out of order: a robot at standstill does not move again.
         if before == receipt or (before is not None and before.standing and not receipt.standing):
             return
         self.receipts[receipt.robot] = receipt
@@ -96,7 +101,7 @@ class EStopOrder:
         self._finish_if_done()
 
     def _note_other(self, receipt: EStopReceipt) -> None:
-        """End a release when a robot that it had released is latched again: the newer e-stop must win everywhere."""
+        """End a release when a robot that it had released is latched again: the newer e-stop takes precedence."""
         if receipt.engaged and not self.message.engaged and not self.done and self._confirmed(receipt.robot):
             self.overruled_by = receipt.robot
             self._finish()
@@ -118,10 +123,8 @@ class EStopOrder:
     def _finish_if_done(self) -> bool:
         if self.done:
             return True
-        everybody_is_known = bool(self.message.robots) or self.elapsed_s >= LISTEN_S
-        confirmed = everybody_is_known and self.concerned() != () and not self.unconfirmed()
         # Half a period of slack: the last tick before the deadline must not be lost to rounding.
-        if not confirmed and self.elapsed_s < self._deadline_s - REPEAT_S / 2:
+        if not self.confirmed() and self.elapsed_s < self._deadline_s - REPEAT_S / 2:
             return False
         self._finish()
         return True

@@ -22,7 +22,7 @@ FAULTS = (
     "garbage",
     "frames cut short",
 )
-UNHEARD_S = 0.3
+UNRECEIVED_S = 0.3
 """What was on its way when the device fell silent may still arrive so much later."""
 NOISE_S = 0.5
 MOUTHFUL = 64
@@ -98,7 +98,7 @@ def _check_stale(trial: Trial, silent_s: float, what: str) -> None:
     newest = trial.newest
     late_s = newest.stamp_s - silent_s if newest is not None else 0.0
     trial.demand(
-        late_s <= UNHEARD_S,
+        late_s <= UNRECEIVED_S,
         f"a reading is stamped {late_s:.2f} s after {what}, when nothing came any more; stamp what arrives, not "
         "what is told again",
     )

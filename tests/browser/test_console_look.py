@@ -75,8 +75,10 @@ def test_a_tablet_shows_it_all_with_room_for_fingers(browser: Browser, demo: Dem
     context.close()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844), (844, 390), (720, 450)])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("width", "height", "scheme"),
+    [(1440, 900, "light"), (390, 844, "dark"), (844, 390, "light"), (720, 450, "dark")],
+)
 def test_the_estop_panel_covers_no_part_of_the_map(
     calm: Console, observer: Observer, snap: Snap, width: int, height: int, scheme: Scheme
 ) -> None:

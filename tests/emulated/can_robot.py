@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 

@@ -163,7 +163,7 @@ def test_a_stray_datagram_is_counted_and_ignored(make_robot: Callable[[str], Rob
 
 
 def port_of(driver: CanBaseDriver) -> CanPort:
-    assert driver._port is not None
+    assert isinstance(driver._port, CanPort)
     return driver._port
 
 

@@ -21,7 +21,7 @@ import pytest
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import Mode as OiMode
 from fullswarm.drivers.guardian import SILENCE_S

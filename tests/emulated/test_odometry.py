@@ -20,7 +20,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Driver, Lifecycle, Pose, Twist
 from fullswarm.drivers.make import emulated_as
 from fullswarm.geometry import wrap
-from fullswarm.launch.ports import emulated_url, port_folder
+from fullswarm.launch.network import emulated_url, port_folder
 from fullswarm.launch.world import start_emulator
 from fullswarm.registry import driver_class
 from fullswarm.simulation.bodies import SteppedBodies, WorldBody

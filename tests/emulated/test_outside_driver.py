@@ -22,7 +22,7 @@ from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
-from fullswarm.launch.ports import emulated_url, on_free_ports
+from fullswarm.launch.network import emulated_url, on_free_ports
 from fullswarm.launch.world import start_emulator
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver

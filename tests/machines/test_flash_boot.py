@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.flash import fat, mtools, report
+from fullswarm.deploy.flash import fat
+from fullswarm.deploy.flash.result import read_report
 from fullswarm.errors import ConfigError
 from tests.machines.base import INSIDE, ROBOT, SWARM, Base
 from tests.machines.card_image import Image, card_image
@@ -61,7 +62,7 @@ def hardware(base: Base, card: Path) -> Sequence[str]:
 def told(card: Path) -> str:
     """What the first boot has left on the card; empty: nothing yet."""
     try:
-        return report.read(card)
+        return read_report(card)
     except ConfigError:
         return ""
 
@@ -98,12 +99,12 @@ def tamper(card: Path) -> None:
     """Add a line to a program in the release, and let the card's own checksums fit: only the signature tells."""
     with card.open("rb") as disk:
         volume = fat.boot_volume(disk.fileno(), str(card))
-    packed, sums = (mtools.get(card, volume, f"fullswarm/{name}") for name in ("release.tar.gz", "card.sha256"))
+    packed, sums = (fat.get_file(card, volume, f"fullswarm/{name}") for name in ("release.tar.gz", "card.sha256"))
     assert packed
     assert sums
     changed = _with_a_line(packed)
     text = sums.decode().replace(hashlib.sha256(packed).hexdigest(), hashlib.sha256(changed).hexdigest())
-    mtools.put(card, volume, {"fullswarm/release.tar.gz": changed, "fullswarm/card.sha256": text.encode()})
+    fat.put_files(card, volume, {"fullswarm/release.tar.gz": changed, "fullswarm/card.sha256": text.encode()})
 
 
 def _with_a_line(packed: bytes) -> bytes:

@@ -15,8 +15,8 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.keys import Keys
+from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.nodes import start_poses
-from fullswarm.launch.ports import on_free_ports
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import RequestStatus, Value

@@ -13,8 +13,7 @@ from typing import TypeVar
 
 import pytest
 
-from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint
-from fullswarm.deploy.fleet.login import Address, Login
+from fullswarm.deploy.fleet.login import Address, Login, Pins, key_fingerprint
 from fullswarm.deploy.fleet.remote import Answer, LinkBroke, Remote
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.manifest import Target
@@ -187,7 +186,7 @@ def test_an_unknown_computer_is_not_logged_in_to(lab: Lab) -> None:
     lab.release("1.0")
     done = lab.ask("deploy")  # no terminal that could be asked
     assert (done[""]["exit_code"], done["r1"]["result"]) == (3, "failed")
-    assert fingerprint((robot.root / "host_key.pub").read_text()) in done["r1"]["what"]
+    assert key_fingerprint((robot.root / "host_key.pub").read_text()) in done["r1"]["what"]
     assert not (robot.root / "opt/fullswarm").exists()
     assert not lab.keys.known_hosts.exists()
 

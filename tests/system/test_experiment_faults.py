@@ -185,21 +185,21 @@ def test_a_supervisor_that_is_ended_in_mid_sweep(tmp_path: Path, number: signal.
 def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two shards, then one run in two processes: the same directories, byte by byte, but for their provenance."""
     whole, halves = tmp_path / "whole", tmp_path / "halves"
-    seeds = "0-4"
+    seeds = "0-2"
     assert run(options(whole, seeds)) == 0
     for shard in ("1/2", "2/2"):
         assert run(options(halves, seeds, shard=shard, jobs=1)) == 0
     counts = [
         each["trials_done"] for each in map(json.loads, capsys.readouterr().out.replace("}\n{", "}\0{").split("\0"))
     ]
-    assert counts == [5, 3, 2]
+    assert counts == [3, 2, 1]
     files = {each.relative_to(whole) for each in (whole / TRIALS).rglob("*") if each.is_file()}
     assert files == {each.relative_to(halves) for each in (halves / TRIALS).rglob("*") if each.is_file()}
-    assert len(files) == 6 * 5
+    assert len(files) == 6 * 3
     for each in files:
         if each.name != "provenance.json":
             assert (whole / each).read_bytes() == (halves / each).read_bytes(), each
-    planned = plan(load_experiment("paper"), (0, 1, 2, 3, 4), (CELL,), engine="kinematic")
+    planned = plan(load_experiment("paper"), (0, 1, 2), (CELL,), engine="kinematic")
     for out in (whole, halves):
         asked = json.loads((out / "experiment.json").read_text())
         assert (asked["name"], asked["trials"]) == ("paper", [trial_id(trial) for trial in planned])

@@ -26,8 +26,8 @@ from fullswarm.evaluate.swarm import TrialFailed
 from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, Record, trial_id
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.launch.latching import STATE, latch_folder
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
+from fullswarm.launch.processes import STATE, latch_folder
 from fullswarm.messages import EStop, PoseFix
 from fullswarm.runtime import Mailbox
 from fullswarm.simulation.bodies import FreeBody

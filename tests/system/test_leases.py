@@ -16,7 +16,7 @@ CONFIG = {
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 10, 10]},
     "robot": [{"id": f"r{number}", "pose": [2.0 * number, 2.0, 0.0]} for number in (1, 2)],
 }
-LAPSE_S = 3.0
+EXPIRE_S = 3.0
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_an_operator_who_is_killed_holds_nothing_for_long(swarm: LiveSwarm) -> N
         swarm.until(lambda: holder.held_by_others(["r2"]) == {"r2": "dora"}, 20.0, "dora holds r2")
         process.send_signal(signal.SIGKILL)
         took_s = swarm.until(lambda: "r2" not in holder.leases, 10.0, "nobody holds r2")
-        assert took_s < LAPSE_S + 1.0 + 0.5  # the lapse, the period in which it is told, and looking
+        assert took_s < EXPIRE_S + 1.0 + 0.5  # the expiry, the period of publishing, and polling
     finally:
         process.kill()
         process.communicate()

@@ -20,7 +20,7 @@ from fullswarm.evaluate.swarm import TrialFailed, TrialHeld
 from fullswarm.evaluate.trial import TrialRequest, configure, drive, parameters
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import WorldWitness
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
 LIMIT_S = 20.0

@@ -13,7 +13,7 @@ import pytest
 
 from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.live_swarm import LiveSwarm
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 
 pytestmark = pytest.mark.alone
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
-from fullswarm.drivers.can.machine import BaseMachine
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.can.protocol import Frame
-from fullswarm.drivers.can.settings import parse
+from fullswarm.drivers.can.session import Session
+from fullswarm.drivers.can.settings import Settings, parse
+from fullswarm.drivers.linked import CommandGate
 from fullswarm.emulators.can.firmware import Base
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.simulation.bodies import FreeBody, wheels_rolled
@@ -40,13 +41,18 @@ class Rig:
         for wheel in self.wheels:
             if not isinstance(wheel, ODriveEmulator) and statuses is not None:
                 wheel.statuses = statuses
-        self.machine = BaseMachine(self.settings.codecs(), BASE_M, LIMIT_M_S, self.settings.base.volts)
+        self.open(self.settings)
         self.sent: list[tuple[float, Frame]] = []
         self.link = True
         self.twist: Twist | None = None
         self.applied = STAND
         self._step = 0
-        self.machine.opened(self.now)
+
+    def open(self, settings: Settings) -> None:
+        """Begin a session: the driver was opened."""
+        self.session = Session(settings.codecs(), BASE_M, LIMIT_M_S, settings.base.volts, self.now)
+        self.gate = CommandGate(self.session)
+        self.session.linked(self.now)
 
     @property
     def now(self) -> float:
@@ -58,11 +64,11 @@ class Rig:
 
     @property
     def reading(self) -> Reading:
-        assert self.machine.reading is not None
-        return self.machine.reading
+        assert self.session.reading is not None
+        return self.session.reading
 
     def state(self) -> Lifecycle:
-        return self.machine.state
+        return self.session.state
 
     def hazards(self) -> Hazard:
         return self.reading.hazards
@@ -79,12 +85,13 @@ class Rig:
             self.wire.clear()
             return
         for frame in self.wire:
-            self.machine.receive(frame, self.now)
+            self.session.received(frame, self.now)
         self.wire.clear()
         if self.twist is not None and self._step % 4 == 0:
-            self.applied = self.machine.command(self.twist, self.now)
-        if self._step % 4 == 0 or self.machine.urgent:
-            for frame in self.machine.tick(self.now):
+            self.applied = self.gate.command(self.twist, self.now)
+        self.gate.check(self.now)
+        if self._step % 4 == 0 or self.session.urgent:
+            for frame in self.session.tick(self.now):
                 self.sent.append((self.now, frame))
                 self.base.receive(frame, self.now)
 
@@ -96,17 +103,17 @@ class Rig:
         """Run until `condition`; return how long it took."""
         start_s = self.now
         while not condition():
-            assert self.now - start_s <= limit_s, f"{self.machine.state} {self.machine.fault}"
+            assert self.now - start_s <= limit_s, f"{self.session.state} {self.session.fault}"
             self.step()
         return self.now - start_s
 
     def until_state(self, state: Lifecycle, limit_s: float) -> float:
-        return self.until(lambda: self.machine.state is state, limit_s)
+        return self.until(lambda: self.session.state is state, limit_s)
 
     def active(self, twist: Twist | None = None) -> None:
         """Bring the robot to ACTIVE and let it drive."""
         self.until_state(Lifecycle.READY, 2.0)
-        self.machine.activate(self.now)
+        self.session.activate(self.now)
         self.until_state(Lifecycle.ACTIVE, 0.6)
         self.twist = twist
         if twist is not None:

@@ -8,6 +8,7 @@ import pytest
 
 from fullswarm.bringup import doctor, machine
 from fullswarm.bringup.checks import Check
+from fullswarm.bringup.machine import EXTRAS, access, clocks, extras, network_time, python, resources
 from fullswarm.bus.endpoint import DEFAULT_HUB
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.probe import ask
@@ -20,13 +21,13 @@ def by_name(checks: list[Check]) -> dict[str, Check]:
 
 
 def test_this_interpreter_is_fine() -> None:
-    assert machine.python().status == "ok"
+    assert python().status == "ok"
 
 
 def test_a_missing_extra_is_a_warning_unless_the_fleet_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(machine.EXTRAS, "can", ("no_such_module",))
-    unused = by_name(list(machine.extras()))["extra [can]"]
-    needed = by_name(list(machine.extras(frozenset({"can"}))))["extra [can]"]
+    monkeypatch.setitem(EXTRAS, "can", ("no_such_module",))
+    unused = by_name(list(extras()))["extra [can]"]
+    needed = by_name(list(extras(frozenset({"can"}))))["extra [can]"]
     assert (unused.status, needed.status) == ("warning", "failure")
     assert needed.mend == "pip install 'fullswarm[can]'"
 
@@ -34,13 +35,13 @@ def test_a_missing_extra_is_a_warning_unless_the_fleet_needs_it(monkeypatch: pyt
 def test_a_port_that_may_not_be_used_gets_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch(mode=0o660)
-    assert machine.access(str(port)).status == "ok"
+    assert access(str(port)).status == "ok"
     monkeypatch.setattr(os, "access", lambda *_: False)
     port.chmod(0o600)
-    check = machine.access(str(port))
+    check = access(str(port))
     assert check.status == "failure"
     assert check.mend.startswith("sudo chmod g+rw")
-    assert machine.access(str(tmp_path / "gone")).status == "failure"
+    assert access(str(tmp_path / "gone")).status == "failure"
 
 
 def test_a_group_that_lacks_this_user_gets_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,9 +54,9 @@ def test_a_group_that_lacks_this_user_gets_the_command(tmp_path: Path, monkeypat
     monkeypatch.setattr(machine, "_group", lambda _: "dialout")
     monkeypatch.setattr(machine, "_user", lambda: "ann")
     monkeypatch.setattr(machine, "_members", lambda _: [])
-    assert machine.access(str(port)).mend.startswith("sudo usermod -aG dialout ann")
+    assert access(str(port)).mend.startswith("sudo usermod -aG dialout ann")
     monkeypatch.setattr(machine, "_members", lambda _: ["ann"])
-    assert machine.access(str(port)).mend == "log out and in again"
+    assert access(str(port)).mend == "log out and in again"
 
 
 @pytest.mark.parametrize(
@@ -69,24 +70,24 @@ def test_a_group_that_lacks_this_user_gets_the_command(tmp_path: Path, monkeypat
     ],
 )
 def test_clocks(passed_s: float, wall_passed_s: float, wall_s: float, status: str) -> None:
-    assert machine.clocks(passed_s, wall_passed_s, wall_s).status == status
+    assert clocks(passed_s, wall_passed_s, wall_s).status == status
 
 
 @pytest.mark.parametrize(("free", "status"), [(5e7, "failure"), (5e8, "warning"), (5e9, "ok")])
 def test_disk(free: float, status: str, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = type("Usage", (), {"free": free})
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
-    assert by_name(list(machine.resources()))["disk"].status == status
+    assert by_name(list(resources()))["disk"].status == status
 
 
 def test_a_busy_processor_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getloadavg", lambda: (1000.0, 0.0, 0.0))
-    assert by_name(list(machine.resources()))["cpu"].status == "warning"
+    assert by_name(list(resources()))["cpu"].status == "warning"
 
 
 def test_without_systemd_network_time_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda _: None)
-    assert "not known" in machine.network_time().what
+    assert "not known" in network_time().what
 
 
 # ---------------------------------------------------------------- a fleet

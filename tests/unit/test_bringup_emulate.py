@@ -7,8 +7,16 @@ from threading import Event
 
 import pytest
 
-from fullswarm.bringup import injected_faults
-from fullswarm.bringup.emulate import EmulateOptions, _started, openings, run
+from fullswarm.bringup.emulate import (
+    FAULTS,
+    EmulateOptions,
+    _started,
+    explain_faults,
+    inject,
+    openings,
+    run,
+    supported_faults,
+)
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, DriverError, FullswarmError
@@ -55,18 +63,18 @@ class FakeEmulator:
 )
 def test_orders_reach_the_emulator(line: str, happened: tuple[object, ...]) -> None:
     emulator = FakeEmulator()
-    injected_faults.obey(emulator, line)
+    inject(emulator, line)
     assert emulator.seen == [happened]
 
 
 def test_orders_reach_link_and_body() -> None:
     emulator = FakeEmulator()
     for line in ("drop 0.25", "corrupt 0.5", "delay 0.1", "bump left", "push 0.5 1.0"):
-        injected_faults.obey(emulator, line)
+        inject(emulator, line)
     assert emulator.faults == LinkFaults(0.25, 0.5, 0.1)
     state = emulator.body.state()
     assert (state.bumps, state.rolled_m, state.turned_rad) == ((True, False), 0.5, 1.0)
-    injected_faults.obey(emulator, "bump off")
+    inject(emulator, "bump off")
     assert emulator.body.state().bumps == (False, False)
 
 
@@ -87,13 +95,13 @@ def test_orders_reach_link_and_body() -> None:
 def test_wrong_orders_are_refused_in_words(line: str, word: str) -> None:
     emulator = FakeEmulator()
     with pytest.raises(ConfigError) as refused:
-        injected_faults.obey(emulator, line)
+        inject(emulator, line)
     assert word in str(refused.value)
     assert emulator.seen == []
 
 
 def test_help_names_only_what_the_robot_can_suffer() -> None:
-    text = injected_faults.explain(FakeEmulator())
+    text = explain_faults(FakeEmulator())
     assert "cliff on|off" in text
     assert "estop" not in text
 
@@ -121,10 +129,10 @@ COMMON = {"unplug", "replug", "reboot", "mute", "stick", "battery", "bump", "pus
 )
 def test_every_make_suffers_all_that_its_help_says(options: EmulateOptions, more: set[str], tmp_path: Path) -> None:
     with _started(options, str(tmp_path / "port"), FreeBody()) as emulator:
-        names = injected_faults.known(emulator)
+        names = supported_faults(emulator)
         assert set(names) >= COMMON | more
         for name in names:
-            for argument in ARGUMENTS[injected_faults.ORDERS[name].usage]:
+            for argument in ARGUMENTS[FAULTS[name].usage]:
                 obey_in_time(emulator, f"{name} {argument}".strip())
 
 
@@ -134,7 +142,7 @@ def obey_in_time(emulator: object, line: str) -> None:
     end_s = clock.now_s() + 2.0
     while True:
         try:
-            return injected_faults.obey(emulator, line)
+            return inject(emulator, line)
         except DriverError:
             if line != "replug" or clock.now_s() > end_s:
                 raise

@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 
 from fullswarm.bringup import preflight
-from fullswarm.bringup.preflight_ssh import Board, BoardFacts
+from fullswarm.bringup.preflight_ssh import ComputerFacts, RobotComputer
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.fleet.hostkeys import HostKeyProblem
-from fullswarm.deploy.fleet.login import LoginRefused
+from fullswarm.deploy.fleet.login import HostKeyProblem, LoginRefused
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 from fullswarm.operator import session
 from fullswarm.operator.session import Session, Target
@@ -21,7 +20,9 @@ from tests.unit.agent_bench import Bench
 
 AWAY = Unreachable("does not answer", where="r1 (10.0.0.11)", hint="is it switched on?")
 NO_HUB = Unreachable("no hub answers", where="tcp/10.0.0.1:7447")
-BOARD = Board((0.01,), BoardFacts(protocol=1, robot="r1", current="1-f", disk_free_bytes=10**10), {}, clock_off_s=0.0)
+BOARD = RobotComputer(
+    (0.01,), ComputerFacts(protocol=1, robot="r1", current="1-f", disk_free_bytes=10**10), {}, clock_off_s=0.0
+)
 
 
 def fleet(robot: dict[str, Any] | None = None, hub: str = "tcp/10.0.0.1:7447") -> SwarmConfig:
@@ -34,12 +35,12 @@ class Lab:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self.bus: str | FullswarmError = "r1"
-        self.ssh: Board | FullswarmError = BOARD
+        self.ssh: RobotComputer | FullswarmError = BOARD
         self._capsys = capsys
         monkeypatch.setattr(session, "connect", self._connect)
-        monkeypatch.setattr(preflight, "look", self._look)
+        monkeypatch.setattr(preflight, "inspect", self._look)
         monkeypatch.setenv("FULLSWARM_KEYS", "not needed")
-        monkeypatch.setattr("fullswarm.deploy.fleet.people.login", lambda *_: None)
+        monkeypatch.setattr("fullswarm.bringup.preflight.login_for", lambda *_: None)
 
     @contextmanager
     def _connect(self, _: Target) -> Iterator[Session]:
@@ -50,7 +51,7 @@ class Lab:
             bench.agent.close()
         yield Session(bench.bus, bench.keys, bench.runtime, "tcp/hub", "ann")
 
-    async def _look(self, *_: object) -> Board:
+    async def _look(self, *_: object) -> RobotComputer:
         if isinstance(self.ssh, FullswarmError):
             raise self.ssh
         return self.ssh

@@ -7,8 +7,7 @@ import msgspec
 import pytest
 
 from fullswarm.bringup.checks import Check
-from fullswarm.bringup.preflight_board import checks
-from fullswarm.bringup.preflight_ssh import Board, BoardFacts
+from fullswarm.bringup.preflight_ssh import ComputerFacts, RobotComputer, computer
 from fullswarm.errors import FullswarmError
 
 PORT = "/dev/fullswarm/create"
@@ -42,11 +41,11 @@ def judged(
     facts: Mapping[str, Any] | None = None, said: Mapping[str, str] | None = None, **board: Any
 ) -> dict[str, Check]:
     """The checks by name; of those with the same name the worst."""
-    known = msgspec.convert({**FACTS, **(facts or {})}, BoardFacts)
+    known = msgspec.convert({**FACTS, **(facts or {})}, ComputerFacts)
     given: dict[str, Any] = {"trips_s": (0.01, 0.02, 0.03), "clock_off_s": 0.02, "clock_doubt_s": 0.01, **board}
-    found = Board(facts=known, said={**SAID, **(said or {})}, **given)
+    found = RobotComputer(facts=known, said={**SAID, **(said or {})}, **given)
     order = ["ok", "warning", "failure"]
-    every = checks(found, "r1", "1.2.3", port=PORT, net="can0" if said and "net" in said else "")
+    every = computer(found, "r1", "1.2.3", port=PORT, net="can0" if said and "net" in said else "")
     return {each.name: each for each in sorted(every, key=lambda each: order.index(each.status))}
 
 
@@ -135,6 +134,8 @@ def test_software_that_cannot_be_asked_is_no_reason_not_to_look_at_the_rest() ->
 
 def test_a_log_that_may_not_be_read_is_told() -> None:
     for errors, unread in ((None, True), (0, False)):  # root may read it, even if this user may not
-        found = Board(facts=msgspec.convert({**FACTS, "card_errors": errors}, BoardFacts), said={}, trips_s=(0.1,))
-        card = next(each for each in checks(found, "r1", "1.2.3") if each.name == "card")
+        found = RobotComputer(
+            facts=msgspec.convert({**FACTS, "card_errors": errors}, ComputerFacts), said={}, trips_s=(0.1,)
+        )
+        card = next(each for each in computer(found, "r1", "1.2.3") if each.name == "card")
         assert (card.status, "cannot be read" in card.what) == ("ok", unread)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from fullswarm.bringup import preflight_bus
+from fullswarm.bringup import preflight
 from fullswarm.bringup.checks import Check
-from fullswarm.bringup.preflight_bus import PINGS, BusState
+from fullswarm.bringup.preflight import PINGS, BusState
 from fullswarm.messages import Ping, RobotHealth
 from fullswarm.operator.session import Session
 from fullswarm.operator.view import FleetView, RobotRow
@@ -20,11 +20,11 @@ ROW = RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, HEALTH, version="1.2.3")
 def listen(bench: Bench, robot: str = "r1") -> BusState:
     line = Session(bench.bus, bench.keys, bench.runtime, "tcp/hub", "ann")
     view = FleetView(bench.bus, bench.keys, bench.runtime, (robot,))
-    return preflight_bus.listen(line, view, robot)
+    return preflight.listen(line, view, robot)
 
 
 def judged(heard: BusState, battery_low: float = 0.1) -> dict[str, Check]:
-    return {each.name: each for each in preflight_bus.checks(heard, battery_low)}
+    return {each.name: each for each in preflight.bus_checks(heard, battery_low)}
 
 
 def test_an_agent_sends_each_ping_back_once() -> None:
@@ -48,7 +48,7 @@ def test_who_is_not_there_is_not_pinged() -> None:
     heard = listen(bench, "r2")
     assert not heard.there
     assert pings == []
-    assert list(preflight_bus.checks(heard, 0.1)) == []
+    assert list(preflight.bus_checks(heard, 0.1)) == []
 
 
 def test_an_agent_that_does_not_know_pings_is_older_not_absent() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fullswarm.bringup import preflight_estop
+from fullswarm.bringup import preflight
 from fullswarm.bringup.checks import Check
 from fullswarm.messages import EStop, Lease, Leases, Message
 from fullswarm.operator.session import Session
@@ -27,7 +27,7 @@ class Yard:
         bench.run(1.0)
 
     def check(self, answer: bool | None = True) -> Check:
-        return preflight_estop.check(self.line, self.view, "r1", lambda _: answer)
+        return preflight.estop_check(self.line, self.view, "r1", lambda _: answer)
 
     @property
     def latched(self) -> bool:
@@ -131,7 +131,7 @@ def test_who_is_asked_may_take_his_time(yard: Yard) -> None:
         yard.drive_to(19.0, 2.0)
         return True
 
-    check = preflight_estop.check(yard.line, yard.view, "r1", agree)
+    check = preflight.estop_check(yard.line, yard.view, "r1", agree)
     assert (check.status, check.what) == ("warning", "not pressed: it moves")
     assert yard.ours == []
 

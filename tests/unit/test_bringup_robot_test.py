@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from fullswarm.bringup.bench import Bench
-from fullswarm.bringup.robot_test_steps import Step, steps
+from fullswarm.bringup.robot_test import Bench, Step, steps
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Limits, Pose, Reading, Twist
-from fullswarm.launch.typed import Typed
+from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.simulation.bodies import FreeBody
 
@@ -74,7 +73,7 @@ class FakeDriver:
 class Lab:
     """A fake robot on a bench, on a simulated clock."""
 
-    def __init__(self, description: Description = PLAIN, typed: Typed | None = None) -> None:
+    def __init__(self, description: Description = PLAIN, typed: TypedLines | None = None) -> None:
         self.clock = SimClock()
         self.driver = FakeDriver(self.clock, description)
         self.runtime = Runtime(self.clock)
@@ -191,7 +190,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 def test_the_operator_presses_the_bumper_and_skips_the_cliff(pipe: tuple[int, int]) -> None:
-    lab = Lab(replace(PLAIN, senses_bumps=True), Typed(pipe[0]))
+    lab = Lab(replace(PLAIN, senses_bumps=True), TypedLines(pipe[0]))
 
     def press() -> None:
         lab.driver.hazards = Hazard.BUMP
@@ -210,7 +209,7 @@ def test_the_operator_presses_the_bumper_and_skips_the_cliff(pipe: tuple[int, in
 
 
 def test_a_dead_bumper_is_found(pipe: tuple[int, int]) -> None:
-    lab = Lab(replace(PLAIN, senses_bumps=True), Typed(pipe[0]))
+    lab = Lab(replace(PLAIN, senses_bumps=True), TypedLines(pipe[0]))
     assert lab.test()["bumper"].verdict == "failed"
 
 
@@ -230,7 +229,7 @@ def test_an_interrupt_ends_the_wait(lab: Lab) -> None:
 # ---------------------------------------------------------------- typed lines
 def test_lines_come_whole_and_the_end_is_noticed(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
-    typed = Typed(reader)
+    typed = TypedLines(reader)
     assert typed.line() is None
     os.write(writer, b"cliff on\nbatt")
     assert (typed.line(), typed.line()) == ("cliff on", None)
@@ -243,7 +242,7 @@ def test_the_last_line_needs_no_end() -> None:
     reader, writer = os.pipe()
     os.write(writer, b"y")
     os.close(writer)
-    typed = Typed(reader)
+    typed = TypedLines(reader)
     assert (typed.line(), typed.line(), typed.line()) == (None, "y", None)
     assert typed.ended
     os.close(reader)
@@ -253,6 +252,6 @@ def test_a_closed_descriptor_has_ended() -> None:
     reader, writer = os.pipe()
     os.close(reader)
     os.close(writer)
-    typed = Typed(reader)
+    typed = TypedLines(reader)
     assert typed.line() is None
     assert typed.ended

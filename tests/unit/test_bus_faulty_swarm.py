@@ -19,7 +19,7 @@ from fullswarm.bus.local import LocalBus
 from fullswarm.bus.network_faults import FaultyBus
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.config.fleet_file import write_swarm
-from fullswarm.core.leases import LAPSE_S
+from fullswarm.core.leases import EXPIRE_S
 from fullswarm.demo.run import demo_config, run_lockstep
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
@@ -163,7 +163,7 @@ def test_leases_do_not_pass_a_partition() -> None:
         here.hold(("r1",))  # heard: the partition begins later
         made.run(0.2)
         sequence = here._sequence
-        made.run(LAPSE_S + 1.0)
+        made.run(EXPIRE_S + 1.0)
         assert holders() == {}, "nothing renewed them"
         assert here._sequence == sequence, "nor does the operator hear the core"
         core_side.hold(("r1",))

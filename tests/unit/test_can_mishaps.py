@@ -19,9 +19,9 @@ from tests.unit.can_rig import Rig
 )
 def test_firmware_is_known_once_ready_and_not_before(make: str, options: str, firmware: str) -> None:
     rig = Rig(make, options)
-    assert rig.machine.firmware == ""
+    assert rig.session.firmware == ""
     rig.until_state(Lifecycle.READY, 2.0)
-    assert rig.machine.firmware == firmware
+    assert rig.session.firmware == firmware
 
 
 def test_a_version_that_got_lost_is_asked_for_again() -> None:
@@ -34,7 +34,7 @@ def test_a_version_that_got_lost_is_asked_for_again() -> None:
         each.faults.muted = False
     rig.until_state(Lifecycle.READY, 2.0)
     rig.run(1.2)
-    assert rig.machine.firmware == "ODrive 0.6.10"
+    assert rig.session.firmware == "ODrive 0.6.10"
     rig.sent.clear()
     rig.run(3.0)
     assert not any(frame in version for _, frame in rig.sent)  # known: no longer asked
@@ -120,7 +120,7 @@ def test_a_stuck_sensor_is_a_fault(make: str) -> None:
     rig.active(Twist(0.3, 0.0))
     rig.wheels[1].faults.stuck_sensor = True
     rig.until_state(Lifecycle.FAULT, 0.7)
-    assert "encoder of the right wheel (node 2) is stuck" in rig.machine.fault
+    assert "encoder of the right wheel (node 2) is stuck" in rig.session.fault
     rig.until(lambda: max(rig.speeds()) == 0.0, 0.5)
     rig.wheels[1].faults.stuck_sensor = False
     rig.until_state(Lifecycle.READY, 2.0)
@@ -131,10 +131,10 @@ def test_a_lost_link_never_latches() -> None:
     for _ in range(4):
         rig.active(Twist(0.3, 0.0))
         rig.link = False
-        rig.machine.bus_lost("cable out", rig.now)
+        rig.session.lost("cable out", rig.now)
         rig.run(0.3)
         rig.link = True
-        rig.machine.bus_back(rig.now)
+        rig.session.linked(rig.now)
         assert rig.until_state(Lifecycle.READY, 2.0) < 1.2
     for _ in range(4):
         rig.active(Twist(0.3, 0.0))
@@ -149,9 +149,9 @@ def test_a_lost_link_never_latches() -> None:
 def test_a_bus_that_stays_lost_says_the_newest_reason() -> None:
     rig = Rig()
     rig.active(Twist(0.3, 0.0))
-    rig.machine.bus_lost("cable out", rig.now)
-    rig.machine.bus_lost("no such port", rig.now)
-    assert (rig.state(), rig.machine.fault) == (Lifecycle.FAULT, "no such port")
+    rig.session.lost("cable out", rig.now)
+    rig.session.lost("no such port", rig.now)
+    assert (rig.state(), rig.session.fault) == (Lifecycle.FAULT, "no such port")
 
 
 def test_an_05_axis_watchdog_is_fed_by_any_frame_an_06_one_by_set_points() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.can import odrive, vesc
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
 from fullswarm.emulators.can.firmware import Base

@@ -13,7 +13,7 @@ from can.interfaces.virtual import VirtualBus
 
 import fullswarm
 from fullswarm.drivers.can import settings
-from fullswarm.drivers.can.port import UNHEARD, UNSENT, CanPort
+from fullswarm.drivers.can.port import UNRECEIVED, UNSENT, CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.errors import DriverError, LinkLost, MissingExtra
 
@@ -29,7 +29,7 @@ def test_import_can_is_python_can() -> None:
     port.close()
 
 
-@pytest.mark.parametrize(("failed", "of"), [("send", UNSENT), ("recv", UNHEARD)])
+@pytest.mark.parametrize(("failed", "of"), [("send", UNSENT), ("recv", UNRECEIVED)])
 def test_one_direction_that_fails_is_not_excused_by_the_other(
     failed: str, of: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.drivers.can import odrive, settings, vesc
 from fullswarm.drivers.can.kinematics import Odometry, WheelTrack, body_twist, wheel_speeds
-from fullswarm.drivers.can.odrive import Firmware
-from fullswarm.drivers.can.odrive_axis import MAX_TURN_S, OdriveCodec
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import MAX_TURN_S, AxisState, Firmware, OdriveCodec
 from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Version, Want, Wheel, WheelCodec
-from fullswarm.drivers.can.vesc_motor import VescCodec
+from fullswarm.drivers.can.vesc import VescCodec
 from fullswarm.errors import ConfigError
 
 ODRIVE = "can+odrive://here?interface=virtual&left=1&right=2&wheel_radius=0.05&base=0.3"

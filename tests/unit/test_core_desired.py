@@ -32,11 +32,11 @@ def test_reports_from_before_an_enable_do_not_end_the_disable_that_follows_it() 
     numbers = itertools.count(1)
     state = Desired("r1", "core-1", present=True)
     sequence = lambda: next(numbers)  # noqa: E731
-    state.want(Order(request_id="old", behaviour="flocking", law="flocking"), 10.0)
+    state.set_order(Order(request_id="old", behaviour="flocking", law="flocking"), 10.0)
     enable = state.next(sequence)
     assert enable is not None
     state.sent(10.0)
-    state.want(Order(request_id="new", behaviour="rendezvous", law="rendezvous"), 10.05)
+    state.set_order(Order(request_id="new", behaviour="rendezvous", law="rendezvous"), 10.05)
     disable = state.next(sequence)
     assert disable is not None
     assert (disable.enable, disable.behaviour) == (False, "flocking")

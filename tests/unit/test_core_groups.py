@@ -76,7 +76,7 @@ def test_a_group_changes_while_the_core_runs(swarm: Swarm) -> None:
     assert put(swarm, "group/scouts", None).ok
     swarm.ask("c", "flocking", "@scouts")
     swarm.run(0.05)
-    assert "there are none" in swarm.status("c").reason
+    assert "there are no groups" in swarm.status("c").reason
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_core_restart_with_a_store(tmp_path: Path) -> None:
     swarm.robots["r1"].kill()
     swarm.run(0.3)
     swarm.start_core(Store(tmp_path / "core.db"))
-    assert swarm.core.handler.wanted("r2") is None  # an intent is not restored, nor what it replaced
+    assert swarm.core.handler.order_of("r2") is None  # an intent is not restored, nor what it replaced
     swarm.robots["r1"].start()
     swarm.run(1.0)
     assert swarm.robots["r0"].log[-1] == ("on", "move_to_goal", "a")
@@ -164,7 +164,7 @@ def test_core_restart_without_memory_adopts_what_runs() -> None:
     swarm.run(1.0)
     assert swarm.status("a").phase == "running"
     assert swarm.status("a").running == ("r0", "r1")
-    assert swarm.core.handler.wanted("r2") is None
+    assert swarm.core.handler.order_of("r2") is None
     assert swarm.robots["r0"].log == [("on", "flocking", "a")]
     swarm.robots["r1"].kill()
     swarm.robots["r1"].start()

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fullswarm.core.leases import CHECK_S, LAPSE_S
+from fullswarm.core.leases import CHECK_S, EXPIRE_S
 from fullswarm.messages import BehaviourRequest, EStop, Lease, LeaseRequest, Leases, StopRequest
 from fullswarm.store import Store
 from tests.unit.core_swarm import KEYS, Swarm
@@ -103,7 +103,7 @@ def test_taking_over_with_a_request_gives_the_lease(swarm: Table) -> None:
     assert swarm.holders == {"r0": ANNA}, "what nobody held stays free"
     assert swarm.leases["r0"].taken_from == BOB
     assert not swarm.order("b", BOB, "r0")
-    swarm.run(LAPSE_S + CHECK_S)
+    swarm.run(EXPIRE_S + CHECK_S)
     assert swarm.holders == {}, "it was not renewed"
 
 
@@ -130,14 +130,14 @@ def test_a_lease_is_taken_only_on_purpose(swarm: Table) -> None:
 
 def test_it_lapses_three_seconds_after_the_last_renewal(swarm: Table) -> None:
     swarm.hold(ANNA, "r0")
-    swarm.run(LAPSE_S - 0.2)
+    swarm.run(EXPIRE_S - 0.2)
     swarm.hold(ANNA, "r0")
     said = len(swarm.said)
     swarm.run(0.05)
     assert len(swarm.said) == said, "a renewal changes nothing that had to be said"
-    swarm.run(LAPSE_S - 0.2)
+    swarm.run(EXPIRE_S - 0.2)
     assert swarm.holders == {"r0": ANNA}
-    assert swarm.leases["r0"].age_s == pytest.approx(2 * LAPSE_S - 0.4, abs=1.1)
+    assert swarm.leases["r0"].age_s == pytest.approx(2 * EXPIRE_S - 0.4, abs=1.1)
     swarm.run(0.2 + CHECK_S)
     assert swarm.holders == {}
 

@@ -66,7 +66,7 @@ def test_a_late_report_of_the_same_process_changes_nothing() -> None:
         swarm.bus.publish(KEYS.health("r0"), report("r0", "p", stamp_s, **runs))
     swarm.run(0.1)
     assert swarm.status("a").phase == "running"
-    assert swarm.core.handler.wanted("r0") is not None
+    assert swarm.core.handler.order_of("r0") is not None
     swarm.close()
 
 

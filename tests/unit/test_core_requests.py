@@ -76,7 +76,7 @@ def test_a_stop_without_an_id_counts_each_time() -> None:
             robot.stops.clear()
         swarm.run(1.0)
         assert swarm.behaviours() == ["", "", ""]
-        assert all(swarm.core.handler.wanted(f"r{k}").behaviour == "stop" for k in range(3))  # type: ignore[union-attr]
+        assert all(swarm.core.handler.order_of(f"r{k}").behaviour == "stop" for k in range(3))  # type: ignore[union-attr]
     swarm.close()
 
 

@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from fullswarm.deploy.flash import card
-from fullswarm.deploy.fleet.hostkeys import Pins
+from fullswarm.deploy.fleet.login import Pins
 from fullswarm.deploy.release.keys import public
 from tests.unit.flash_lab import FAT, FLEET, MEGA, PI_FILES, SECRET, Lab, files_of, fsck, make_image, make_release, tool
 

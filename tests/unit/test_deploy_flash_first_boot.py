@@ -12,7 +12,7 @@ import yaml
 from typer.testing import CliRunner
 
 from fullswarm.cli.main import app
-from fullswarm.deploy.flash.seed_rules import HOME
+from fullswarm.deploy.flash.first_boot import HOME
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.deploy.release.store import Store
 from tests.unit.flash_lab import FLEET, MEGA, PI_FILES, TRIXIE_FILES, files_of, make_image, make_release, tool

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.flash import card, plan, wait
+from fullswarm.deploy.flash import card, run
+from fullswarm.deploy.flash.result import FirstReport
 from fullswarm.errors import Unreachable
 from fullswarm.operator import session
 from fullswarm.operator.session import Target
@@ -78,7 +79,7 @@ def test_a_full_scratch_folder_is_no_bug(lab: Lab, monkeypatch: pytest.MonkeyPat
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(plan, "read_head", full)
+    monkeypatch.setattr(run, "read_head", full)
     result, _ = lab.to_file()
     assert (result.exit_code, "cannot prepare the cards: No space left" in result.stderr) == (2, True)
     assert "TMPDIR=" in result.stderr
@@ -99,13 +100,13 @@ def test_what_was_written_is_told_whatever_comes_of_waiting(
     def connect(*_: object) -> Iterator[None]:
         yield
 
-    def silence(target: Target, robots: list[str], minutes: float) -> tuple[dict[str, wait.Hello], list[str]]:
+    def silence(target: Target, robots: list[str], minutes: float) -> tuple[dict[str, FirstReport], list[str]]:
         if lost:
             raise Unreachable("no hub answers", where=str(target))
         return {}, robots
 
     monkeypatch.setattr(session, "connect", connect)
-    monkeypatch.setattr(wait, "wait", silence)
+    monkeypatch.setattr(run, "wait_for_robots", silence)
     result, said = lab.to_file("--wait")
     assert result.exit_code == 3
     assert [each["state"] for each in said["cards"]] == ["written"]

@@ -15,8 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.deploy.flash import fat, image, mtools, plan
-from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
+from fullswarm.deploy.flash import fat, image
+from fullswarm.deploy.flash.fat import HEAD_BYTES, read_partitions
+from fullswarm.deploy.flash.plan import read_head
 from fullswarm.errors import ConfigError
 from tests.unit.flash_lab import MEGA, fsck, make_fat, make_image, tool
 
@@ -106,43 +107,43 @@ def test_the_boot_partition_is_the_one_with_a_usual_name(tmp_path: Path) -> None
     with path.open("r+b") as file:
         file.seek(25 * MEGA)
         file.write(second.read_bytes())
-    source = plan.read_head(path, tmp_path, lambda _: None)
+    source = read_head(path, tmp_path, lambda _: None)
     assert (source.volume.label, source.volume.start_bytes) == ("CIDATA", 25 * MEGA)
 
 
 def test_files_that_do_not_fit_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     path = make_image(tmp_path / "a.img", fat=4 * MEGA, bits=12)
     before = path.read_bytes()
-    source = plan.read_head(path, tmp_path, lambda _: None)
+    source = read_head(path, tmp_path, lambda _: None)
     with pytest.raises(ConfigError, match=r"MB free, 5 MB are needed.*most of it is big"):
-        mtools.put(path, source.volume, {"small": b"x", "big": b"y" * 5 * MEGA})
+        fat.put_files(path, source.volume, {"small": b"x", "big": b"y" * 5 * MEGA})
     assert path.read_bytes() == before
 
 
 def test_files_go_in_over_old_ones_and_fsck_agrees(tmp_path: Path) -> None:
     path = make_image(tmp_path / "a.img", {"user-data": b"short", "keep": b"kept"})
-    source = plan.read_head(path, tmp_path, lambda _: None)
+    source = read_head(path, tmp_path, lambda _: None)
     files = {"user-data": b"longer" * 10_000, "fullswarm/a/deep name.txt": b"1", "empty": b""}
-    mtools.put(path, source.volume, files)
-    mtools.put(path, source.volume, {"user-data": b"again"})
+    fat.put_files(path, source.volume, files)
+    fat.put_files(path, source.volume, {"user-data": b"again"})
     fsck(path, 24 * MEGA)
-    assert mtools.fsck(path, source.volume) == "fsck.vfat: clean"
-    assert mtools.get(path, source.volume, "user-data") == b"again"
-    assert mtools.get(path, source.volume, "keep") == b"kept"
-    assert mtools.get(path, source.volume, "fullswarm/a/deep name.txt") == b"1"
-    assert mtools.get(path, source.volume, "nothing") is None
-    assert mtools.names(path, source.volume) == {"user-data", "keep", "fullswarm/", "empty"}
+    assert fat.fsck(path, source.volume) == "fsck.vfat: clean"
+    assert fat.get_file(path, source.volume, "user-data") == b"again"
+    assert fat.get_file(path, source.volume, "keep") == b"kept"
+    assert fat.get_file(path, source.volume, "fullswarm/a/deep name.txt") == b"1"
+    assert fat.get_file(path, source.volume, "nothing") is None
+    assert fat.file_names(path, source.volume) == {"user-data", "keep", "fullswarm/", "empty"}
 
 
 def test_a_damaged_fat_is_named(tmp_path: Path) -> None:
     path = make_image(tmp_path / "a.img", {"a": b"x" * 100_000, "b": b"y" * 100_000})
-    source = plan.read_head(path, tmp_path, lambda _: None)
+    source = read_head(path, tmp_path, lambda _: None)
     with path.open("r+b") as file:  # cut the chain of the first file, in both copies of the table
         file.seek(MEGA + 2048 + 6)
         file.write(b"\x00" * 40)
     tool("fsck.vfat")
     with pytest.raises(ConfigError, match="finds errors in the boot partition"):
-        mtools.fsck(path, source.volume)
+        fat.fsck(path, source.volume)
 
 
 # ---------------------------------------------------------------- whole images
@@ -194,11 +195,11 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     text = tmp_path / "page.img"
     text.write_text("<html>not found</html>" * 1000)
     with pytest.raises(ConfigError, match="has no partition table"):
-        plan.read_head(text, tmp_path, lambda _: None)
+        read_head(text, tmp_path, lambda _: None)
     cut = make_image(tmp_path / "cut.img", {})
     os.truncate(cut, 9 * MEGA)
     with pytest.raises(ConfigError, match="ends after 9 MB"):
-        plan.read_head(cut, tmp_path, lambda _: None)
+        read_head(cut, tmp_path, lambda _: None)
 
 
 def test_checksums_come_from_the_option_or_the_file_beside(tmp_path: Path) -> None:

@@ -16,8 +16,19 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fullswarm.deploy.flash import firstrun, payload, seed, wifi
-from fullswarm.deploy.flash.seed import Static, Wish
+from fullswarm.deploy.flash import payload, wifi
+from fullswarm.deploy.flash.first_boot import (
+    FirstBoot,
+    Static,
+    after_user_data,
+    check_cloud_init,
+    cloud_init_files,
+    command_line,
+    connection,
+    hostname_of,
+    new_instance,
+    static_of,
+)
 from fullswarm.deploy.flash.wifi import COUNTRIES, Network
 from fullswarm.errors import ConfigError
 
@@ -41,7 +52,7 @@ statics = st.builds(
 )
 
 
-def wish(**given: Any) -> Wish:
+def wish(**given: Any) -> FirstBoot:
     facts: dict[str, Any] = {
         "robot": "r1",
         "hostname": "r1",
@@ -49,9 +60,9 @@ def wish(**given: Any) -> Wish:
         "login_keys": (PUBLIC,),
         "host_private": PRIVATE,
         "host_public": PUBLIC,
-        "instance": seed.new_instance("r1"),
+        "instance": new_instance("r1"),
     }
-    return Wish(**{**facts, **given})
+    return FirstBoot(**{**facts, **given})
 
 
 @settings(max_examples=40)
@@ -59,7 +70,9 @@ def wish(**given: Any) -> Wish:
 def test_every_sound_wish_becomes_a_seed_that_says_exactly_that(
     nets: list[Network], country: str, hostname: str, static: Static | None
 ) -> None:
-    built = seed.build(wish(networks=tuple(nets), country=country, hostname=hostname, static=static), "ROBOT=r1\n")
+    built = cloud_init_files(
+        wish(networks=tuple(nets), country=country, hostname=hostname, static=static), "ROBOT=r1\n"
+    )
     user, meta, net = (yaml.safe_load(built[name]) for name in ("user-data", "meta-data", "network-config"))
     assert user["hostname"] == meta["local-hostname"] == hostname
     assert user["ssh_keys"]["ed25519_private"] == PRIVATE
@@ -76,14 +89,14 @@ def test_every_sound_wish_becomes_a_seed_that_says_exactly_that(
 
 
 def test_nothing_secret_stays_after_the_installation() -> None:
-    after = seed.after_user_data(wish()).decode()
+    after = after_user_data(wish()).decode()
     assert "PRIVATE" not in after
-    assert set(yaml.safe_load(after)) < set(yaml.safe_load(seed.build(wish(), "A=1\n")["user-data"]))
+    assert set(yaml.safe_load(after)) < set(yaml.safe_load(cloud_init_files(wish(), "A=1\n")["user-data"]))
     assert after.startswith("#cloud-config\n")
 
 
 def test_each_flash_has_another_instance() -> None:
-    assert seed.new_instance("r1") != seed.new_instance("r1")
+    assert new_instance("r1") != new_instance("r1")
 
 
 DAMAGE: list[tuple[str, str, str, str]] = [
@@ -113,23 +126,23 @@ DAMAGE: list[tuple[str, str, str, str]] = [
 
 @pytest.mark.parametrize(("name", "old", "new", "says"), DAMAGE)
 def test_a_seed_that_would_leave_a_robot_dark_is_refused(name: str, old: str, new: str, says: str) -> None:
-    built = seed.build(wish(networks=(wifi.network("lab", "passphrase"),), country="DE"), "A=1\n")
+    built = cloud_init_files(wish(networks=(wifi.network("lab", "passphrase"),), country="DE"), "A=1\n")
     text = built[name].decode()
     assert old in text
     with pytest.raises(ConfigError, match=re.escape(says)):
-        seed.check({**built, name: text.replace(old, new).encode()})
+        check_cloud_init({**built, name: text.replace(old, new).encode()})
 
 
 def test_a_fixed_address_without_networkd_is_refused() -> None:
     static = Static(ipaddress.IPv4Interface("10.0.0.11/24"), ipaddress.IPv4Address("10.0.0.1"))
-    built = seed.build(wish(static=static), "A=1\n")
+    built = cloud_init_files(wish(static=static), "A=1\n")
     for old, new, says in (
         ("renderer: networkd", "optional: true", "becomes DHCP"),
         ("via: 10.0.0.1", "via: 10.9.0.1", "is not in its own network"),
     ):
         text = built["network-config"].decode().replace(old, new)
         with pytest.raises(ConfigError, match=says):
-            seed.check({**built, "network-config": text.encode()})
+            check_cloud_init({**built, "network-config": text.encode()})
 
 
 @settings(max_examples=40)
@@ -140,10 +153,10 @@ def test_a_fixed_address_without_networkd_is_refused() -> None:
     ),
 ))  # fmt: skip
 def test_no_document_makes_the_rules_fail_otherwise(name: str, document: object) -> None:
-    built = seed.build(wish(), "A=1\n")
+    built = cloud_init_files(wish(), "A=1\n")
     text = "#cloud-config\n" + yaml.safe_dump(document)
     with pytest.raises(ConfigError):
-        seed.check({**built, name: text.encode()})
+        check_cloud_init({**built, name: text.encode()})
 
 
 @pytest.mark.skipif(shutil.which("cloud-init") is None, reason="needs cloud-init's own schema: apt install cloud-init")
@@ -151,17 +164,17 @@ def test_no_document_makes_the_rules_fail_otherwise(name: str, document: object)
 def test_cloud_init_itself_finds_nothing_wrong(tmp_path: Path, static: bool) -> None:
     fixed = Static(ipaddress.IPv4Interface("10.0.0.11/24"), ipaddress.IPv4Address("10.0.0.1")) if static else None
     file = tmp_path / "user-data"
-    file.write_bytes(seed.build(wish(static=fixed), "A=1\n")["user-data"])
+    file.write_bytes(cloud_init_files(wish(static=fixed), "A=1\n")["user-data"])
     done = subprocess.run(["cloud-init", "schema", "-c", file], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 # ---------------------------------------------------------------- names and addresses
 def test_a_robots_computer_gets_a_name_that_a_network_takes() -> None:
-    assert seed.hostname_of("r1", "") == "r1"
-    assert seed.hostname_of("Lab_Robot_1", "10.0.0.11") == "lab-robot-1"
+    assert hostname_of("r1", "") == "r1"
+    assert hostname_of("Lab_Robot_1", "10.0.0.11") == "lab-robot-1"
     with pytest.raises(ConfigError, match="cannot be the name of a computer"):
-        seed.hostname_of("r_1", "")
+        hostname_of("r_1", "")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +191,7 @@ def test_a_robots_computer_gets_a_name_that_a_network_takes() -> None:
 )
 def test_fixed_addresses_that_cannot_be_are_refused(host: str, router: str, says: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(says)):
-        seed.static_of(host, router, "r1")
+        static_of(host, router, "r1")
 
 
 # ---------------------------------------------------------------- Wi-Fi
@@ -258,20 +271,20 @@ def test_a_wrong_network_file_says_what_to_write(tmp_path: Path, text: str) -> N
 # ---------------------------------------------------------------- without cloud-init
 def test_the_command_line_stays_one_line_and_can_be_written_again() -> None:
     old = "console=tty1 root=PARTUUID=1-02 rootwait quiet init=/usr/lib/raspberrypi-sys-mods/firstboot\n"
-    once = firstrun.command_line(old, country="DE", run_script=True).decode()
-    twice = firstrun.command_line(once, country="US", run_script=True).decode()
+    once = command_line(old, country="DE", run_script=True).decode()
+    twice = command_line(once, country="US", run_script=True).decode()
     assert once.count("\n") == 1
     assert "systemd.run=/boot/firmware/firstrun.sh systemd.run_success_action=reboot" in once
     assert twice == once.replace("regdom=DE", "regdom=US")
-    assert firstrun.command_line(twice, country="", run_script=False).decode() == old
+    assert command_line(twice, country="", run_script=False).decode() == old
     for wrong in ("", "a\nb\n", "console=tty1\n"):
         with pytest.raises(ConfigError, match="not one line"):
-            firstrun.command_line(wrong, country="", run_script=False)
+            command_line(wrong, country="", run_script=False)
 
 
 @given(ssids)
 def test_networkmanager_reads_any_name(ssid: str) -> None:
-    text = firstrun.connection("x", wifi.Network(ssid, "a" * 64, hidden=True), None)
+    text = connection("x", wifi.Network(ssid, "a" * 64, hidden=True), None)
     parsed = configparser.ConfigParser(interpolation=None)
     parsed.read_string(text)
     assert bytes(int(each) for each in parsed["wifi"]["ssid"].split(";") if each) == ssid.encode()

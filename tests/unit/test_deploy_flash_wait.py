@@ -9,7 +9,7 @@ import pytest
 
 from fullswarm.bus import LocalBus
 from fullswarm.clock import SimClock
-from fullswarm.deploy.flash import wait
+from fullswarm.deploy.flash.result import LOOK_S, wait_for_robots
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth
 from fullswarm.operator import session
@@ -41,14 +41,14 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
 
 def test_each_robot_is_told_as_it_comes(hub: dict[str, float], capsys: pytest.CaptureFixture[str]) -> None:
     hub.update(r2=40.0, r1=90.0, stranger=5.0)
-    heard, silent = wait.wait(Target("tcp/hub", "lab"), ["r1", "r2"], 15.0)
+    heard, silent = wait_for_robots(Target("tcp/hub", "lab"), ["r1", "r2"], 15.0)
     assert (list(heard), silent) == (["r2", "r1"], [])
     assert (heard["r1"].state, heard["r1"].driver) == ("READY", "create:///dev/x")
-    assert heard["r1"].after_s == pytest.approx(90.0, abs=wait.LOOK_S)
+    assert heard["r1"].after_s == pytest.approx(90.0, abs=LOOK_S)
     assert "r2: hello from r2" in capsys.readouterr().err
 
 
 def test_who_never_comes_is_named(hub: dict[str, float]) -> None:
     hub.update(r1=30.0)
-    heard, silent = wait.wait(Target("tcp/hub", "lab"), ["r1", "r2"], 2.0)
+    heard, silent = wait_for_robots(Target("tcp/hub", "lab"), ["r1", "r2"], 2.0)
     assert (list(heard), silent) == (["r1"], ["r2"])

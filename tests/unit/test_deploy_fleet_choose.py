@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config import SwarmConfig
-from fullswarm.deploy.fleet.choose import choose, misfit, needs
-from fullswarm.deploy.fleet.desired import Desired
 from fullswarm.deploy.fleet.facts import Facts
-from fullswarm.deploy.fleet.login import Address
-from fullswarm.deploy.fleet.people import pick
+from fullswarm.deploy.fleet.login import Address, pick_robots
+from fullswarm.deploy.fleet.releases import Desired, choose_release, extras_needed, misfit
 from fullswarm.deploy.release.manifest import Manifest, Target
 from fullswarm.deploy.release.store import Store
 from fullswarm.errors import ConfigError
@@ -29,7 +27,7 @@ FLEET = SwarmConfig.model_validate(
 
 def test_robots_by_name_and_group() -> None:
     def ids(*named: str) -> list[str]:
-        return [each.id for each in pick(FLEET, named, Path("lab.toml"))]
+        return [each.id for each in pick_robots(FLEET, named, Path("lab.toml"))]
 
     assert ids() == ["r1", "r2"]  # a simulated one has no computer, unless somebody says so
     assert ids("r2,r1") == ["r2", "r1"]
@@ -42,9 +40,9 @@ def test_robots_by_name_and_group() -> None:
 def test_a_name_that_stands_for_nobody_is_not_the_whole_fleet(named: tuple[str, ...]) -> None:
     fleet = FLEET.model_copy(update={"groups": {"spare": ()}})
     with pytest.raises(ConfigError) as caught:
-        pick(fleet, named, Path("lab.toml"))
+        pick_robots(fleet, named, Path("lab.toml"))
     assert f"'{' '.join(named)}' stands for no robot" in str(caught.value)
-    assert [each.id for each in pick(fleet, (*named, "r1"), Path("lab.toml"))] == ["r1"]
+    assert [each.id for each in pick_robots(fleet, (*named, "r1"), Path("lab.toml"))] == ["r1"]
 
 
 def test_a_host_that_is_not_named_is_found_by_its_id() -> None:
@@ -60,9 +58,9 @@ def test_which_release_fits(tmp_path: Path) -> None:
     assert misfit(manifest, Facts(arch="aarch64", glibc="2.9", python="3.11")) == "needs glibc 2.28, here is 2.9"
     assert misfit(manifest, Facts(arch="aarch64", python="3.13")) == "is for Python 3.11, here is 3.13"
     with pytest.raises(ConfigError, match=r"fullswarm bundle --target rpi-arm64 --python 3\.13"):
-        choose(Store(tmp_path), None, Facts(arch="aarch64", python="3.13"), "r1")
+        choose_release(Store(tmp_path), None, Facts(arch="aarch64", python="3.13"), "r1")
     with pytest.raises(ConfigError, match="install a 64-bit system"):
-        choose(Store(tmp_path), None, Facts(arch="armv7l", python="3.13"), "r1")
+        choose_release(Store(tmp_path), None, Facts(arch="armv7l", python="3.13"), "r1")
 
 
 def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
@@ -76,14 +74,14 @@ def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
             "agent": {"estimator": "ekf"},
         }
     )
-    wanted = [needs(each, fleet) for each in fleet.robot]
+    wanted = [extras_needed(each, fleet) for each in fleet.robot]
     assert wanted == [{"estimation"}, {"estimation", "mavlink"}, {"can", "estimation"}]
     manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("estimation",))
     facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
     assert misfit(manifest, facts, wanted[0]) == ""
     assert misfit(manifest, facts, wanted[1]) == "was made without what its agent needs: mavlink"
     with pytest.raises(ConfigError, match=r"no release fits it .*bundle .* --with estimation,mavlink"):
-        choose(Store(tmp_path), None, facts, "m1", extras=wanted[1])
+        choose_release(Store(tmp_path), None, facts, "m1", extras=wanted[1])
 
 
 def test_what_robots_should_run_is_kept(tmp_path: Path) -> None:

@@ -14,9 +14,7 @@ import asyncssh
 import pytest
 
 from fullswarm.config import SwarmConfig
-from fullswarm.deploy.fleet.hostkeys import Pins, fingerprint, name_of
-from fullswarm.deploy.fleet.login import Address, Login
-from fullswarm.deploy.fleet.people import login
+from fullswarm.deploy.fleet.login import Address, Login, Pins, key_fingerprint, known_hosts_name, login_for
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.errors import ConfigError, FullswarmError
 
@@ -37,7 +35,7 @@ def test_a_pinned_key_holds_for_its_name_and_port_alone(pins: Pins) -> None:
     assert pins.keys("r1", "10.0.0.1", 22) == [KEY]
     assert pins.keys("r1", "10.0.0.1", 2222) == [OTHER]
     assert pins.keys("r1", "10.0.0.1", 23) == []
-    assert name_of("r1.local", 22) == "r1.local"
+    assert known_hosts_name("r1.local", 22) == "r1.local"
 
 
 def test_a_line_may_have_several_names(pins: Pins) -> None:
@@ -62,7 +60,7 @@ def test_fingerprints_are_those_of_ssh_keygen(tmp_path: Path) -> None:
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "key"], check=True)
     public = tmp_path / "key.pub"
     said = subprocess.run(["ssh-keygen", "-lf", public], check=True, capture_output=True, text=True).stdout
-    assert fingerprint(public.read_text()) in said.split()
+    assert key_fingerprint(public.read_text()) in said.split()
 
 
 def forbid(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
@@ -111,7 +109,7 @@ def test_files_that_root_has_left_are_named_with_what_gives_them_back(
 def test_a_fleet_key_that_root_has_left_is_no_robots_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keys = Keys(tmp_path / "keys")
     key = keys.fleet_key()
-    assert login(SwarmConfig(), keys).fleet_key == key
+    assert login_for(SwarmConfig(), keys).fleet_key == key
     real_open = Path.open
 
     def opened(path: Path, *rest: Any, **more: Any) -> Any:
@@ -121,7 +119,7 @@ def test_a_fleet_key_that_root_has_left_is_no_robots_fault(tmp_path: Path, monke
 
     monkeypatch.setattr(Path, "open", opened)
     with pytest.raises(ConfigError, match=r"fleet_ed25519: cannot be read.*sudo chown"):
-        login(SwarmConfig(), keys)
+        login_for(SwarmConfig(), keys)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from fullswarm.deploy.fleet.remote import Answer, NoRoot, Remote, root_script
-from fullswarm.deploy.fleet.untrusted import clean
+from fullswarm.deploy.fleet.remote import Answer, NoRoot, Remote, clean, root_script
 
 
 def test_a_password_is_taken_off_the_input_whether_sudo_reads_it_or_not(tmp_path: Path) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from fullswarm.deploy.fleet.commands import json_line, size
 from fullswarm.deploy.fleet.facts import Facts, Health, bare
 from fullswarm.deploy.fleet.login import Address
-from fullswarm.deploy.fleet.report import size
-from fullswarm.deploy.fleet.ship import missing_of
+from fullswarm.deploy.fleet.releases import missing_of
+from fullswarm.deploy.fleet.remote import clean, clean_log_line, last_words, strict_json
 from fullswarm.deploy.fleet.status import line
-from fullswarm.deploy.fleet.terminal import json_line
-from fullswarm.deploy.fleet.untrusted import clean, clean_log_line, last_words, strict_json
 from fullswarm.deploy.release import manifest
 from fullswarm.errors import FullswarmError, MessageError
 

@@ -11,13 +11,13 @@ from typing import Any, cast
 
 import pytest
 
-from fullswarm.deploy.fleet import steps, work
+from fullswarm.deploy.fleet import robot_update
 from fullswarm.deploy.fleet.facts import Agent, Facts, Health
 from fullswarm.deploy.fleet.login import Address
+from fullswarm.deploy.fleet.releases import Archives
 from fullswarm.deploy.fleet.remote import Answer, Remote
-from fullswarm.deploy.fleet.rollout import Stage
-from fullswarm.deploy.fleet.ship import Parcels
-from fullswarm.deploy.fleet.work import Kit, Outcome, Work
+from fullswarm.deploy.fleet.robot_update import RobotUpdater, SupportPackage, ship_release
+from fullswarm.deploy.fleet.rollout import Outcome, Stage
 from fullswarm.deploy.release import manifest
 from fullswarm.deploy.release.keys import Keys
 from fullswarm.errors import FullswarmError
@@ -53,13 +53,13 @@ class Robot:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("POLL_S", 0.001), ("SICK_S", 0.5), ("SILENT_S", 1.0)):
-        monkeypatch.setattr(work, name, value)
+        monkeypatch.setattr(robot_update, name, value)
 
 
-def hands(kits: dict[str, Kit] | None = None) -> Work:
+def hands(kits: dict[str, SupportPackage] | None = None) -> RobotUpdater:
     nothing = cast(Any, None)
     addresses = {"r1": Address("r1", "10.0.0.1", 22, "me")}
-    return Work(nothing, addresses, nothing, nothing, lambda _: None, "", kits=kits or {})
+    return RobotUpdater(nothing, addresses, nothing, nothing, lambda _: None, "", kits=kits or {})
 
 
 def says(monkeypatch: pytest.MonkeyPatch, facts: Iterable[Facts]) -> list[Facts]:
@@ -70,7 +70,7 @@ def says(monkeypatch: pytest.MonkeyPatch, facts: Iterable[Facts]) -> list[Facts]
         asked.append(left.pop(0) if len(left) > 1 else left[0])
         return asked[-1]
 
-    monkeypatch.setattr(work, "facts_of", facts_of)
+    monkeypatch.setattr(robot_update, "facts_of", facts_of)
     return asked
 
 
@@ -129,7 +129,9 @@ def test_one_that_starts_again_and_again_does_not_run(monkeypatch: pytest.Monkey
 # ---------------------------------------------------------------- what it was given is there
 def test_a_kit_that_did_not_arrive_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
     says(monkeypatch, [Facts(protocol=1, kit="old")])
-    task = hands({"r1": Kit(b"", "new")})._install(Robot([Answer(0, b"", b"")]).remote, Facts(protocol=1, kit="old"))
+    task = hands({"r1": SupportPackage(b"", "new")})._install(
+        Robot([Answer(0, b"", b"")]).remote, Facts(protocol=1, kit="old")
+    )
     with pytest.raises(FullswarmError, match="its files are other ones"):
         asyncio.run(task)
 
@@ -140,7 +142,7 @@ def release(tmp_path: Path) -> Path:
 
 
 def stage(robot: Robot, release: Path, folder: Path) -> None:
-    asyncio.run(steps.stage(robot.remote, release, Parcels(folder), Facts(protocol=1)))
+    asyncio.run(ship_release(robot.remote, release, Archives(folder), Facts(protocol=1)))
 
 
 def test_what_turns_out_to_be_damaged_there_is_shipped_once_more(release: Path, tmp_path: Path) -> None:
@@ -160,7 +162,7 @@ def test_a_full_disk_of_ours_is_that_robots_failure_alone(monkeypatch: pytest.Mo
     async def full(*_: object) -> Outcome:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Work, "_stage", full)
+    monkeypatch.setattr(RobotUpdater, "_stage", full)
     outcome = asyncio.run(hands()("r1", Stage.STAGING))
     assert (outcome.stage, outcome.exit_code) == (Stage.FAILED, 1)
     assert "this computer could not read or pack the release: No space left on device" in outcome.what

@@ -9,10 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.deploy.fleet import update
-from fullswarm.deploy.fleet.rollout import BAD, IN_HAND, Plan, Rollout, Stage, share
-from fullswarm.deploy.fleet.update import Board, perform
-from fullswarm.deploy.fleet.work import Outcome
+from fullswarm.deploy.fleet import rollout
+from fullswarm.deploy.fleet.rollout import (
+    BAD,
+    IN_HAND,
+    Outcome,
+    Plan,
+    Rollout,
+    Stage,
+    UpdateState,
+    parse_share,
+    perform_rollout,
+)
 from fullswarm.errors import ConfigError
 
 STAGED_AS = (Stage.STAGED, Stage.STAGED, Stage.STAGED, Stage.CURRENT, Stage.FAILED, Stage.UNREACHABLE)
@@ -108,9 +116,9 @@ def test_plans_that_are_none(plan: tuple[int, float, int]) -> None:
 
 
 def test_a_share_of_the_robots() -> None:
-    assert (share("25%"), share("100")) == (0.25, 1.0)
+    assert (parse_share("25%"), parse_share("100")) == (0.25, 1.0)
     with pytest.raises(ConfigError, match="--wave: 'a few' is no share"):
-        share("a few")
+        parse_share("a few")
 
 
 @given(st.data())
@@ -161,15 +169,15 @@ def test_never_more_at_a_time_than_asked_for() -> None:
         busy -= 1
         return Outcome(Stage.STAGED if stage is Stage.STAGING else Stage.HEALTHY, "")
 
-    board = Board(Rollout.of(robots(10), Plan(canary=0, wave=1.0)))
-    asyncio.run(perform(board, hands, at_a_time=3))
+    board = UpdateState(Rollout.of(robots(10), Plan(canary=0, wave=1.0)))
+    asyncio.run(perform_rollout(board, hands, at_a_time=3))
     assert most == 3
     assert set(board.rollout.stages.values()) == {Stage.HEALTHY}
 
 
 def test_an_interrupted_one_says_where_each_robot_stands() -> None:
-    async def main() -> Board:
-        board = Board(Rollout.of(robots(3), Plan()))
+    async def main() -> UpdateState:
+        board = UpdateState(Rollout.of(robots(3), Plan()))
         reached = asyncio.Event()
 
         async def hands(robot: str, stage: Stage) -> Outcome:
@@ -179,7 +187,7 @@ def test_an_interrupted_one_says_where_each_robot_stands() -> None:
             await asyncio.Event().wait()
             raise AssertionError
 
-        task = asyncio.create_task(perform(board, hands))
+        task = asyncio.create_task(perform_rollout(board, hands))
         await reached.wait()
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
@@ -203,8 +211,8 @@ def test_a_fault_of_this_computer_is_one_robots_and_ends_no_others_work(error: O
             await asyncio.sleep(0)
         return Outcome(Stage.HEALTHY, "")
 
-    board = Board(Rollout.of(robots(3), Plan(canary=0, wave=1.0)))
-    asyncio.run(perform(board, hands))
+    board = UpdateState(Rollout.of(robots(3), Plan(canary=0, wave=1.0)))
+    asyncio.run(perform_rollout(board, hands))
     assert list(board.rollout.stages.values()) == [Stage.FAILED, Stage.HEALTHY, Stage.HEALTHY]
     why = "No space left on device: /tmp/x" if error.errno else "OSError"
     assert board.outcomes["r1"].what == f"this computer fails: {why}"
@@ -224,15 +232,15 @@ def test_a_bug_lets_those_finish_that_are_in_hand_and_begins_with_nobody() -> No
             await asyncio.sleep(0)
         return Outcome(Stage.HEALTHY, "")
 
-    board = Board(Rollout.of(robots(4), Plan(canary=0, wave=1.0)))
+    board = UpdateState(Rollout.of(robots(4), Plan(canary=0, wave=1.0)))
     with pytest.raises(KeyError, match="a bug"):
-        asyncio.run(perform(board, hands, at_a_time=2))
+        asyncio.run(perform_rollout(board, hands, at_a_time=2))
     assert begun == ["r1", "r2"]
     assert board.rollout.stages["r2"] is Stage.HEALTHY
 
 
 def test_who_was_away_is_tried_again_for_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "TRY_AGAIN_S", 0.0)
+    monkeypatch.setattr(rollout, "TRY_AGAIN_S", 0.0)
     calls = []
 
     async def hands(robot: str, stage: Stage) -> Outcome:
@@ -241,7 +249,7 @@ def test_who_was_away_is_tried_again_for_so_long(monkeypatch: pytest.MonkeyPatch
             return Outcome(Stage.UNREACHABLE if len(calls) < 3 else Stage.STAGED, "")
         return Outcome(Stage.HEALTHY, "")
 
-    board = Board(Rollout.of(("r1",), Plan()))
-    asyncio.run(perform(board, hands, keep_trying_s=60.0))
+    board = UpdateState(Rollout.of(("r1",), Plan()))
+    asyncio.run(perform_rollout(board, hands, keep_trying_s=60.0))
     assert board.rollout.stages["r1"] is Stage.HEALTHY
     assert calls == [Stage.STAGING, Stage.STAGING, Stage.STAGING, Stage.SWITCHING]

@@ -9,7 +9,7 @@ import pytest
 
 from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S, LatchFolder
 from fullswarm.config import SwarmConfig
-from fullswarm.launch.latching import RUN, STATE, latch_folder
+from fullswarm.launch.processes import RUN, STATE, latch_folder
 from fullswarm.messages import EStop
 from tests.unit.agent_bench import TICK_S, Bench
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.bringup import gamepad
+from fullswarm.bringup.machine import gamepads
 from fullswarm.errors import MissingExtra
 from fullswarm.operator.joystick import pads
 
@@ -31,7 +31,7 @@ class Machine:
         self.listing.write_text(LISTING)
 
     def checks(self) -> list[tuple[str, str, str]]:
-        return [(each.status, each.what, each.mend) for each in gamepad.checks(self.folder, self.listing)]
+        return [(each.status, each.what, each.mend) for each in gamepads(self.folder, self.listing)]
 
     def bar(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("os.access", lambda *_: False)
@@ -68,7 +68,7 @@ def test_any_listing_is_read(machine: Machine, text: str) -> None:
 
 
 def test_a_machine_without_input_devices_is_told_so(tmp_path: Path) -> None:
-    [check] = gamepad.checks(tmp_path / "none", tmp_path / "none")
+    [check] = gamepads(tmp_path / "none", tmp_path / "none")
     assert check.what == f"none: there is no {tmp_path}/none"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.launch.notify import Notifier
+from fullswarm.launch.on_board import Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])

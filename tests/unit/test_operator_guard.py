@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from fullswarm.errors import ConfigError, SafetyStop, Unreachable
-from fullswarm.launch.guard import run_guarded
+from fullswarm.output import run_guarded
 
 
 def raising(error: BaseException) -> Callable[[], int | None]:
@@ -64,7 +64,7 @@ def test_help_imports_nothing_heavy() -> None:
 def test_a_reader_that_goes_away_is_no_error() -> None:
     code = (
         "import sys\n"
-        "from fullswarm.launch.guard import run_guarded\n"
+        "from fullswarm.output import run_guarded\n"
         "from fullswarm import output\n"
         "sys.exit(run_guarded(lambda: [output.data('x' * 1000) for _ in range(1000)] and 0))\n"
     )

@@ -13,7 +13,7 @@ import pytest
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig, load_swarm
 from fullswarm.errors import ConfigError
-from fullswarm.launch.ports import on_free_ports
+from fullswarm.launch.network import on_free_ports
 from fullswarm.launch.supervisor import FIRST_BACKOFF_S, STEADY_S, Supervisor
 from fullswarm.runtime import Runtime
 

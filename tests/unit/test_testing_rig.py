@@ -128,7 +128,7 @@ def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver, "WAY_S", 0.3)
     monkeypatch.setattr(driver, "SLOW_S", 0.1)
     monkeypatch.setattr(faults, "NOISE_S", 0.1)
-    monkeypatch.setattr(faults, "UNHEARD_S", 0.12)
+    monkeypatch.setattr(faults, "UNRECEIVED_S", 0.12)
 
 
 @pytest.mark.parametrize(("broken", "sentence"), BROKEN)

@@ -297,7 +297,7 @@ def test_after_any_chaos_everybody_runs_the_newest_and_a_stop_stops_all(tmp_path
     whole.run(4.0)
     for robot in whole.agents:
         refused = whole.core.handler._robots[robot].refused
-        assert whole.running(robot) == ("" if refused else whole.wanted(robot)), robot
+        assert whole.running(robot) == ("" if refused else whole.order_of(robot)), robot
         if whole.running(robot):
             assert whole.running(robot) == chaos.newest.get(robot), robot
             assert robot in whole.status(whole.running(robot)).running

@@ -172,10 +172,10 @@ class Whole:
         task = self.agents[robot].tasks.of[0]
         return task.request.request_id if task else ""
 
-    def wanted(self, robot: str) -> str:
+    def order_of(self, robot: str) -> str:
         """Return the id of the request that the core wants it to run; empty: none."""
-        order = self.core.handler.wanted(robot)
-        return "" if order is None or order.stands else order.request_id
+        order = self.core.handler.order_of(robot)
+        return "" if order is None or order.enables_nothing else order.request_id
 
     def driven(self) -> list[str]:
         """Return the robots whose wheels are told to turn."""

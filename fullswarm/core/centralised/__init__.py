@@ -1,7 +1,7 @@
 """Behaviours computed on the base station for all their robots at once (paper II.C.1): a process of their own.
 
 In: ``CentralisedRequest`` of the core, ``RobotStates`` of the agents.
-Out: ``CentralisedCommands``, which the request handler hands out, and a ``Heartbeat`` with the active ids.
+Out: ``CentralisedCommands``, which the request handler distributes, and a ``Heartbeat`` with the active ids.
 
 ``node.py``          the process: requests, states, 20 Hz tick
 ``laws.py``          the laws: best assignment of a formation, coverage on exact cells, the centroid by a stick
@@ -27,7 +27,7 @@ def missing_packages() -> tuple[str, ...]:
 
 
 def need(package: str) -> Any:
-    """Import a package of the extra ``[core]`` only when a centralised behaviour is asked for.
+    """Import a package of the extra ``[core]`` only when a centralised behaviour is requested.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """Barrier certificates of all robots at once (the paper's [11]): one sparse quadratic programme, solved by OSQP.
 
-    minimise |u - u_wished|²  over the planar velocities u of all robots, subject to
+    minimise |u - u_desired|²  over the planar velocities u of all robots, subject to
     -n_ij·(u_i - u_j) <= γ max(d_ij - D_ij, 0)   for each pair within 3 m; n_ij from j to i, D_ij radii plus margin
     the same towards the walls, and |u| within the speed limit on each axis
 
-u = 0 is always allowed. The certificates are for robots that can move in any direction. A unicycle cannot: it goes
+u = 0 is always allowed. The certificates are for robots that can move in any direction. A unicycle cannot: it moves
 along its heading while it turns towards u. :func:`to_twists` therefore checks the pairs again with the velocities that
 the robots will really have, and slows those down that would close in too fast.
 """
@@ -50,7 +50,7 @@ class Arena:
     margin_m: float
 
     def same_as(self, other: Arena) -> bool:
-        """Tell whether both are the same; nodes make one per tick from the same walls."""
+        """Tell whether both are equal; a node makes one per tick from the same walls."""
         if self is other:
             return True
         return (
@@ -127,7 +127,7 @@ class Layout:
 class Pairs:
     """Neighbouring pairs: `first` < `second`, unit vector from second to first, what the gap allows.
 
-    Good until the filter is called again, which writes into the same arrays.
+    Valid until the filter is called again, which writes into the same arrays.
     """
 
     first: Index  # (k,)
@@ -160,14 +160,14 @@ class JointFilter:
         self._near = Pairs(self._chosen[0], self._chosen[1], self._layout.unit, self._layout.budget)
         self.setups = 0
 
-    def filter(self, wished: Array, positions: Array, radii: Array, arena: Arena) -> tuple[Array, Pairs]:
+    def filter(self, desired: Array, positions: Array, radii: Array, arena: Arena) -> tuple[Array, Pairs]:
         """Return the nearest allowed velocities (n, 2) and the pairs that were looked at.
 
         Velocities are zero for all when the solver has no answer.
 
         Parameters
         ----------
-        wished : (n, 2) m/s
+        desired : (n, 2) m/s
         positions : (n, 2) m
         radii : (n,) m
         """
@@ -175,9 +175,9 @@ class JointFilter:
         walls = self._walls
         if walls is None or not walls.holds_for(radii, arena):
             walls = self._walls = Walls(radii, arena)
-            changed = True  # rare, and what was kept is all made anew
+            changed = True  # rare: everything that was kept is made again
         if changed:
-            layout = self._layout = Layout(wished.size, len(distance))
+            layout = self._layout = Layout(desired.size, len(distance))
             layout.enough += radii.take(self._chosen).sum(axis=0)
             layout.enough += arena.margin_m
             self._near = Pairs(self._chosen[0], self._chosen[1], layout.unit, layout.budget)
@@ -189,15 +189,15 @@ class JointFilter:
         np.divide(offset, np.maximum(distance, layout.tiny, out=distance), out=layout.complex_unit)
         np.negative(layout.unit, out=layout.minus_unit)
         if changed:
-            self._set_up(wished)
+            self._set_up(desired)
         else:
             # The solver writes into the array that it is given: `take` makes it a new one.
             data = layout.data.take(layout.order)
-            self._solver.update(q=-wished.ravel(), l=layout.lower, u=layout.upper, Ax=data)
+            self._solver.update(q=-desired.ravel(), l=layout.lower, u=layout.upper, Ax=data)
         answer = self._solver.solve(raise_error=False)
         found: Array = answer.x
         if answer.info.status != "solved" or not math.isfinite(found.dot(found)):  # infeasible: huge values
-            return np.zeros_like(wished), self._near
+            return np.zeros_like(desired), self._near
         self._answer = found
         allowed: Array = np.maximum(found, layout.lower_box)
         return np.minimum(allowed, layout.upper_box, out=allowed).reshape(-1, 2), self._near
@@ -243,8 +243,8 @@ class JointFilter:
         self._codes, self._chosen = codes, found[keep].T
         return not same, offset[keep], distance[keep]
 
-    def _set_up(self, wished: Array) -> None:
-        layout, size, count = self._layout, wished.size, self._chosen.shape[1]
+    def _set_up(self, desired: Array) -> None:
+        layout, size, count = self._layout, desired.size, self._chosen.shape[1]
         rows = np.concatenate([np.repeat(size + np.arange(count), 2)] * 2 + [np.arange(size)])
         of_pairs = (2 * self._chosen[:, :, None] + [0, 1]).ravel()  # both axes of the first ones, then of the second
         columns = np.concatenate([of_pairs, np.arange(size)])
@@ -255,7 +255,7 @@ class JointFilter:
         pattern.data = layout.data.take(layout.order)
         self._solver = self.solver_type()
         identity = self._sparse.eye(size, format="csc")
-        self._solver.setup(identity, -wished.ravel(), pattern, layout.lower, layout.upper, **SETTINGS)
+        self._solver.setup(identity, -desired.ravel(), pattern, layout.lower, layout.upper, **SETTINGS)
         if len(self._answer) == size:
             self._solver.warm_start(x=self._answer)
         self.setups += 1
@@ -267,7 +267,7 @@ def to_twists(
     """Map allowed velocities to speeds and turn rates (n, 2) under which no gap closes too fast.
 
     A robot goes with the projection of its velocity on its heading and never backwards: with more than 90° to
-    turn it stands and turns. Turning is always free, it moves no disc.
+    turn it turns on the spot. Turning is never limited: it moves no disc.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def to_twists(
     turn : (2,) gain K_w in 1/s and limit in rad/s
     """
     size = np.linalg.norm(velocities, axis=1)
-    wished = np.arctan2(velocities[:, 1], velocities[:, 0])
-    error = np.arctan2(np.sin(wished - headings), np.cos(wished - headings))
+    desired = np.arctan2(velocities[:, 1], velocities[:, 0])
+    error = np.arctan2(np.sin(desired - headings), np.cos(desired - headings))
     ahead = np.stack([np.cos(headings), np.sin(headings)], axis=1)
     speed = np.clip(np.minimum(size, arena.speed_m_s) * np.cos(error), 0.0, None)
     low, high = np.empty((2, *positions.shape))
@@ -298,7 +298,7 @@ def _slow_down(speed: Array, ahead: Array, pairs: Pairs) -> None:
     towards_first = (pairs.unit * ahead[second]).sum(axis=1)
     for sweep in range(SWEEPS):
         own, other = towards_second * speed[first], towards_first * speed[second]
-        if sweep == SWEEPS - 1:  # count on no robot giving way: this sweep ends it for certain
+        if sweep == SWEEPS - 1:  # assume that no robot gives way: this sweep is certain to end
             own, other = np.maximum(own, 0.0), np.maximum(other, 0.0)
         excess = own + other > pairs.budget_m_s + 1e-9
         if not excess.any():

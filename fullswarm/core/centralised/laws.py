@@ -1,4 +1,4 @@
-"""The centralised laws: functions over all robots of a request, by name in :data:`CENTRALISED`.
+"""The centralised control laws: functions over all robots of a request, by name in :data:`CENTRALISED`.
 
 ``law(positions, headings, params, memory, rows) -> (n, 2)`` desired planar velocities in m/s, for the n robots
 whose state is fresh: `positions` (n, 2) m, `headings` (n,) rad, `rows` (n,) their places in the request's list of
@@ -98,8 +98,8 @@ def teleop_centroid(positions: Array, headings: Array, params: Params, memory: M
     offset[rows[new]] = around[new]
     place = offset[rows] - offset[rows].mean(axis=0)  # robots may have dropped out since
     stick = np.array([number(params, "vx"), number(params, "vy")]) * number(params, "speed_m_s", 0.5)
-    wished: Array = stick + number(params, "gain", 1.0) * (place - around)
-    return wished
+    desired: Array = stick + number(params, "gain", 1.0) * (place - around)
+    return desired
 
 
 def voronoi_centralised(positions: Array, headings: Array, params: Params, memory: Memory, rows: Index) -> Array:

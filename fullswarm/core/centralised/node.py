@@ -26,7 +26,7 @@ NODE = "centralised"
 RATE_HZ = 20.0
 HEARTBEAT_HZ = 10.0
 STALE_S = 0.5
-"""A robot whose state is older gets no command: it stops when its last one runs out."""
+"""A robot whose state is older gets no command: it stops when its last one expires."""
 
 MEMORY = 1024
 
@@ -60,7 +60,7 @@ class CentralisedNode:
     Parameters
     ----------
     process
-        Name of this start, unlike any other's.
+        Name of this start, unique.
     """
 
     def __init__(self, bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> None:
@@ -70,11 +70,11 @@ class CentralisedNode:
         self._jobs: dict[str, Job] = {}
         self._newest: OrderedDict[str, tuple[str, int]] = OrderedDict()
         self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
-        self._complained: OrderedDict[str, None] = OrderedDict()
+        self._logged: OrderedDict[str, None] = OrderedDict()
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
             bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
-            bus.subscribe(self._keys.state(), RobotStates, self._seen, latest=True),
+            bus.subscribe(self._keys.state(), RobotStates, self._update_states, latest=True),
         ]
         self._timers = [
             scheduler.every(1.0 / RATE_HZ, self._tick),
@@ -82,7 +82,7 @@ class CentralisedNode:
         ]
 
     def close(self) -> None:
-        """Stop computing; the robots stop when their last command runs out."""
+        """Stop computing; the robots stop when their last command expires."""
         for subscription in self._subscriptions:
             subscription.close()
         for timer in self._timers:
@@ -107,35 +107,35 @@ class CentralisedNode:
         try:
             for name in FILTER.keys() & request.parameters.keys():
                 FILTER[name].check(name, request.parameters[name])
-        except ValueError as error:  # any sender on the bus can send one
-            self._complain(request, error)
+        except ValueError as error:  # any process on the bus can send one
+            self._log_once(request, error)
             return
         if job is not None:
             if job.request.robots != request.robots:
-                job.memory.clear()  # rows mean other robots now
+                job.memory.clear()  # rows are other robots now
             job.request = request
             return
         try:
             job = Job(request, CENTRALISED[request.law], joint=JointFilter() if request.filtered else None)
         except (FullswarmError, KeyError) as error:
-            self._complain(request, error)
+            self._log_once(request, error)
             return
         for other in self._jobs.values():
-            # The next frame of the same stick goes on where the last one was.
+            # The next frame of the same stick continues from the last one.
             if (other.request.behaviour, other.request.robots) == (request.behaviour, request.robots):
                 job.memory, job.joint = other.memory, other.joint
         self._jobs[request.request_id] = job
 
-    def _complain(self, request: CentralisedRequest, error: Exception) -> None:
-        """Log once per request, which the core sends again and again."""
-        if request.request_id in self._complained:
+    def _log_once(self, request: CentralisedRequest, error: Exception) -> None:
+        """Log once per request, which the core repeats."""
+        if request.request_id in self._logged:
             return
-        self._complained[request.request_id] = None
-        while len(self._complained) > MEMORY:
-            self._complained.popitem(last=False)
+        self._logged[request.request_id] = None
+        while len(self._logged) > MEMORY:
+            self._logged.popitem(last=False)
         log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
 
-    def _seen(self, states: RobotStates) -> None:
+    def _update_states(self, states: RobotStates) -> None:
         columns = (states.x_m, states.y_m, states.heading_rad, states.radius_m)
         if not self._jobs or any(len(column) != len(states.robots) for column in columns):
             return
@@ -162,8 +162,7 @@ class CentralisedNode:
             try:
                 twists = self._twists(job, scene)
             except Exception as error:
-                # A law is outside code: whatever it raises, one request must not end the others. Its robots stop,
-                # having no command.
+                # Whatever a law raises, one request must not end the others. Its robots stop for want of a command.
                 if str(error) != job.error:
                     job.error = str(error)
                     log.error("centralised law failed", behaviour=job.request.behaviour, error=job.error)
@@ -187,16 +186,16 @@ class CentralisedNode:
     def _twists(self, job: Job, scene: Scene) -> Array:
         """Return speed and turn rate (n, 2) of the robots of `scene`."""
         params, config = job.request.parameters, self._config
-        wished = job.law(scene.positions, scene.headings, params, job.memory, scene.rows)
+        desired = job.law(scene.positions, scene.headings, params, job.memory, scene.rows)
         speed_m_s, turn_rad_s = number(params, "speed_m_s", 0.5), number(params, "turn_rad_s", 2.0)
         if job.joint is None:
             twists = []
-            for (vx_m_s, vy_m_s), heading in zip(wished.tolist(), scene.headings.tolist(), strict=True):
+            for (vx_m_s, vy_m_s), heading in zip(desired.tolist(), scene.headings.tolist(), strict=True):
                 v, w = unicycle(vx_m_s, vy_m_s, heading, config.speed_gain, config.turn_gain_per_s)
                 twists.append((clamp(v, -speed_m_s, speed_m_s), clamp(w, -turn_rad_s, turn_rad_s)))
             return np.array(twists)
-        size = np.linalg.norm(wished, axis=1, keepdims=True)
-        wished = wished * np.minimum(1.0, speed_m_s / np.maximum(size * config.speed_gain, 1e-9)) * config.speed_gain
+        size = np.linalg.norm(desired, axis=1, keepdims=True)
+        desired = desired * np.minimum(1.0, speed_m_s / np.maximum(size * config.speed_gain, 1e-9)) * config.speed_gain
         arena = Arena(
             self._low,
             self._high,
@@ -204,7 +203,7 @@ class CentralisedNode:
             number(params, "barrier_gain_per_s", config.barrier_gain_per_s),
             number(params, "safety_margin_m", config.safety_margin_m),
         )
-        allowed, near = job.joint.filter(wished, scene.positions, scene.radii, arena)
+        allowed, near = job.joint.filter(desired, scene.positions, scene.radii, arena)
         turn = np.array([config.turn_gain_per_s, turn_rad_s])
         return to_twists(allowed, near, scene.positions, scene.headings, scene.radii, arena, turn)
 

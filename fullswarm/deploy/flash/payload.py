@@ -10,8 +10,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.flash import firstrun, seed, seed_rules
-from fullswarm.deploy.flash.seed import Static, Wish
+from fullswarm.deploy.flash.first_boot import (
+    FirstBoot,
+    Static,
+    after_user_data,
+    cloud_init_files,
+    command_line,
+    firstrun_files,
+    hostname_of,
+    new_instance,
+    static_of,
+    valid_user,
+)
 from fullswarm.deploy.flash.wifi import Network
 from fullswarm.errors import ConfigError
 
@@ -65,7 +75,7 @@ class Surroundings:
     router: str | None = None  # 10.0.0.1/24: fixed addresses
 
 
-def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> Wish:
+def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> FirstBoot:
     """Return what a robot is told, with a fresh instance id.
 
     Raises
@@ -73,13 +83,13 @@ def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> Wish:
     ConfigError
         Its name, user or address cannot be.
     """
-    if not seed_rules.valid_user(robot.ssh_user):
+    if not valid_user(robot.ssh_user):
         hint = "a plain Linux login: a-z, 0-9, '-' and '_'"
         raise ConfigError(f"'{robot.ssh_user}' cannot be a user", where=f"robot {robot.id}: ssh_user", hint=hint)
-    static: Static | None = seed.static_of(robot.host, around.router, robot.id)
-    return Wish(
+    static: Static | None = static_of(robot.host, around.router, robot.id)
+    return FirstBoot(
         robot=robot.id,
-        hostname=seed.hostname_of(robot.id, robot.host),
+        hostname=hostname_of(robot.id, robot.host),
         user=robot.ssh_user,
         login_keys=access.login_keys,
         host_private=access.host_private,
@@ -87,7 +97,7 @@ def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> Wish:
         networks=around.networks,
         country=around.country,
         static=static,
-        instance=seed.new_instance(robot.id),
+        instance=new_instance(robot.id),
     )
 
 
@@ -112,7 +122,7 @@ def first_boot_kind(there: frozenset[str], label: str, wanted: str = "auto") -> 
 
 def build(
     kind: str,
-    wish: Wish,
+    wish: FirstBoot,
     access: Access,
     shipment: Shipment,
     kit: bytes,
@@ -151,17 +161,17 @@ def build(
         f"{FOLDER}/secret/host_key.pub": f"{access.host_public}\n".encode(),
     }
     line = read("cmdline.txt")
-    checked = seed.build(wish, environment)  # firstrun.sh says the same in other words: the same rules hold
+    checked = cloud_init_files(wish, environment)  # firstrun.sh says the same in other words: the same rules hold
     if kind == CLOUD_INIT:
         files |= checked
-        files[f"{FOLDER}/after-user-data"] = seed.after_user_data(wish)
+        files[f"{FOLDER}/after-user-data"] = after_user_data(wish)
         if line is not None:
-            text = firstrun.command_line(line.decode("utf-8", "replace"), country=wish.country, run_script=False)
+            text = command_line(line.decode("utf-8", "replace"), country=wish.country, run_script=False)
             files |= {"cmdline.txt": text, "ssh": b""}  # an empty `ssh` switches its server on, on Raspberry Pi OS
         return files
     if line is None:
         raise ConfigError("its boot partition has no cmdline.txt", where="image", hint="use --first-boot cloud-init")
-    return files | firstrun.build(wish, {"cmdline.txt": line})
+    return files | firstrun_files(wish, {"cmdline.txt": line})
 
 
 def card_env(values: Mapping[str, str]) -> str:

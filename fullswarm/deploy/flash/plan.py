@@ -1,19 +1,21 @@
-"""Everything that is decided and checked before a byte is written: image, release, seeds, cards."""
+"""Decides and checks everything before a byte is written: request, confirmation, image, release, first boot, cards."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from fullswarm import output
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.flash import fat, image, mtools, payload
-from fullswarm.deploy.flash.fat import Volume
-from fullswarm.deploy.flash.partitions import HEAD_BYTES, read_partitions
+from fullswarm.deploy.flash import card, fat, image, payload
+from fullswarm.deploy.flash.card import Card
+from fullswarm.deploy.flash.fat import HEAD_BYTES, Volume, read_partitions
 from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
-from fullswarm.deploy.fleet.choose import with_
+from fullswarm.deploy.fleet.releases import with_option
 from fullswarm.deploy.release.keys import Keys, fingerprint, public
 from fullswarm.deploy.robot.support_package import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
@@ -21,6 +23,76 @@ from fullswarm.errors import ConfigError, did_you_mean
 _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3.12"}
 
 
+@dataclass(frozen=True, slots=True)
+class FlashRequest:
+    """What the command line says."""
+
+    robots: tuple[str, ...]
+    fleet: Path
+    image: Path | None = None
+    devices: tuple[str, ...] = ()
+    outputs: tuple[Path, ...] = ()
+    seed_only: bool = False
+    release: str | None = None
+    target: str = "rpi-arm64"
+    wifi: tuple[str, ...] = ()
+    wifi_file: Path | None = None
+    country: str | None = None
+    static: str | None = None
+    sha256: str | None = None
+    first_boot: str = "auto"
+    agreed: tuple[str, ...] = ()
+    most_bytes: int = card.MOST_BYTES
+    wait_minutes: float | None = None
+    hub: str | None = None
+    dry_run: bool = False
+    as_json: bool = False
+
+
+@dataclass(slots=True)
+class CardResult:
+    """One row of the result: a robot, its card, and how it went."""
+
+    robot: str
+    target: str
+    state: str = "planned"
+    note: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def confirm_loss(
+    targets: Sequence[Card | Path],
+    agreed: Sequence[str],
+    loss: str = "its system stays, the files that tell which robot it is will be lost",
+) -> None:
+    """Have the user confirm, by its serial number, that each card may lose data.
+
+    Parameters
+    ----------
+    loss
+        What; by default no more than ``--seed-only`` writes over.
+
+    Raises
+    ------
+    ConfigError
+        Not confirmed, or a card is not the same any more.
+    """
+    cards = [each for each in targets if isinstance(each, Card)]
+    for each in card.check_agreed(cards, agreed):
+        what = f"{loss}: {each.title}"
+        if not sys.stdin.isatty():
+            raise ConfigError(what, where=each.path, hint=f"if that is meant: --yes {each.token}")
+        output.progress(what)
+        sys.stderr.write(f"Type {each.token} to write it: ")
+        sys.stderr.flush()
+        if sys.stdin.readline().strip() != each.token:
+            raise ConfigError("not confirmed; nothing was written", where=each.path, hint=f"type {each.token}")
+    for each in cards:
+        if not card.same_card(each):
+            raise ConfigError("is not the card that it was a moment ago", where=each.path, hint="start again")
+
+
+# ---------------------------------------------------------------- what is written
 @dataclass(frozen=True, slots=True)
 class Prepared:
     """One robot's boot partition, edited and checked, in a file of its own."""
@@ -97,7 +169,7 @@ def release_for(
     name = "" if picture is None else picture.name.lower()
     python = next((minor for codename, minor in _PYTHON_OF.items() if codename in name), None)
     folder = store.latest(target, python) if release is None else store.get(release)
-    option = (f" --python {python}" if python else "") + with_(extras)
+    option = (f" --python {python}" if python else "") + with_option(extras)
     if folder is None:
         what = f"there is no release for {target}" + (f" and Python {python}, as this image has it" if python else "")
         raise ConfigError(what, where=str(store.folder), hint=f"fullswarm bundle --target {target}{option}")
@@ -110,7 +182,7 @@ def release_for(
     if python is None and picture is not None:
         output.progress(f"image: its name does not say which Python it has; this release needs {shipment.python}")
     if lacking := extras - set(Manifest.read(folder).extras):
-        hint = f"fullswarm bundle --target {target} --python {shipment.python}{with_(extras)}"
+        hint = f"fullswarm bundle --target {target} --python {shipment.python}{with_option(extras)}"
         what = f"was made without what its robots' agents need: {', '.join(sorted(lacking))}"
         raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
     return shipment
@@ -162,7 +234,7 @@ def seed_files(
 
     access = access_for(robot, around.config.swarm, keys)
     wish = payload.wish_for(robot, access, around)
-    kind = payload.first_boot_kind(mtools.names(disk, volume), volume.label, wanted)
+    kind = payload.first_boot_kind(fat.file_names(disk, volume), volume.label, wanted)
     files = payload.build(
         kind,
         wish,
@@ -171,7 +243,7 @@ def seed_files(
         support_package(robot, around.config, access.signers),
         around.config.hub.endpoint,
         volume.volume_id,
-        lambda path: mtools.get(disk, volume, path),
+        lambda path: fat.get_file(disk, volume, path),
     )
     return files, wish.instance, kind
 
@@ -187,13 +259,13 @@ def prepare(
         The seed is not sound, the partition has no room, or the result is not a sound FAT.
     """
     files, instance, kind = seed_files(robot, around, keys, shipment, source.disk, source.volume, wanted)
-    mtools.check_room(source.volume, files, f"image for {robot.id}")
+    fat.check_room(source.volume, files, f"image for {robot.id}")
     edited = source.disk.with_name(f"{robot.id}.fat")
     edited.touch(mode=0o600)
-    mtools.copy_range(source.disk, source.volume.start_bytes, source.volume.size_bytes, edited)
+    fat.copy_range(source.disk, source.volume.start_bytes, source.volume.size_bytes, edited)
     alone = _moved(source.volume, 0)
-    mtools.put(edited, alone, files)
-    judged = mtools.fsck(edited, alone)
+    fat.put_files(edited, alone, files)
+    judged = fat.fsck(edited, alone)
     key = fingerprint(keys.host_key(around.config.swarm, robot.id))
     return Prepared(robot.id, instance, key, kind, source.volume, edited, judged, len(files))
 

@@ -1,4 +1,4 @@
-"""`fullswarm flash`: decide and check everything, ask, write, read back, remember, wait."""
+"""Runs `fullswarm flash`: checks everything, asks, writes, reads back, pins host keys, waits for the robots."""
 
 from __future__ import annotations
 
@@ -11,20 +11,33 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from rich.table import Table
 
 from fullswarm import output
 from fullswarm.config import RobotConfig
-from fullswarm.deploy.flash import card, image, mtools, pins, plan, seed_only, wait, wifi
+from fullswarm.deploy.flash import card, fat, image, payload, wifi
 from fullswarm.deploy.flash.card import Card
-from fullswarm.deploy.flash.order import Line, Request, agree
+from fullswarm.deploy.flash.fat import Volume, boot_volume
 from fullswarm.deploy.flash.payload import Shipment, Surroundings
+from fullswarm.deploy.flash.plan import (
+    CardResult,
+    FlashRequest,
+    access_for,
+    confirm_loss,
+    prepare,
+    read_head,
+    release_for,
+    robots_of,
+    seed_files,
+)
+from fullswarm.deploy.flash.result import ADVICE, FirstReport, check_hub_answers, wait_for_robots
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
-from fullswarm.deploy.fleet.choose import needs
-from fullswarm.deploy.release.keys import Keys, usable
+from fullswarm.deploy.fleet.login import Pins, known_hosts_name
+from fullswarm.deploy.fleet.releases import extras_needed
+from fullswarm.deploy.release.keys import Keys, fingerprint, public, usable
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import session
@@ -32,7 +45,7 @@ from fullswarm.operator import session
 TELL_S = 2.0
 
 
-def run(request: Request) -> int:
+def run(request: FlashRequest) -> int:
     """Do it; return 0, 1 when a card failed.
 
     Raises
@@ -50,45 +63,47 @@ def run(request: Request) -> int:
         _hand_over(keys.folder)
 
 
-def _run(request: Request, keys: Keys) -> int:
+def _run(request: FlashRequest, keys: Keys) -> int:
     config = load_fleet(request.fleet)
-    robots = plan.robots_of(config, request.robots)
+    robots = robots_of(config, request.robots)
     targets = _targets(request, robots)
-    mtools.check_there()
+    fat.check_tools()
     networks, country = wifi.gather(request.wifi_file, request.wifi, request.country, _ask_passphrase)
     around = Surroundings(config, networks, country, request.static)
-    extras = frozenset().union(*(needs(each, config) for each in robots))
-    shipment = plan.release_for(request.release, request.target, request.image, keys, extras)
+    extras = frozenset().union(*(extras_needed(each, config) for each in robots))
+    shipment = release_for(request.release, request.target, request.image, keys, extras)
     output.progress(f"release {shipment.id}: signature good, {len(shipment.body) / 1e6:.1f} MB on the card")
     hub = session.Target(request.hub or config.hub.endpoint, config.swarm)
     if request.wait_minutes is not None and not request.dry_run:
-        wait.check(hub)  # before a byte is written
-    with pins.on_trial(robots, config.swarm, keys) as begin:
-        work = seed_only.run if request.seed_only else _flash
+        check_hub_answers(hub)  # before a byte is written
+    with provisional_host_keys(robots, config.swarm, keys) as begin:
+        work = _configure if request.seed_only else _flash
         lines = work(request, robots, targets, around, keys, shipment, begin)
     if request.dry_run:
         return _show(request, lines, {})
     good = [line.robot for line in lines if not line.state.startswith("FAILED")]
     for robot in robots:
-        if robot.id in good and pins.pin(robot, config.swarm, keys):
+        if robot.id in good and pin_host_key(robot, config.swarm, keys):
             output.progress(f"{robot.id}: another host key was known at its address; it is forgotten")
     if request.wait_minutes is None or not good:
         return _show(request, lines, {})
     return _wait(request, lines, hub, good, request.wait_minutes)
 
 
-def _wait(request: Request, lines: Sequence[Line], hub: session.Target, robots: Sequence[str], minutes: float) -> int:
+def _wait(
+    request: FlashRequest, lines: Sequence[CardResult], hub: session.Target, robots: Sequence[str], minutes: float
+) -> int:
     """Show what was written whatever comes of the waiting: at once to a person, at the end as the one document."""
     code = 0 if request.as_json else _show(request, lines, {})
-    heard: dict[str, wait.Hello] = {}
+    heard: dict[str, FirstReport] = {}
     try:
-        heard, silent = wait.wait(hub, robots, minutes)
+        heard, silent = wait_for_robots(hub, robots, minutes)
     finally:
         if request.as_json:
             code = _show(request, lines, heard)
     if silent:
         what = f"nothing was heard within {minutes:g} minutes"
-        raise Unreachable(what, where=", ".join(silent), hint=wait.ADVICE)
+        raise Unreachable(what, where=", ".join(silent), hint=ADVICE)
     return code
 
 
@@ -106,7 +121,7 @@ def _hand_over(folder: Path) -> None:
             os.lchown(each, user, own.stat().st_gid)
 
 
-def _targets(request: Request, robots: Sequence[RobotConfig]) -> tuple[Card | Path, ...]:
+def _targets(request: FlashRequest, robots: Sequence[RobotConfig]) -> tuple[Card | Path, ...]:
     if bool(request.devices) == bool(request.outputs):
         hint = "--device /dev/sdX for a card, or --output FILE for an image"
         raise ConfigError("name either devices or files to write", where="flash", hint=hint)
@@ -154,14 +169,14 @@ def _ask_passphrase(ssid: str) -> str:
 
 # ---------------------------------------------------------------- writing
 def _flash(
-    request: Request,
+    request: FlashRequest,
     robots: Sequence[RobotConfig],
     targets: Sequence[Card | Path],
     around: Surroundings,
     keys: Keys,
     shipment: Shipment,
     begin: Callable[[], None],
-) -> list[Line]:
+) -> list[CardResult]:
     assert request.image is not None  # noqa: S101  (`_targets` has seen to it)
     wanted = image.expected_sha256(request.image, request.sha256)
     if not request.image.is_file():
@@ -172,14 +187,14 @@ def _flash(
     digest = image.check_sha256(request.image, wanted, _teller("checksum"))
     with tempfile.TemporaryDirectory(prefix="fullswarm-flash-") as name:
         try:
-            source = plan.read_head(request.image, Path(name), _teller("reading the boot partition"))
+            source = read_head(request.image, Path(name), _teller("reading the boot partition"))
             _check_sizes(targets, source.least_bytes)
-            prepared = [plan.prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
+            prepared = [prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
         except OSError as error:  # of this computer: what is wrong with image or seed is a ConfigError
             hint = "each card's boot partition lies there for a while: `TMPDIR=/var/tmp fullswarm flash …`"
             raise ConfigError(f"cannot prepare the cards: {error.strerror}", where=name, hint=hint) from error
         lines = [
-            Line(
+            CardResult(
                 each.robot,
                 _title(target),
                 details={
@@ -196,7 +211,7 @@ def _flash(
         ]
         if request.dry_run:
             return lines
-        agree(targets, request.agreed, "everything on it will be lost")
+        confirm_loss(targets, request.agreed, "everything on it will be lost")
         begin()
         with _partial(targets) as paths:
             jobs = [
@@ -259,7 +274,7 @@ def _write(picture: Path, jobs: Sequence[Job]) -> list[Outcome]:
         raise
 
 
-def _tell_outcome(line: Line, outcome: Outcome) -> None:
+def _tell_outcome(line: CardResult, outcome: Outcome) -> None:
     if outcome.error is not None:
         line.state, line.note = "FAILED", str(outcome.error)
         return
@@ -299,7 +314,7 @@ def _teller(what: str) -> image.Tell:
     return lambda done: teller("image", what, done)
 
 
-def _show(request: Request, lines: Sequence[Line], heard: dict[str, wait.Hello]) -> int:
+def _show(request: FlashRequest, lines: Sequence[CardResult], heard: dict[str, FirstReport]) -> int:
     failed = any(line.state.startswith("FAILED") for line in lines)
     if request.as_json:
         rows = [
@@ -325,3 +340,162 @@ def _show(request: Request, lines: Sequence[Line], heard: dict[str, wait.Hello])
         if not failed and not request.dry_run:
             output.progress("put the card in and switch the robot on; the first boot takes some minutes")
     return 1 if failed else 0
+
+
+# ---------------------------------------------------------------- --seed-only: a partition that was written before
+def _configure(
+    request: FlashRequest,
+    robots: Sequence[RobotConfig],
+    targets: Sequence[Card | Path],
+    around: Surroundings,
+    keys: Keys,
+    shipment: Shipment,
+    begin: Callable[[], None],
+) -> list[CardResult]:
+    """Write the robots' files over those of their boot partitions, in place; `begin` is called before the first.
+
+    Raises
+    ------
+    ConfigError
+        Anything is wrong; partitions before the one named may have been written then.
+    """
+    work = [_BootPartition.of(robot, target) for robot, target in zip(robots, targets, strict=True)]
+    built = [place.build(around, keys, shipment, request.first_boot) for place in work]
+    if not request.dry_run:
+        confirm_loss(targets, request.agreed)
+        begin()
+    lines = []
+    for place, (files, instance, kind) in zip(work, built, strict=True):
+        judged = "" if request.dry_run else place.put(files)
+        robot = place.robot.id
+        state = "planned" if request.dry_run else "seeded"
+        details = {
+            "instance": instance,
+            "host_key": fingerprint(keys.host_key(around.config.swarm, robot)),
+            "first_boot": kind,
+            "boot_partition": judged,
+            "release": shipment.id,
+            "wifi": [network.ssid for network in around.networks],
+        }
+        lines.append(CardResult(robot, place.title, state, "" if request.dry_run else judged, details))
+    return lines
+
+
+class _BootPartition:
+    """A boot partition: in a disk, or as a mounted folder."""
+
+    def __init__(self, robot: RobotConfig, path: Path, title: str, volume: Volume | None) -> None:
+        self.robot, self.path, self.title, self._volume = robot, path, title, volume
+
+    @classmethod
+    def of(cls, robot: RobotConfig, target: Card | Path) -> _BootPartition:
+        path = Path(target.path) if isinstance(target, Card) else target
+        title = target.title if isinstance(target, Card) else str(target)
+        if path.is_dir():
+            return cls(robot, path, title, None)
+        try:
+            number = os.open(path, os.O_RDWR | os.O_CLOEXEC | (os.O_EXCL if path.is_block_device() else 0))
+        except OSError as error:
+            raise explain(error, path, 0) from error
+        try:
+            return cls(robot, path, title, boot_volume(number, str(path)))
+        finally:
+            os.close(number)
+
+    def build(
+        self, around: Surroundings, keys: Keys, shipment: Shipment, wanted: str
+    ) -> tuple[dict[str, bytes], str, str]:
+        """Return the files, checked for room; the instance id; how the first boot is told."""
+        if self._volume is None:
+            return self._for_folder(around, keys, shipment, wanted)
+        made = seed_files(self.robot, around, keys, shipment, self.path, self._volume, wanted)
+        old = sum(len(fat.get_file(self.path, self._volume, name) or b"") for name in made[0])
+        roomy = replace(self._volume, free_bytes=self._volume.free_bytes + old)  # what is overwritten makes room
+        fat.check_room(roomy, made[0], str(self.path))
+        return made
+
+    def _for_folder(
+        self, around: Surroundings, keys: Keys, shipment: Shipment, wanted: str
+    ) -> tuple[dict[str, bytes], str, str]:
+        from fullswarm.deploy.robot.support_package import support_package
+
+        there = frozenset(each.name.lower() for each in self.path.iterdir())
+        access = access_for(self.robot, around.config.swarm, keys)
+        wish = payload.wish_for(self.robot, access, around)
+        kind = payload.first_boot_kind(there, self.path.name, wanted)
+        tool = support_package(self.robot, around.config, access.signers)
+        hub = around.config.hub.endpoint
+
+        def read(name: str) -> bytes | None:
+            file = self.path / name
+            return file.read_bytes() if file.is_file() else None
+
+        return payload.build(kind, wish, access, shipment, tool, hub, "", read), wish.instance, kind
+
+    def put(self, files: dict[str, bytes]) -> str:
+        """Write; return how the partition was judged."""
+        if self._volume is not None:
+            fat.put_files(self.path, self._volume, files)
+            with self.path.open("rb") as disk:
+                os.fsync(disk.fileno())
+            return fat.fsck(self.path, self._volume)
+        for name, content in files.items():
+            target = self.path / name
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with target.open("wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            except OSError as error:
+                raise explain(error, target, 0) from error
+            if target.read_bytes() != content:
+                raise ConfigError("reads back different from what was written", where=str(target), hint="another card")
+        return f"{len(files)} files written; unmount it before you pull the card out"
+
+
+# ---------------------------------------------------------------- host keys
+def pin_host_key(robot: RobotConfig, swarm: str, keys: Keys) -> bool:
+    """Pin a robot's own host key at its address; True when another one was known there before."""
+    host = robot.host or f"{robot.id}.local"
+    own = " ".join(public(keys.host_key(swarm, robot.id)).split()[:2])
+    pins = Pins(keys.known_hosts, keys.host_key(swarm, robot.id).parent)
+    name = known_hosts_name(host, robot.ssh_port)
+    replaced = _forget_others(keys.known_hosts, name, own)
+    pins.pin_flashed(robot.id, host, robot.ssh_port)
+    return replaced
+
+
+@contextmanager
+def provisional_host_keys(robots: Sequence[RobotConfig], swarm: str, keys: Keys) -> Iterator[Callable[[], None]]:
+    """Drop the host keys that are made in here, unless what it gives is called because writing begins.
+
+    Without a card that has it, a key would only make a strange computer of the robot that answers.
+    """
+    fresh = [each.id for each in robots if not keys.has_host_key(swarm, each.id)]
+    try:
+        yield fresh.clear
+    finally:
+        for robot in fresh:
+            keys.forget_host_key(swarm, robot)
+
+
+def _forget_others(file: Path, name: str, own: str) -> bool:
+    if not file.exists():
+        return False
+    lines = file.read_text("utf-8").splitlines()
+    kept = [line for line in lines if not _is_other(line, name, own)]
+    if kept == lines:
+        return False
+    fresh = file.with_name(f"{file.name}.new")
+    fresh.touch(mode=0o600)
+    fresh.write_text("".join(f"{line}\n" for line in kept), "utf-8")
+    os.replace(fresh, file)  # noqa: PTH105  (one word less than Path's)
+    return True
+
+
+def _is_other(line: str, name: str, own: str) -> bool:
+    words = line.split()
+    if len(words) < 3 or line.startswith(("#", "@", "|")):
+        return False
+    return name in words[0].split(",") and f"{words[1]} {words[2]}" != own

@@ -1,25 +1,15 @@
-"""The fleet over SSH: install, update in waves, roll back, look.
+"""Installs and updates robots over SSH: deploy, update in waves, roll back, show.
 
-``remote.py``     one robot's computer over asyncssh: run a command, feed it, hear its answer, never hang
-``login.py``      from a robot of the fleet file to such a connection: pinned key, fleet key, jump hosts
-``hostkeys.py``   which host key is pinned for which robot, and what to say when it is another one
-``untrusted.py``  what a robot says is bytes from a stranger: bounded, strict, without control characters
-``facts.py``      one round trip: what a robot is and what it runs
-``choose.py``     which release of the store fits it
-``ship.py``       what it lacks, packed once for all robots that lack the same
-``steps.py``      one robot, one step: install, stage, switch under guard, confirm, roll back
-``rollout.py``    which robots may switch when: canary, waves, stop at k failures. Pure: no network, no clock
-``work.py``       what a rollout asks of one robot; ``verdict.py`` after the switch: kept, or taken back
-``update.py``     performs a rollout
-``desired.py``    what each robot should run, kept on the base for robots that were away
-``commands.py``   deploy, update; ``visit.py`` rollback, reboot; ``status.py`` fleet; ``terminal.py`` logs, shell
+``commands.py``      `deploy`, `update`, `rollback`, `reboot`, `logs`, `shell`
+``status.py``        `fleet`: what each robot runs, what it should run, whether it is healthy
+``rollout.py``       which robots may switch when: canary, waves, stop at k failures
+``robot_update.py``  the steps on one robot: install, ship, switch under guard, commit or roll back
+``releases.py``      which release fits a robot, what the robot lacks of it, what each robot should run
+``facts.py``         one round trip: what a robot is and what it runs
+``login.py``         pinned host keys, fleet key, jump hosts, and the questions that a person answers
+``remote.py``        one robot's computer over asyncssh: commands with time limits, untrusted answers
 
-In flow a fleet file, a release and keys; out flow robots that run it, and a table that says of each what happened
-and what to do. What a robot does with a release (signature, links, guard, rollback) is the script
-``fullswarm-robot`` on the robot: nothing here is needed for a robot to go back by itself.
-
-Further files:
-
-``people.py``  Robots by name, keys, and the questions that only a person can answer
-``report.py``  The result of a command, robot by robot: what happened, and what to do
+In: a fleet file, a release and keys. Out: robots that run it, and a table that says of each what happened and what to
+do. What a robot does with a release (signature, links, guard, rollback) is the script ``fullswarm-robot`` on the
+robot: nothing here is needed for a robot to roll back on its own.
 """

@@ -8,8 +8,7 @@ from typing import Any
 
 import msgspec
 
-from fullswarm.deploy.fleet.remote import PROGRAM, Remote, root_script
-from fullswarm.deploy.fleet.untrusted import clean, strict_json
+from fullswarm.deploy.fleet.remote import PROGRAM, Remote, clean, root_script, strict_json
 from fullswarm.errors import FullswarmError, MessageError
 
 BARE = b"fullswarm-bare\n"

@@ -1,24 +1,32 @@
-"""From a robot of the fleet file to a connection that is logged in: pinned host key, the fleet's key, jump hosts."""
+"""Logs in to the robots of a fleet file: pinned host key, fleet key, jump hosts, and what only a person can answer."""
 
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
+import getpass
+import hashlib
 import os
 import socket
-from collections.abc import AsyncIterator, Sequence
+import sys
+from collections.abc import AsyncIterator, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fullswarm.deploy.fleet.hostkeys import HostKeyProblem, Pins
-from fullswarm.deploy.fleet.remote import Remote, closing
-from fullswarm.deploy.fleet.untrusted import clean
-from fullswarm.errors import FullswarmError, Unreachable
+import typer
+
+from fullswarm import output
+from fullswarm.deploy.fleet.remote import Remote, clean, closing
+from fullswarm.deploy.release.keys import usable
+from fullswarm.errors import ConfigError, FullswarmError, Unreachable, did_you_mean
 
 if TYPE_CHECKING:
-    from fullswarm.config import RobotConfig
+    from fullswarm.config import RobotConfig, SwarmConfig
+    from fullswarm.deploy.release.keys import Keys
 
+SSH_PORT = 22
 CONNECT_S = 20.0
 ALIVE_S = 10.0
 ALIVE_COUNT = 3
@@ -28,6 +36,118 @@ ATTEMPTS = 2
 AGAIN_S = 1.0
 
 
+class HostKeyProblem(FullswarmError):
+    """A computer's identity is wrong, or not confirmed yet."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Pins:
+    """The keys that robots of one swarm are known by.
+
+    Parameters
+    ----------
+    known_hosts
+        In OpenSSH's format, so that ``ssh`` and ``ssh-keygen`` can use it too.
+    flashed
+        Folder of the host keys that were made on this machine, ``<robot>_ed25519.pub``.
+
+    Raises
+    ------
+    ConfigError
+        In each method: these files are not this user's to read or write.
+    """
+
+    known_hosts: Path
+    flashed: Path
+
+    def keys(self, robot: str, host: str, port: int) -> list[str]:
+        """Public keys (``ssh-ed25519 AAAA…``) that this robot may show; none: it is not known yet."""
+        return self._pinned(known_hosts_name(host, port)) or self._made_here(robot)
+
+    def pin(self, host: str, port: int, key: str) -> None:
+        """Remember a key that the user has confirmed."""
+        line = f"{known_hosts_name(host, port)} {_bare(key)}\n".encode()
+        with usable(self.known_hosts.parent, self.known_hosts):
+            self.known_hosts.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # One write to a file opened for appending: two commands at a time do not tear each other's lines.
+            file = os.open(self.known_hosts, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            try:
+                os.write(file, line)
+            finally:
+                os.close(file)
+
+    def pin_flashed(self, robot: str, host: str, port: int) -> None:
+        """Write down for ``ssh`` what is known of a robot flashed here."""
+        if not self._pinned(known_hosts_name(host, port)):
+            for key in self._made_here(robot):
+                self.pin(host, port, key)
+
+    def changed(self, robot: str, host: str, port: int) -> HostKeyProblem:
+        """Return the error for a computer that shows another key than the pinned one."""
+        name = known_hosts_name(host, port)
+        if self._pinned(name):
+            mend = f"ssh-keygen -R '{name}' -f '{self.known_hosts}'"
+        else:
+            mend = f"rm '{self.flashed / f'{robot}_ed25519.pub'}'"
+        return HostKeyProblem(
+            "shows another host key than the one that is known: another computer at its address, or an interception",
+            where=f"{robot} ({host})",
+            hint=f"only if it was set up anew on purpose: {mend}, then `fullswarm deploy {robot}`",
+        )
+
+    def unknown(self, robot: str, host: str, key: str) -> HostKeyProblem:
+        """Return the error for a computer that is not confirmed yet."""
+        return HostKeyProblem(
+            f"its host key is not known yet: {key_fingerprint(key)}",
+            where=f"{robot} ({host})",
+            hint=f"compare with `ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub` there, then `fullswarm deploy "
+            f"{robot}` and confirm, or --accept-new-host-keys on a network you trust",
+        )
+
+    def _pinned(self, name: str) -> list[str]:
+        with usable(self.known_hosts.parent):
+            return [key for names, key in _lines(self.known_hosts) if name in names.split(",")]
+
+    def _made_here(self, robot: str) -> list[str]:
+        try:
+            with usable(self.flashed):
+                return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
+        except FileNotFoundError:
+            return []
+
+
+def known_hosts_name(host: str, port: int) -> str:
+    """The name a host has in ``known_hosts``."""
+    return host if port == SSH_PORT else f"[{host}]:{port}"
+
+
+def key_fingerprint(key: str) -> str:
+    """``SHA256:…`` as ``ssh`` and ``ssh-keygen -l`` print it."""
+    digest = hashlib.sha256(base64.b64decode(key.split()[1])).digest()
+    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
+
+
+def _bare(key: str) -> str:
+    return " ".join(key.split()[:2])
+
+
+def _lines(file: Path) -> list[tuple[str, str]]:
+    """Names and key of each line; comments, markers and hashed names are not ours."""
+    try:
+        text = file.read_text("utf-8")
+    except FileNotFoundError:
+        return []
+    found = []
+    for line in text.splitlines():
+        words = line.split()
+        if len(words) >= 3 and not line.startswith(("#", "@", "|")):
+            found.append((words[0], f"{words[1]} {words[2]}"))
+    return found
+
+
+# ---------------------------------------------------------------- connections
 class LoginRefused(FullswarmError):
     """The computer answers, but none of our keys opens it."""
 
@@ -209,3 +329,84 @@ def _words_for(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno:
         return os.strerror(error.errno).lower()
     return clean(str(error)) or "does not answer"
+
+
+# ---------------------------------------------------------------- for a command
+def pick_robots(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple[RobotConfig, ...]:
+    """Return the robots that were named, by id or @group, in that order; none named: all with a computer.
+
+    Raises
+    ------
+    ConfigError
+        A name is not in the fleet file, or the names select no robot: an empty word, an empty group.
+    """
+    words = tuple(named)
+    by_id = {each.id: each for each in config.robot}
+    picked: dict[str, RobotConfig] = {}
+    for name in (part for each in words for part in each.split(",") if part):
+        members = config.groups.get(name[1:]) if name.startswith("@") else (name,)
+        if members is None or any(each not in by_id for each in members):
+            known = [*by_id, *(f"@{each}" for each in config.groups)]
+            raise ConfigError(f"no robot '{name}' in this fleet", where=str(where), hint=did_you_mean(name, known))
+        picked.update({each: by_id[each] for each in members})
+    if words and not picked:  # an unset variable of a script must not mean the whole fleet
+        hint = "an empty word or group; leave the robots out for all of them"
+        raise ConfigError(f"'{' '.join(words)}' stands for no robot", where=str(where), hint=hint)
+    chosen = tuple(picked.values()) or tuple(each for each in config.robot if each.host or not each.simulated)
+    if not chosen:
+        raise ConfigError("no robot with a computer of its own", where=str(where), hint='host = "10.0.0.11" names one')
+    return chosen
+
+
+def login_for(config: SwarmConfig, keys: Keys, *, ask_password: bool = False, own_keys: bool = False) -> Login:
+    """Return how to log in to the robots of a fleet; asks for sudo's password once if it shall.
+
+    Raises
+    ------
+    ConfigError
+        The keys are not this user's to read.
+    """
+    password = None
+    if ask_password:
+        password = getpass.getpass("sudo's password on the robots: ") if sys.stdin.isatty() else sys.stdin.readline()
+        password = password.rstrip("\n")
+    pins = Pins(keys.known_hosts, keys.folder / "hosts" / config.swarm)
+    with usable(keys.folder):
+        key = keys.fleet_key()
+        key.open("rb").close()  # each robot would say it otherwise, and as if it were the robot's fault
+    return Login(pins, key, own_keys, password)
+
+
+async def confirm_host_keys(
+    entrance: Login, addresses: Sequence[Address], *, accept: bool
+) -> dict[str, FullswarmError]:
+    """Pin the host keys of unknown computers, after the user has confirmed each.
+
+    Returns
+    -------
+    dict
+        The robots that could not be asked or were not confirmed, and why.
+    """
+    pins = entrance.pins
+    fresh = [each for each in addresses if not pins.keys(each.robot, each.host, each.port)]
+    shown = await asyncio.gather(*(entrance.host_key(each) for each in fresh), return_exceptions=True)
+    problems: dict[str, FullswarmError] = {}
+    for address, key in zip(fresh, shown, strict=True):
+        if isinstance(key, FullswarmError):
+            problems[address.robot] = key
+        elif isinstance(key, BaseException):
+            raise key
+        elif accept or _confirmed(address, key):
+            pins.pin(address.host, address.port, key)
+            output.progress(f"{address.where}: host key {key_fingerprint(key)} is known from now on")
+        else:
+            problems[address.robot] = pins.unknown(address.robot, address.host, key)
+    return problems
+
+
+def _confirmed(address: Address, key: str) -> bool:
+    if not sys.stdin.isatty():
+        return False
+    kind = key.split()[0]
+    question = f"{address.where} shows the host key {key_fingerprint(key)} ({kind}). Is that this robot's?"
+    return typer.confirm(question, default=False, err=True)

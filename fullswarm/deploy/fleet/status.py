@@ -7,12 +7,11 @@ import math
 from dataclasses import asdict, dataclass
 
 from fullswarm import output
-from fullswarm.deploy.fleet.commands import Fleet, Order
-from fullswarm.deploy.fleet.desired import Desired
+from fullswarm.deploy.fleet.commands import FILE_COLUMNS, Fleet, FleetRequest, table
 from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
 from fullswarm.deploy.fleet.login import Address
-from fullswarm.deploy.fleet.report import MANY, table
-from fullswarm.deploy.fleet.untrusted import clean
+from fullswarm.deploy.fleet.releases import Desired
+from fullswarm.deploy.fleet.remote import clean
 from fullswarm.errors import FullswarmError, Unreachable
 
 CLOCK_S = 60.0
@@ -37,7 +36,7 @@ class Line:
     exit_code: int = 0
 
 
-def fleet(order: Order) -> int:
+def fleet(order: FleetRequest) -> int:
     """Print the fleet; return 0 when all is well and as it should be, 3 when no robot was reached, else 1."""
     whole = Fleet.of(order)
     desired = Desired.of(whole.config.swarm).read()
@@ -55,7 +54,7 @@ def fleet(order: Order) -> int:
         (each.robot, each.host, each.release or "-", each.skew or "-", each.health, each.why, each.mend)
         for each in lines
     ]
-    output.data_table(table(columns, cells), into_file=MANY)
+    output.data_table(table(columns, cells), into_file=FILE_COLUMNS)
     return code
 
 

@@ -3,12 +3,13 @@
 Twists go in, scaled to what both wheels can do, and leave as one set-point frame per wheel; heartbeats and
 encoder estimates come back and leave as readings.
 
-- ``protocol.py``: what the makes share; ``layout.py``: how messages lie in bytes; pure, as are
-  ``odrive.py``, ``odrive_states.py``, ``vesc.py`` (all messages, both ways) and ``slcan.py`` (frames as text)
-- ``odrive_axis.py``, ``vesc_motor.py``: one wheel's controller as the driver sees it
-- ``kinematics.py``: two wheels ↔ one body, odometry; ``settings.py``: the URL, checked
-- ``machine.py``, ``axis.py``: the lifecycle, without input or output
-- ``port.py``, ``slcan_bus.py``, ``driver.py``: python-can and the link thread
+- ``protocol.py``: what the two controllers share; ``layout.py``: how messages lie in bytes; ``odrive.py``, ``vesc.py``:
+  all messages, both ways, and one wheel's controller as a codec; ``slcan.py``: frames as text. Bytes only, pure
+- ``kinematics.py``: two wheels ↔ one body, odometry
+- ``session.py``: the conversation as a state machine, without input or output
+- ``settings.py``: the URL, checked; ``driver.py``: the session on a bus
+- ``port.py``: a bus of python-can as a port; ``slcan_bus.py``: its serial adapters, apart because python-can is
+  imported only when a bus is opened
 - ``probe.py``: which robots are on a bus, asked without moving them
 
 This folder is called ``can`` as well: inside it ``import can`` is absolute and means python-can.

@@ -1,14 +1,16 @@
-"""python-can behind three calls, its exceptions turned into ours. One thread at a time."""
+"""A CAN bus as a port: python-can, its exceptions turned into ours. One thread at a time."""
 
 from __future__ import annotations
 
 import select
+import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fullswarm.drivers.can import slcan
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame
 from fullswarm.drivers.can.settings import Settings
-from fullswarm.drivers.ports import claim
+from fullswarm.drivers.ports import Port, claim
 from fullswarm.errors import DriverError, LinkLost, MissingExtra
 
 if TYPE_CHECKING:
@@ -16,10 +18,12 @@ if TYPE_CHECKING:
     import serial
 
 SEND_TIMEOUT_S = 0.01
-UNHEARD = 3
+UNRECEIVED = 3
 """So many errors in a row mean that the bus is gone; a single one is a stray datagram."""
 UNSENT = 10
-"""So many mean that nobody hears us, whatever we hear; an adapter's buffer may be full for some tens of ms."""
+"""So many mean that nothing is sent, whatever is received; an adapter's buffer may be full for some tens of ms."""
+BACKLOG = 1000
+"""Frames taken at most between two looks at what is due."""
 BUS_OFF = 0x40
 """Class bit of an error frame (linux/can/error.h): the adapter has switched itself off."""
 
@@ -34,7 +38,7 @@ def _python_can() -> Any:
     return can
 
 
-class CanPort:
+class CanPort(Port[Frame]):
     """An open bus.
 
     Raises
@@ -48,10 +52,10 @@ class CanPort:
     def __init__(self, settings: Settings) -> None:
         library = _python_can()
         self._where = f"{settings.bus.interface} {settings.channel}"
-        self._unsent = self._unheard = 0  # counted apart: an adapter may hear well that sends nothing any more
+        self._unsent = self._unreceived = 0  # counted apart: an adapter may receive well that sends nothing any more
         self.dropped = 0  # frames that could not be sent or understood
-        # python-can's backends let these slip through when a line of an adapter makes no sense.
-        self._errors = (library.CanError, OSError, ValueError, LookupError, TypeError)
+        # python-can's backends let all but the first slip through when a line of an adapter makes no sense.
+        self._errors = (library.CanError, OSError, ValueError, LookupError, TypeError, struct.error)
         self._message = library.Message
         self._lost_state = library.BusState.ERROR
         self._claim: serial.Serial | None = None
@@ -81,7 +85,7 @@ class CanPort:
             self._descriptor = None
 
     def _open_serial(self, settings: Settings) -> can.BusABC:
-        """Claim the adapter's port before python-can, which does not, says a word to it."""
+        """Claim the adapter's port, which python-can does not, before anything is sent there."""
         from fullswarm.drivers.can.slcan_bus import SlcanBus
 
         bus = settings.bus
@@ -95,23 +99,27 @@ class CanPort:
         if port is not None:
             port.close()
 
+    def fileno(self) -> int | None:
+        """Return what to wait on; None: there is no such thing (``virtual``)."""
+        return self._descriptor
+
     @property
-    def descriptor(self) -> int | None:
-        """What another process on this machine can send on; None: there is no such thing (``virtual``)."""
-        # Of an adapter the claim, because it is what keeps others from the port.
+    def guardable(self) -> int | None:
+        """The descriptor on which a guardian can send."""
+        # Of an adapter the claim, because it is what keeps other programs from the port.
         return self._descriptor if self._claim is None else int(self._claim.fileno())
 
     @property
     def destination(self) -> tuple[str, int] | None:
-        """Where frames must be sent to on :attr:`descriptor`; None: it is connected."""
+        """Where frames must be sent to on :attr:`guardable`; None: it is connected."""
         multicast = getattr(self._bus, "_multicast", None)
         return None if multicast is None else (str(multicast.group), int(multicast.port))
 
-    def packed(self, frame: Frame) -> bytes:
-        """Return `frame` as it has to be written to :attr:`descriptor`."""
+    def packed(self, chunk: Frame) -> bytes:
+        """Return a frame as it has to be written to :attr:`guardable`."""
         if self._claim is not None:
-            return slcan.END + slcan.encode(frame)  # ends a line that was cut in two
-        message = self._packable(frame)
+            return slcan.END + slcan.encode(chunk)  # ends a line that was cut in two
+        message = self._packable(chunk)
         if self.destination is not None:
             from can.interfaces.udp_multicast.utils import pack_message
 
@@ -119,6 +127,17 @@ class CanPort:
         from can.interfaces.socketcan.socketcan import build_can_frame
 
         return bytes(build_can_frame(message))
+
+    def read(self) -> Sequence[Frame]:
+        """Return all that has arrived: after a pause no wheel may count as silent whose frames wait in the port."""
+        frames: list[Frame] = []
+        while len(frames) < BACKLOG and (frame := self.receive(0.0)) is not None:
+            frames.append(frame)
+        return frames
+
+    def write(self, chunk: Frame) -> None:
+        """Send a frame, or lose it."""
+        self.send(chunk)
 
     def send(self, frame: Frame) -> None:
         """Send `frame`, waiting at most 10 ms.
@@ -163,8 +182,8 @@ class CanPort:
                 return None
             message = self._bus.recv(timeout=timeout_s if self._descriptor is None else 0.0)
         except self._errors as error:
-            self._unheard += 1
-            self._failed(f"cannot receive: {error}", error, over=self._unheard >= UNHEARD)
+            self._unreceived += 1
+            self._failed(f"cannot receive: {error}", error, over=self._unreceived >= UNRECEIVED)
             return None
         self._drained = message is None
         if message is None:
@@ -172,7 +191,7 @@ class CanPort:
         if message.is_error_frame:
             self._on_error_frame(message.arbitration_id)
             return None
-        self._unheard = 0
+        self._unreceived = 0
         if message.is_fd:
             return None
         return Frame(message.arbitration_id, message.is_extended_id, bytes(message.data), message.is_remote_frame)
@@ -204,7 +223,7 @@ class CanPort:
             self._bus.shutdown()
         except self._errors:
             self.dropped += 1
-            # slcan first says goodbye to the adapter; when that fails it leaves the serial port open.
+            # slcan first closes the adapter's channel; when that fails it leaves the serial port open.
             serial_port = getattr(self._bus, "serialPortOrig", None)
             if serial_port is not None:
                 serial_port.close()

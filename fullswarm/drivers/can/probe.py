@@ -13,7 +13,7 @@ from urllib.parse import urlencode
 
 from fullswarm.clock import Clock
 from fullswarm.drivers.can import odrive
-from fullswarm.drivers.can.odrive_states import error_names, state_name
+from fullswarm.drivers.can.odrive import error_names, state_name
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import Settings, parse

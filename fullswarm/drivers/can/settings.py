@@ -28,9 +28,9 @@ from pydantic import Field, PositiveFloat, ValidationError
 from fullswarm.config import Section
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.can import odrive, vesc
-from fullswarm.drivers.can.odrive_axis import OdriveCodec
+from fullswarm.drivers.can.odrive import OdriveCodec
 from fullswarm.drivers.can.protocol import Wheel, WheelCodec
-from fullswarm.drivers.can.vesc_motor import VescCodec
+from fullswarm.drivers.can.vesc import VescCodec
 from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.errors import ConfigError, did_you_mean
 

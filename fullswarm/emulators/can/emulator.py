@@ -37,21 +37,18 @@ class BusPort:
 
     def fileno(self) -> int:
         """Return the descriptor; -1 for a bus within this process."""
-        return -1 if self._port.descriptor is None else self._port.descriptor
+        descriptor = self._port.fileno()
+        return -1 if descriptor is None else descriptor
 
     def receive(self) -> list[bytes]:
         """Return the frames that have arrived; ``LinkLost`` when the bus is gone."""
-        chunks = []
-        while (frame := self._port.receive(0.0)) is not None:
-            if self._plugged:
-                chunks.append(pack(frame))
-        return chunks
+        return [pack(frame) for frame in self._port.read() if self._plugged]
 
     def send(self, data: bytes) -> None:
         """Send a frame, if the flipped bits have left one."""
         frame = unpack(data) if self._plugged else None
         if frame is not None:
-            self._port.send(frame)
+            self._port.write(frame)
 
     def drop(self) -> None:
         """A bus has no connections."""

@@ -6,8 +6,7 @@ import math
 from dataclasses import replace
 
 from fullswarm.drivers.can import odrive
-from fullswarm.drivers.can.odrive import Firmware
-from fullswarm.drivers.can.odrive_states import AxisState, error_bit
+from fullswarm.drivers.can.odrive import AxisState, Firmware, error_bit
 from fullswarm.drivers.can.protocol import Frame, Wheel
 from fullswarm.emulators.can.wheel import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, ControllerFaults, Sender, Spin
 

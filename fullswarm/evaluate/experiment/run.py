@@ -60,7 +60,6 @@ from fullswarm.store import Store
 
 TELL_S = 5.0
 """How often progress is told."""
-INTERRUPTED = 130
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +147,7 @@ def run(options: Options, run_one: Measure = measure) -> int:
             with suppress(ConfigError):
                 sweep(options.folder)  # the trials that the workers were writing when they were ended
         _say_interrupted(options, results, trials)
-        return INTERRUPTED
+        return output.INTERRUPTED
     report = summarise(((trial, results[trial]) for trial in trials if trial in results), clock.now_s() - began_s)
     written = options.folder is None or _finish(options.folder)
     if options.as_json:

@@ -87,7 +87,7 @@ class Gateway:
         self._changes = ChangeLog(self._log_entries)
         self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
-        self._estops, self._stops = EStopTracker(self.view.present, self._name_of), StopTracker()
+        self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
         self._leases = Leases(leases=())
         self._subscriptions = [
             bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request),
@@ -188,7 +188,7 @@ class Gateway:
             "obstacles": self._obstacles.shown,
             "filter": lambda: self._held_back.shown(now_s),
             "coverage": self._coverage.shown,
-            "estop": lambda: self._estops.shown(now_s),
+            "estop": self._estops.shown,
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -264,7 +264,7 @@ class Gateway:
         now_s = self._scheduler.now_s()
         changed, self._changed = self._changed, set()
         with self._drawing("estop"):
-            if self._estops.order is not None and (frame := self._estops.changed_frame(now_s)):
+            if frame := self._estops.changed_frame():
                 self._send(frame)
         with self._drawing("stop"):
             if self._stops.order is not None and (frame := self._stops.changed_frame(self.view.snapshot(), now_s)):
@@ -351,7 +351,7 @@ class Gateway:
 
     def _on_estop(self, order: EStop) -> None:
         now_s = self._scheduler.now_s()
-        if not self._estops.add_order(order, now_s):
+        if not self._estops.add_order(order):
             return
         self._block_driving(order.robots)  # by a release too: a stick that is held at that moment must not start them
         if not order.engaged:
@@ -365,7 +365,7 @@ class Gateway:
 
     def _on_receipt(self, receipt: EStopReceipt) -> None:
         with self._drawing("estop"):
-            self._estops.add_receipt(receipt, self._scheduler.now_s())
+            self._estops.add_receipt(receipt)
 
     def _on_leases(self, leases: Leases) -> None:
         self._leases = leases

@@ -40,7 +40,6 @@ import webbrowser
 DEFAULT_LISTEN = "127.0.0.1:8807"
 TOKEN = "FULLSWARM_CONSOLE_TOKEN"  # noqa: S105  (the name of a variable)
 LEAST_TOKEN = 16
-INTERRUPTED = 130
 DEAD_LINK_MS = 10_000
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
 """For each wildcard address a remote address that is assigned to no host."""
@@ -200,7 +199,7 @@ async def _serve(
         bus.close()
     if failed:
         raise failed[0]
-    return INTERRUPTED if signal.SIGINT in ended_by else 0
+    return output.INTERRUPTED if signal.SIGINT in ended_by else 0
 
 
 def _end_on_signals(loop: asyncio.AbstractEventLoop, server: uvicorn.Server) -> list[int]:

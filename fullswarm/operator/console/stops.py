@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from fullswarm.messages import EStop, EStopReceipt, StopRequest
-from fullswarm.operator.estop import LISTEN_S
+from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.view import RobotRow, Snapshot
+from fullswarm.runtime import Scheduler
 
 STOP_WATCH_S = 10.0
 REMEMBERED = 256
 
+Seen = OrderedDict[tuple[str, bool], None]
 
-def by_operator(order: EStop | StopRequest) -> bool:
-    """Return whether an operator sent the order: robots repeat stops that still hold, and a core repeats latches."""
-    return order.robots != (order.source,) and not order.source.startswith("core-")
+
+def _is_new(order: EStop | StopRequest, engaged: bool, seen: Seen) -> bool:
+    """Return whether this is the first copy of an operator's order, and note it in `seen`.
+
+    Robots repeat stops that still hold, and a core repeats latches: those are not operators' orders.
+    """
+    key = (order.id, engaged)
+    if key in seen or order.robots == (order.source,) or order.source.startswith("core-"):
+        return False
+    seen[key] = None
+    while len(seen) > REMEMBERED:
+        seen.popitem(last=False)
+    return True
 
 
 @dataclass(slots=True)
@@ -27,80 +40,69 @@ class EStopTracker:
     Parameters
     ----------
     known
-        All robots that are present: an order to all concerns them.
+        Returns all robots that are present: an order to all concerns them.
     name_of
-        The name of a source for people.
+        Returns the name of a source for people.
     """
 
+    scheduler: Scheduler
     known: Callable[[], Iterable[str]]
     name_of: Callable[[str], str] = str
-    order: EStop | None = None
-    began_s: float = 0.0
-    receipts: dict[str, tuple[EStopReceipt, float]] = field(default_factory=dict)
-    _seen: OrderedDict[tuple[str, bool], None] = field(default_factory=OrderedDict)
+    order: EStopOrder | None = None
+    _seen: Seen = field(default_factory=OrderedDict)
     _sent: dict[str, Any] | None = None
 
-    def add_order(self, order: EStop, now_s: float) -> bool:
+    def add_order(self, order: EStop) -> bool:
         """Process an order; return whether it is a new one of an operator. Copies of an older one change nothing."""
-        key = (order.id, order.engaged)
-        if key in self._seen or not by_operator(order):
+        if not _is_new(order, order.engaged, self._seen):
             return False
-        self._seen[key] = None
-        while len(self._seen) > REMEMBERED:
-            self._seen.popitem(last=False)
-        self.order, self.began_s = order, now_s
-        self.receipts = {}
+        # Never started: its sender repeats it, here it only collects the receipts.
+        self.order = EStopOrder(
+            order, send=lambda: None, scheduler=self.scheduler, known=self.known, deadline_s=math.inf
+        )
         return True
 
-    def add_receipt(self, receipt: EStopReceipt, now_s: float) -> None:
+    def add_receipt(self, receipt: EStopReceipt) -> None:
         """Process a receipt; those of other orders are ignored."""
-        if self.order is None or receipt.id != self.order.id or receipt.engaged != self.order.engaged:
-            return
-        before = self.receipts.get(receipt.robot)
-        if before is not None and (before[0] == receipt or (before[0].standing and not receipt.standing)):
-            return
-        self.receipts[receipt.robot] = receipt, now_s - self.began_s
+        if self.order is not None and (receipt.id, receipt.engaged) == (
+            self.order.message.id,
+            self.order.message.engaged,
+        ):
+            self.order.receive(receipt)
 
-    def changed_frame(self, now_s: float) -> dict[str, Any] | None:
+    def changed_frame(self) -> dict[str, Any] | None:
         """Return the frame ``estop`` if it has changed."""
-        frame = self.shown(now_s)
+        frame = self.shown()
         if frame == self._sent:
             return None
         self._sent = frame
         return frame
 
-    def shown(self, now_s: float) -> dict[str, Any] | None:
+    def shown(self) -> dict[str, Any] | None:
         """Return the frame ``estop``; None: there was none."""
         order = self.order
         if order is None:
             return None
-        concerned = order.robots or tuple(sorted({*self.known(), *self.receipts}))
-        waiting = [robot for robot in concerned if not self._done(robot)]
-        all_known = bool(order.robots) or now_s - self.began_s >= LISTEN_S
         return {
             "t": "estop",
-            "id": order.id,
-            "engaged": order.engaged,
-            "done": all_known and bool(concerned) and not waiting,
+            "id": order.message.id,
+            "engaged": order.message.engaged,
+            "done": order.confirmed(),
             "receipts": [
                 {
                     "robot": robot,
                     "standing": receipt.standing,
                     "rolled_m": round(receipt.rolled_m, 3),
-                    "after_s": round(after_s, 3),
+                    "after_s": round(order.confirmed_s.get(robot, order.answered_s[robot]), 3),
                     "engaged": receipt.engaged,
                 }
-                for robot, (receipt, after_s) in sorted(self.receipts.items())
+                for robot, receipt in sorted(order.receipts.items())
             ],
-            "waiting": waiting,
-            "silent": [robot for robot in waiting if robot not in self.receipts],
-            "reason": order.reason,
-            "operator": self.name_of(order.source),
+            "waiting": list(order.unconfirmed()),
+            "silent": list(order.silent()),
+            "reason": order.message.reason,
+            "operator": self.name_of(order.message.source),
         }
-
-    def _done(self, robot: str) -> bool:
-        known = self.receipts.get(robot)
-        return known is not None and (known[0].standing or not known[0].engaged)
 
 
 @dataclass(slots=True)
@@ -110,15 +112,12 @@ class StopTracker:
     order: StopRequest | None = None
     began_s: float = 0.0
     _sent: dict[str, Any] | None = None
-    _seen: OrderedDict[str, None] = field(default_factory=OrderedDict)
+    _seen: Seen = field(default_factory=OrderedDict)
 
     def add_order(self, order: StopRequest, now_s: float) -> bool:
         """Process an order; return whether it is a new one of an operator."""
-        if order.id in self._seen or not by_operator(order):
+        if not _is_new(order, True, self._seen):
             return False
-        self._seen[order.id] = None
-        while len(self._seen) > REMEMBERED:
-            self._seen.popitem(last=False)
         self.order, self.began_s, self._sent = order, now_s, None
         return True
 

@@ -133,7 +133,7 @@ export class Bench {
   }
 
   async #build() {
-    const names = ["store", "link", "selection", "commands", "tools", "drive", "stops", "panel", "groupbar"];
+    const names = ["store", "link", "selection", "commands", "tools", "drive", "stops", "panel", "fleet"];
     const [{ Store }, { Link }, { Selection }, { Commands }, { Tools }, { Driver, Pad }, { Stops }, { Panel }, { GroupBar }] =
       await Promise.all(names.map((name) => page(`${name}.js`)));
     this.told = /** @type {string[]} */ ([]);

@@ -2,7 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { page } from "./page.mjs";
 
-const { DEAD_ZONE, deadZone, neighbour, pressed, readArrows, readPad } = await page("padlogic.js");
+const { DEAD_ZONE, deadZone, pressed, readArrows, readPad } = await page("drive.js");
+const { neighbour } = await page("selection.js");
 
 function pad(axes, held = []) {
   return { axes, buttons: Array.from({ length: 17 }, (_, k) => ({ pressed: held.includes(k), value: 0 })) };

@@ -4,7 +4,7 @@ import { page } from "./page.mjs";
 
 const { DELAY_S, ServerClock, Track } = await page("tracks.js");
 const { Viewport, scaleBar } = await page("viewport.js");
-const { judgeLink, seconds } = await page("linkstate.js");
+const { judgeLink, seconds } = await page("link.js");
 const { Looks, kindOf } = await page("palette.js");
 
 test("between two states a robot is in between, and its heading turns the short way", () => {

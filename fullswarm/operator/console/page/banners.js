@@ -2,7 +2,7 @@
 
 import { byId, setText } from "./dom.js";
 import { short } from "./fleet.js";
-import { LINK_ADVICE, judgeLink } from "./linkstate.js";
+import { LINK_ADVICE, judgeLink } from "./link.js";
 
 /** @import { Question } from "./commands.js" */
 

@@ -1,6 +1,6 @@
 /** What the page asks for, in one place: requests and their refusals, leases, stops. */
 
-import { Emitter } from "./emitter.js";
+import { Emitter } from "./dom.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
 /** @import { Answer } from "./link.js" */

@@ -1,4 +1,4 @@
-/** Small helpers for making and changing elements; text only ever goes in as text. */
+/** Helpers for elements and events; text is only ever inserted as text. */
 
 /**
  * Return the element with an id; its absence is a mistake of the page.
@@ -88,4 +88,32 @@ export function steered(element) {
  */
 export function robots(count) {
   return count === 1 ? "1 robot" : `${count} robots`;
+}
+
+/**
+ * Topics and who listens to them.
+ * @template {object} Topics topic → what its handlers are called with
+ */
+export class Emitter {
+  #handlers = /** @type {Map<keyof Topics, ((value: unknown) => void)[]>} */ (new Map());
+
+  /**
+   * Call `handler` on each emit of `topic`.
+   * @template {keyof Topics} T
+   * @param {T} topic
+   * @param {(value: Topics[T]) => void} handler
+   */
+  on(topic, handler) {
+    const handlers = this.#handlers.get(topic) ?? [];
+    this.#handlers.set(topic, [...handlers, /** @type {(value: unknown) => void} */ (handler)]);
+  }
+
+  /**
+   * @template {keyof Topics} T
+   * @param {T} topic
+   * @param {Topics[T]} [value]
+   */
+  emit(topic, value) {
+    for (const handler of this.#handlers.get(topic) ?? []) handler(value);
+  }
 }

@@ -1,8 +1,7 @@
 /** Driving by hand: 20 to 30 frames a second while the dead-man is held, and none after. */
 
-import { Emitter } from "./emitter.js";
+import { Emitter } from "./dom.js";
 import { short } from "./fleet.js";
-import { pressed, readArrows, readPad } from "./padlogic.js";
 import { UNHEARD } from "./selection.js";
 
 /** @import { Answer } from "./link.js" */
@@ -11,6 +10,10 @@ const RATE_MS = 50;
 const LEAST_MS = 34; // between frames, on average: the console shuts out who sends 60 a second for long
 const POLL_MS = 20;
 const BEHAVIOUR = "drive_bc";
+export const DEAD_ZONE = 0.12;
+const SLOW_SHARE = 0.5;
+/** The gamepad's buttons by function, in the W3C standard mapping; the sticks' axes are in `readPad`. */
+const BUTTON = { estop: 1, deadman: 4, turbo: 5, up: 12, down: 13, left: 14, right: 15 };
 
 /**
  * The stream of frames. Emits "change" with what it does in words.
@@ -282,4 +285,51 @@ export class ArrowDrive {
     if (this.#drives) this.driver.release();
     this.#drives = false;
   }
+}
+
+// ---------------------------------------------------------------- inputs
+/**
+ * Rescale an axis so that it starts from zero at the edge of the dead zone; not a number counts as zero.
+ * @param {number} value -1 to 1
+ */
+export function deadZone(value, zone = DEAD_ZONE) {
+  const size = Math.min(1, Math.abs(value));
+  if (!(size > zone)) return 0;
+  return Math.sign(value) * ((size - zone) / (1 - zone));
+}
+
+/**
+ * Read one pad.
+ * @param {{axes: readonly number[], buttons: readonly {pressed: boolean, value: number}[]}} pad
+ */
+export function readPad(pad) {
+  const down = (/** @type {number} */ index) => Boolean(pad.buttons[index]?.pressed);
+  const share = down(BUTTON.turbo) ? 1 : SLOW_SHARE;
+  const stick = (/** @type {number} */ index) => -share * deadZone(pad.axes[index] ?? 0) || 0; // || 0: no minus zero
+  return {
+    deadman: down(BUTTON.deadman),
+    turbo: down(BUTTON.turbo),
+    estop: down(BUTTON.estop),
+    linear: stick(1),
+    angular: stick(0),
+    step: { left: down(BUTTON.left), right: down(BUTTON.right), up: down(BUTTON.up), down: down(BUTTON.down) },
+  };
+}
+
+/**
+ * Return the names of the d-pad's buttons that went down between two readings.
+ * @param {Record<string, boolean> | undefined} before
+ * @param {Record<string, boolean>} now
+ */
+export function pressed(before, now) {
+  return Object.keys(now).filter((name) => now[name] && !before?.[name]);
+}
+
+/**
+ * Turn held arrow keys into sticks.
+ * @param {Set<string>} keys
+ */
+export function readArrows(keys) {
+  const axis = (/** @type {string} */ plus, /** @type {string} */ minus) => (Number(keys.has(plus)) - Number(keys.has(minus))) * SLOW_SHARE;
+  return { linear: axis("ArrowUp", "ArrowDown"), angular: axis("ArrowLeft", "ArrowRight") };
 }

@@ -1,4 +1,4 @@
-/** All keys. Stop and e-stop come first and reach through everything; only a text field keeps its letters. */
+/** All keys. Stop and e-stop take precedence everywhere; only a text field keeps its letters. */
 
 import { byId, steered, typing } from "./dom.js";
 
@@ -8,17 +8,25 @@ const ARROWS = /** @type {Record<string, [number, number]>} */ ({ ArrowLeft: [-1
 export class Keyboard {
   /**
    * @param {{map: import("./map.js").SwarmMap, tools: import("./tools.js").Tools,
+   *   toolbar: import("./toolbar.js").Toolbar, theme: import("./theme.js").Theme,
    *   selection: import("./selection.js").Selection, stops: import("./stops.js").Stops,
-   *   arrows: import("./drive.js").ArrowDrive, actions: Record<string, () => void>}} parts
-   *   actions: plain key → what it does
+   *   arrows: import("./drive.js").ArrowDrive, help: () => void, debug: () => void, escape: () => void}} parts
    */
-  constructor({ map, tools, selection, stops, arrows, actions }) {
+  constructor({ map, tools, toolbar, theme, selection, stops, arrows, help, debug, escape }) {
     this.map = map;
     this.tools = tools;
     this.selection = selection;
     this.stops = stops;
     this.arrows = arrows;
-    this.actions = actions;
+    /** @type {Record<string, () => void>} plain key → its action; the page's help lists them too */
+    this.actions = {
+      f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"),
+      c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(),
+      b: () => byId("behaviour-search").focus(),
+      "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
+      "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1),
+      "?": help, "`": debug, Escape: escape,
+    };
     addEventListener("keydown", (event) => this.#down(event), { capture: true });
     addEventListener("keyup", (event) => this.#up(event), { capture: true });
   }

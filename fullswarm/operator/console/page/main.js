@@ -5,12 +5,11 @@ import { Charts } from "./charts.js";
 import { Commands } from "./commands.js";
 import { byId, setText } from "./dom.js";
 import { ArrowDrive, Driver, Pad } from "./drive.js";
-import { FleetTable } from "./fleet.js";
-import { GroupBar } from "./groupbar.js";
+import { FleetTable, GroupBar } from "./fleet.js";
 import { Keyboard, tabs } from "./keyboard.js";
 import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
-import { LogView } from "./logview.js";
+import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
@@ -94,16 +93,7 @@ setInterval(() => {
   setText(byId("debug"), `${fps} frames/s · work ${frame_ms_p95} ms · interval ${interval_ms_p95} ms (p95)`);
 }, 500);
 
-new Keyboard({
-  map, tools, selection, stops, arrows,
-  actions: {
-    f: () => map.fit(), g: () => tools.use("goal"), o: () => tools.use("formation"), s: () => tools.use("select"),
-    c: () => toolbar.layer("coverage"), t: () => toolbar.layer("trails"), d: () => theme.toggle(), b: () => byId("behaviour-search").focus(),
-    "+": () => toolbar.zoom(1.3), "=": () => toolbar.zoom(1.3), "-": () => toolbar.zoom(1 / 1.3),
-    "[": () => selection.stepRobot(-1), "]": () => selection.stepRobot(1), "?": () => toggleHelp(),
-    "`": debug, Escape: escape,
-  },
-});
+new Keyboard({ map, tools, toolbar, theme, selection, stops, arrows, help: () => toggleHelp(), debug, escape });
 
 /** For tests and for the curious: copies, nothing that could be changed. */
 window.fullswarm = Object.freeze({

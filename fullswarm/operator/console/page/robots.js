@@ -2,7 +2,7 @@
 
 import { kindOf } from "./palette.js";
 import { outline } from "./sprites.js";
-import { seconds } from "./linkstate.js";
+import { seconds } from "./link.js";
 
 /** @import { Scene } from "./ground.js" */
 /** @import { Colours } from "./palette.js" */

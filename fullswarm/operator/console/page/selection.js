@@ -1,7 +1,6 @@
 /** Which robots are meant: a set of ids that map, table and groups share. */
 
-import { Emitter } from "./emitter.js";
-import { neighbour } from "./padlogic.js";
+import { Emitter } from "./dom.js";
 import { byNumber } from "./store.js";
 
 const KEPT_AS = "selection";
@@ -104,4 +103,19 @@ export class Selection extends Emitter {
     if (makes.size > 1) for (const [make, robots] of makes) groups.set(`make: ${make}`, robots);
     return groups;
   }
+}
+
+/**
+ * Return the item after (or before) the current one, in a circle.
+ * @template T
+ * @param {T[]} items
+ * @param {T | undefined} current
+ * @param {1 | -1} step
+ * @returns {T | undefined}
+ */
+export function neighbour(items, current, step) {
+  if (items.length === 0) return undefined;
+  const at = current === undefined ? -1 : items.indexOf(current);
+  if (at < 0) return step > 0 ? items[0] : items.at(-1);
+  return items[(at + step + items.length) % items.length];
 }

@@ -1,7 +1,7 @@
 /** What is known of the swarm, kept up to date from the messages. Everything that is shown is read from here. */
 
-import { Emitter } from "./emitter.js";
-import { OLD_S } from "./linkstate.js";
+import { Emitter } from "./dom.js";
+import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 

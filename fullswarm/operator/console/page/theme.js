@@ -1,7 +1,6 @@
 /** Light or dark: as the system wants, or as the button says. */
 
-import { Emitter } from "./emitter.js";
-import { setText } from "./dom.js";
+import { Emitter, setText } from "./dom.js";
 
 /**
  * Emits "change".

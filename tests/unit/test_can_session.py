@@ -9,7 +9,7 @@ import pytest
 
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
 from fullswarm.drivers.can import odrive
-from fullswarm.drivers.can.odrive_states import AxisState
+from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.geometry import wrap
 from tests.unit.can_rig import BASE_M, LIMIT_M_S, Rig
@@ -24,14 +24,14 @@ def test_drives_and_counts(make: str, direction: float) -> None:
     rig.run(3.0)
     rig.twist = STAND
     rig.run(1.0)
-    reading = rig.machine.reading
+    reading = rig.session.reading
     assert reading is not None
     true_m = rig.rolled()[0]
     assert true_m * direction > 0.9
     assert reading.odometry.x_m == pytest.approx(true_m, rel=0.01)
     one_count_m = 0.05 * math.tau / (10 * 7 * 6) if make == "vesc" else 0.0  # of heading, over the whole way
     assert abs(reading.odometry.y_m) <= 0.001 + 1.1 * one_count_m / BASE_M * abs(true_m)
-    assert rig.machine.state is Lifecycle.ACTIVE
+    assert rig.session.state is Lifecycle.ACTIVE
 
 
 @pytest.mark.parametrize("make", ["odrive", "vesc"])
@@ -40,7 +40,7 @@ def test_turning_in_place_counts_the_angle(make: str) -> None:
     rig.active(Twist(0.0, 1.5))
     rig.run(1.0)
     left, right = rig.rolled()
-    reading = rig.machine.reading
+    reading = rig.session.reading
     assert reading is not None
     assert reading.odometry.heading_rad == pytest.approx((right - left) / BASE_M, rel=0.03)
     assert reading.twist.angular_rad_s == pytest.approx(1.5, rel=0.02)
@@ -59,10 +59,10 @@ def test_nothing_moves_before_activation() -> None:
 def test_activation_starts_from_zero() -> None:
     rig = Rig()
     rig.active(Twist(0.3, 0.0))
-    rig.machine.deactivate(rig.now)
+    rig.session.deactivate(rig.now)
     rig.twist = None
     rig.until(rig.idle, 1.0)
-    rig.machine.activate(rig.now)
+    rig.session.activate(rig.now)
     rig.until_state(Lifecycle.ACTIVE, 0.6)
     rig.run(0.5)
     assert rig.speeds() == pytest.approx([0.0, 0.0], abs=1e-6)
@@ -92,7 +92,7 @@ def test_silence_is_a_stop(make: str) -> None:
     rig.run(0.25)
     assert min(rig.speeds()) == pytest.approx(0.3, rel=0.01)
     rig.until(lambda: max(rig.speeds()) < 0.01, 0.6)
-    assert rig.machine.state is Lifecycle.ACTIVE
+    assert rig.session.state is Lifecycle.ACTIVE
 
 
 def test_set_points_at_50_hz() -> None:
@@ -108,8 +108,8 @@ def test_set_points_at_50_hz() -> None:
 def test_deactivate_rolls_out_and_lets_go() -> None:
     rig = Rig()
     rig.active(Twist(0.3, 0.0))
-    rig.machine.deactivate(rig.now)
-    assert rig.machine.state is Lifecycle.READY
+    rig.session.deactivate(rig.now)
+    assert rig.session.state is Lifecycle.READY
     rig.step()
     assert not rig.idle()  # still regulated to zero, which brakes
     rig.until(rig.idle, 0.6)
@@ -119,14 +119,14 @@ def test_deactivate_rolls_out_and_lets_go() -> None:
 def test_leaving_goes_over_zero_to_idle() -> None:
     rig = Rig()
     rig.active(Twist(0.3, 0.0))
-    rig.machine.leave(rig.now)
-    rig.until(lambda: rig.machine.at_rest, 1.0)
+    rig.session.closing(rig.now)
+    rig.until(lambda: rig.session.at_rest, 1.0)
     assert rig.idle()
-    rig.machine.activate(rig.now)
+    rig.session.activate(rig.now)
     rig.run(0.5)
     assert rig.idle()
-    assert odrive.encode(2, odrive.SetState(AxisState.IDLE)) in rig.machine.closed(rig.now)
-    assert rig.machine.state is Lifecycle.CLOSED
+    assert odrive.encode(2, odrive.SetState(AxisState.IDLE)) in rig.session.final_stop()
+    assert rig.session.state is not Lifecycle.ACTIVE
 
 
 @pytest.mark.parametrize("laps", [2, pytest.param(10, marks=pytest.mark.slow)])

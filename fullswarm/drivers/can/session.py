@@ -1,26 +1,29 @@
-"""The lifecycle of a base, without input or output: frames and the time go in, frames come out.
+"""The conversation with the two controllers of a base as a state machine: frames and time in, frames out.
 
 One faulted wheel stops both; silence is a stop; a stop is repeated until a heartbeat confirms it; after a fault
-the way leads over OPEN to READY, never to ACTIVE. The driver calls `receive` and `tick`; nothing here waits.
+the way leads over OPEN to READY, never to ACTIVE.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Reading, Twist
-from fullswarm.drivers.can.axis import SILENT_S, Axis
-from fullswarm.drivers.can.kinematics import Odometry, body_twist, wheel_speeds
+from fullswarm.drivers.base import Hazard, Lifecycle, Reading, Twist
+from fullswarm.drivers.can.kinematics import Odometry, WheelTrack, body_twist, wheel_speeds
 from fullswarm.drivers.can.protocol import Beat, Frame, Mode, Motion, Power, Version, Want, WheelCodec
+from fullswarm.drivers.guardian import StopPlan
+from fullswarm.drivers.linked import LinkSession
 
-COMMAND_TTL_S = 0.3  # without `command` for that long the set-points are zero
+PERIOD_S = 0.02  # of the set-points
+EARLY_S = 0.001  # by which a wait may end too soon
 ENGAGE_S = 0.5  # within which both wheels must confirm that they obey
-PATIENCE_S = 3.0  # after opening, until silence is called a fault
+SILENT_OPEN_S = 3.0  # after opening, until silence is a fault
 RETRY_S = 0.5  # between two start sequences
 BEAT_S = 0.1  # between polls, keep-alives and repeated stops
-TELL_S = 1.0  # between questions for what changes slowly
-HOLD_S = 1.0  # a fault stays to be seen at least that long
+ASK_S = 1.0  # between questions for what changes slowly
+HOLD_S = 1.0  # a fault stays visible at least that long
 STOPPING_S = 0.5  # at most for rolling out before the motors are let go
 STANDING_M_S = 0.01
 PUSHED_M_S = 2.0  # a wheel pushed by hand may turn that fast
@@ -28,9 +31,65 @@ TRIPS, TRIPS_WITHIN_S = 3, 30.0  # so many faults of the robot while driving lat
 BATTERY_LOW = 0.15
 ROLLED_OUT_S, REPEAT_S = 1.0, 0.05  # for so long, and so often, a guardian brakes
 
+SILENT_S = 1.0
+"""Without a heartbeat for that long a wheel counts as lost."""
+BLIND_S = 0.5
+"""Without a report of its motion for that long too: an agent does not drive on older readings."""
+STUCK_S = 0.5
+"""For so long a wheel may report a speed without counting."""
 
-class BaseMachine:
-    """Two wheels driven as one. All times are seconds of one monotonic clock.
+SILENCE = Beat(Mode.UNKNOWN)
+
+
+@dataclass(slots=True)
+class Axis:
+    """One wheel and the newest that its controller has reported."""
+
+    side: str
+    codec: WheelCodec
+    track: WheelTrack
+    beat_s: float = -math.inf
+    motion_s: float = -math.inf
+    beat: Beat = SILENCE
+    firmware: str = ""
+    volts: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Return how messages call it."""
+        return f"{self.side} wheel (node {self.codec.node})"
+
+    def forget(self) -> None:
+        """Forget when it last reported."""
+        self.beat_s = self.motion_s = -math.inf
+
+    def complaint(self, now_s: float) -> str:
+        """Return what this wheel fails to report; empty when it is alive."""
+        blind = now_s - self.motion_s > BLIND_S
+        if now_s - self.beat_s > (BLIND_S / 2.0 if blind else SILENT_S):
+            return f"no heartbeat from the {self.name}: check its power, node number and the bus' bitrate"
+        if blind:
+            return (
+                f"no motion from the {self.name}: switch its cyclic messages on "
+                "(ODrive: encoder estimates, VESC: CAN status 1 and 5)"
+            )
+        if self.track.stuck_for(now_s) > STUCK_S:
+            return f"the encoder of the {self.name} is stuck: it reports a speed, but its position stays"
+        return ""
+
+    def well(self, started_s: float, now_s: float) -> bool:
+        """Tell whether it has answered a start sequence in good health."""
+        return self.beat_s > started_s and not (self.complaint(now_s) or self.unwell())
+
+    def unwell(self) -> str:
+        """Return what keeps it from driving although it is alive; empty: nothing."""
+        if self.beat.error:
+            return f"{self.name} reports {self.beat.error}"
+        return f"{self.name} is busy: {self.beat.state}" if self.beat.mode is Mode.BUSY else ""
+
+
+class Session(LinkSession[Frame]):
+    """Two wheels driven as one, from open() to close(); odometry starts at zero.
 
     Parameters
     ----------
@@ -38,46 +97,40 @@ class BaseMachine:
         Of the empty and the full battery; None: no battery reading.
     """
 
+    closing_s = 1.0
+
     def __init__(
         self,
         codecs: tuple[WheelCodec, WheelCodec],
         base_m: float,
         limit_m_s: float,
-        volts: tuple[float, float] | None = None,
+        volts: tuple[float, float] | None,
+        now_s: float,
     ) -> None:
         self._codecs, self._base_m, self._limit_m_s, self._volts = codecs, base_m, limit_m_s, volts
-        self.state = Lifecycle.CLOSED
-        self.fault = ""
-        self.reading: Reading | None = None
-        self.urgent = False  # something waits to be sent: tick now
-        self.unguarded = ""  # why nothing would stop the wheels if this process died: bars motion
-        self._reset(-math.inf)
-
-    def _reset(self, now_s: float) -> None:
+        self.urgent = True  # something waits to be sent: tick now
+        self._due_s = now_s  # of the next set-points
         self._odometry = Odometry(self._base_m, max(PUSHED_M_S, 3.0 * self._limit_m_s))
         tracks = zip(("left", "right"), self._codecs, self._odometry.wheels, strict=True)
         self.axes = tuple(Axis(side, codec, track) for side, codec, track in tracks)
         self._target = (0.0, 0.0)
-        self._commanded_s = -math.inf
         self._since_s = now_s  # when the present state began
         self._engaging_s: float | None = None
         self._stopping_s: float | None = None
         self._start_s: float | None = None  # when the start sequence was sent last
         self._back_s = -math.inf  # when the bus came back
-        self._next_beat_s = self._next_tell_s = -math.inf
+        self._next_beat_s = self._next_ask_s = -math.inf
         self._met = False  # has been READY
         self._trips: deque[float] = deque(maxlen=TRIPS)
         self._latched = ""  # why it stays in FAULT until it is opened anew; empty: it does not
         self._leaving = False
         self._bus_up = True
+        # Brakes while this process is silent, and lets go once it has died.
+        rounds, after = range(round(ROLLED_OUT_S / REPEAT_S)), (ROLLED_OUT_S, ROLLED_OUT_S + REPEAT_S)
+        brakes = tuple((number * REPEAT_S, frame) for number in rounds for frame in self._driven(0.0, 0.0))
+        self._plan = StopPlan(brakes, tuple((after_s, frame) for after_s in after for frame in self._released()))
 
     # ------------------------------------------------------------ what the driver is asked
-    def opened(self, now_s: float) -> None:
-        """CLOSED → OPEN with the bus in hand; odometry starts at zero."""
-        self._reset(now_s)
-        self.reading = None
-        self._enter(Lifecycle.OPEN, now_s)
-
     def activate(self, now_s: float) -> None:
         """Ask both wheels into closed loop; ACTIVE follows when both confirm. Ignored unless READY."""
         if self.state is Lifecycle.READY and self._engaging_s is None and not self._leaving:
@@ -92,20 +145,21 @@ class BaseMachine:
             self._enter(Lifecycle.READY, now_s)
 
     def command(self, twist: Twist, now_s: float) -> Twist:
-        """Take a set-point; return what the wheels make of it. ``ValueError`` if not finite, and a stop."""
-        if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
-            self._stand()
-            raise ValueError(f"a twist must be finite, not {twist}")
-        if self.state is not Lifecycle.ACTIVE:
-            return STAND
+        """Take a set-point; return what the wheels make of it."""
+        del now_s
         moving = self._target != (0.0, 0.0)
         left, right = wheel_speeds(twist, self._base_m, self._limit_m_s)
         self._target = (self._codecs[0].quantised(left), self._codecs[1].quantised(right))
-        self._commanded_s = now_s
         self.urgent = self.urgent or (moving and self._target == (0.0, 0.0))
         return body_twist(*self._target, self._base_m)
 
-    def leave(self, now_s: float) -> None:
+    def halt(self, why: str, now_s: float) -> None:
+        """Set both wheels to zero."""
+        del why, now_s
+        if self._target != (0.0, 0.0):
+            self._stand()
+
+    def closing(self, now_s: float) -> None:
         """Begin to close: stop, let go, never activate again."""
         self._leaving = True
         self.deactivate(now_s)
@@ -113,65 +167,62 @@ class BaseMachine:
         self.urgent = True
 
     @property
-    def drives(self) -> bool:
-        """Tell whether the wheels may be turning because of us."""
-        return self.state is Lifecycle.ACTIVE or self._engaging_s is not None or self._stopping_s is not None
-
-    def stop_frames(self) -> tuple[list[tuple[float, Frame]], list[tuple[float, Frame]]]:
-        """Return what a guardian sends, and when: brakes while this process is silent, and lets go once it is gone."""
-        rounds = range(round(ROLLED_OUT_S / REPEAT_S))
-        brakes = [(number * REPEAT_S, frame) for number in rounds for frame in self._driven(0.0, 0.0)]
-        lets_go = [(ROLLED_OUT_S + after_s, frame) for after_s in (0.0, REPEAT_S) for frame in self._released()]
-        return brakes, lets_go
-
-    @property
     def at_rest(self) -> bool:
-        """Tell whether nothing is left to do before the bus may be closed."""
-        if not self._bus_up:
-            return True
-        return self._stopping_s is None and all(axis.beat.mode is not Mode.DRIVING for axis in self.axes)
+        """Whether nothing is left to do before the bus may be closed."""
+        driving = any(axis.beat.mode is Mode.DRIVING for axis in self.axes)
+        return not self._bus_up or (self._stopping_s is None and not self.urgent and not driving)
 
-    def closed(self, now_s: float) -> tuple[Frame, ...]:
-        """Whatever → CLOSED; returns the last frames for the bus: both wheels let go."""
-        self._enter(Lifecycle.CLOSED, now_s)
-        return self._released() if self._bus_up else ()
+    def final_stop(self) -> tuple[Frame, ...]:
+        """Return the frames that let both wheels go."""
+        return self._released()
 
-    def bus_lost(self, why: str, now_s: float) -> None:
-        """The bus cannot be used (still, or any more): FAULT, and nothing known of the wheels."""
-        if self._bus_up or self.state is not Lifecycle.FAULT:
-            self._trip(why, now_s)
-        self._bus_up = False
-        self.fault = f"{why}; before that: {self._latched}" if self._latched else why
-        for axis in self.axes:
-            axis.forget()
+    def stop_plan(self, now_s: float) -> StopPlan[Frame] | None:
+        """Return how a guardian brakes, while the wheels may be turning because of this driver."""
+        del now_s
+        drives = self.state is Lifecycle.ACTIVE or self._engaging_s is not None or self._stopping_s is not None
+        return self._plan if drives else None
 
-    def bus_back(self, now_s: float) -> None:
-        """The bus was opened again; the fault ends when both wheels are heard."""
+    def stopped_by_guardian(self, now_s: float) -> None:
+        """Go on: the wheels were only braked, and obey the next set-points."""
+
+    def linked(self, now_s: float) -> None:
+        """Note that the bus was opened; a fault of the bus ends when both wheels report."""
+        if self._bus_up:
+            return
         self._bus_up = True
         self.fault = self._latched or "the bus is open again, waiting for both wheels"
         self._back_s = now_s
         self._next_beat_s = -math.inf
         self.urgent = True
 
+    def lost(self, reason: str, now_s: float) -> None:
+        """Note that the bus cannot be used: FAULT, and nothing known of the wheels."""
+        if self._bus_up or self.state is not Lifecycle.FAULT:
+            self._trip(reason, now_s)
+        self._bus_up = False
+        self.fault = f"{reason}; before that: {self._latched}" if self._latched else reason
+        for axis in self.axes:
+            axis.forget()
+
     @property
     def firmware(self) -> str:
-        """Return what the wheels say they run, or what is known without; empty before they were READY."""
+        """What the wheels report that they run, or what is known without; empty before they were READY."""
         generic = {axis.codec.generic_firmware for axis in self.axes} if self._met else set()
-        told = {axis.firmware for axis in self.axes} - {""}
-        return ", ".join(sorted(told or generic))
+        reported = {axis.firmware for axis in self.axes} - {""}
+        return ", ".join(sorted(reported or generic))
 
-    # ------------------------------------------------------------ what the wheels tell
-    def receive(self, frame: Frame, now_s: float) -> None:
-        """Take in one frame; those of others are ignored."""
+    # ------------------------------------------------------------ what the wheels report
+    def received(self, chunk: Frame, now_s: float) -> None:
+        """Take one frame; those of others are ignored."""
         for side, axis in enumerate(self.axes):
-            report = axis.codec.decode(frame)
+            report = axis.codec.decode(chunk)
             if report is None:
                 continue
             if isinstance(report, Beat):
                 axis.beat, axis.beat_s = report, now_s
                 self._on_beat(axis, now_s)
             elif isinstance(report, Motion):
-                if report.speed_m_s is not None:  # a count alone does not tell whether the wheel stands
+                if report.speed_m_s is not None:  # a count alone does not show whether the wheel stands
                     axis.motion_s = now_s
                 axis.volts = report.power.volts if report.power else axis.volts
                 if self._odometry.update(side, report, now_s):
@@ -190,15 +241,15 @@ class BaseMachine:
 
     def _battery(self) -> float | None:
         """Return how full it is by the lower of the two voltages."""
-        told = [axis.volts for axis in self.axes if axis.volts is not None]
-        if self._volts is None or not told:
+        volts = [axis.volts for axis in self.axes if axis.volts is not None]
+        if self._volts is None or not volts:
             return None
         empty, full = self._volts
-        return max(0.0, min(1.0, (min(told) - empty) / (full - empty)))
+        return max(0.0, min(1.0, (min(volts) - empty) / (full - empty)))
 
     def _on_beat(self, axis: Axis, now_s: float) -> None:
         beat = axis.beat
-        if beat.estop:  # never cleared from here: whoever pressed it must mean it
+        if beat.estop:  # never cleared from here: a person has pressed it
             if self.state is Lifecycle.FAULT:
                 self.fault = _estopped(axis)
             else:
@@ -211,8 +262,16 @@ class BaseMachine:
                 self._trip(why, now_s, own=True)
 
     # ------------------------------------------------------------ what goes to the wheels
+    def next_due_s(self, now_s: float) -> float:
+        """Return the time of the next set-points: at once while something is urgent."""
+        return now_s if self.urgent else self._due_s
+
     def tick(self, now_s: float) -> list[Frame]:
-        """Return the frames that are due. Call at 50 Hz, and at once while `urgent`."""
+        """Return the frames that are due: at 50 Hz, and at once while something is urgent."""
+        if now_s >= self._due_s - EARLY_S:
+            self._due_s = max(self._due_s + PERIOD_S, now_s)  # missed periods are skipped
+        elif not self.urgent:
+            return []
         self.urgent = False
         due = now_s >= self._next_beat_s
         if due:
@@ -227,15 +286,15 @@ class BaseMachine:
         if self.state is Lifecycle.FAULT and self._bus_up:  # also when it has just become one
             self._tick_fault(now_s, due or self.urgent, frames)
             self.urgent = False
-        if due and self._bus_up and self.state is not Lifecycle.CLOSED:
+        if due and self._bus_up:
             frames += self._questions(now_s)
         return frames
 
     def _questions(self, now_s: float) -> list[Frame]:
-        """Return the requests for what the wheels do not tell by themselves."""
+        """Return the requests for what the wheels do not report by themselves."""
         slow = Want(0)
-        if now_s >= self._next_tell_s:
-            self._next_tell_s = now_s + TELL_S
+        if now_s >= self._next_ask_s:
+            self._next_ask_s = now_s + ASK_S
             slow = Want.VERSION if self._volts is None else Want.VERSION | Want.POWER
         frames: list[Frame] = []
         for axis in self.axes:
@@ -245,9 +304,9 @@ class BaseMachine:
 
     def _tick_open(self, now_s: float, due: bool, frames: list[Frame]) -> None:
         """Listen, then clear and configure, then wait until both wheels are well."""
-        heard = all(now_s - axis.beat_s <= SILENT_S for axis in self.axes)
+        alive = all(now_s - axis.beat_s <= SILENT_S for axis in self.axes)
         started_s = self._start_s
-        if not heard:
+        if not alive:
             frames += self._released() if due else ()
         elif started_s is None or now_s - started_s >= RETRY_S:
             self._start_s = now_s
@@ -257,12 +316,12 @@ class BaseMachine:
             self._met = True
             self._enter(Lifecycle.READY, now_s)
             return
-        if now_s - self._since_s > PATIENCE_S:
+        if now_s - self._since_s > SILENT_OPEN_S:
             complaints = [axis.complaint(now_s) or axis.unwell() for axis in self.axes]
             self._trip("; ".join(filter(None, [*complaints, self.unguarded])), now_s)
 
     def _tick_ready(self, now_s: float, due: bool, frames: list[Frame]) -> None:
-        if self._lost(now_s):
+        if self._silent(now_s):
             return
         if self._engaging_s is not None:
             self._tick_engaging(self._engaging_s, now_s, due, frames)
@@ -301,10 +360,8 @@ class BaseMachine:
                     frames += axis.codec.engage()
 
     def _tick_active(self, now_s: float, frames: list[Frame]) -> None:
-        if self._lost(now_s):
+        if self._silent(now_s):
             return
-        if now_s - self._commanded_s > COMMAND_TTL_S:
-            self._target = (0.0, 0.0)
         frames += self._driven(*self._target)
 
     def _tick_fault(self, now_s: float, due: bool, frames: list[Frame]) -> None:
@@ -317,7 +374,7 @@ class BaseMachine:
         if self.unguarded:
             complaints.append(self.unguarded)
         if complaints:
-            if now_s - max(self._since_s, self._back_s) > PATIENCE_S:  # by now this is what keeps it in FAULT
+            if now_s - max(self._since_s, self._back_s) > SILENT_OPEN_S:  # by now this is what keeps it in FAULT
                 self.fault = "; ".join(complaints)
             return
         if any(axis.beat.estop for axis in self.axes):
@@ -329,8 +386,8 @@ class BaseMachine:
             for axis in self.axes:
                 frames += axis.codec.start()
 
-    def _lost(self, now_s: float) -> bool:
-        """Go to FAULT and return True when a wheel has gone silent, or nothing watches over us any more."""
+    def _silent(self, now_s: float) -> bool:
+        """Go to FAULT and return True when a wheel has gone silent, or no guardian watches any more."""
         complaints = [text for axis in self.axes if (text := axis.complaint(now_s))]
         complaints += [self.unguarded] if self.unguarded else []
         if complaints:
@@ -347,7 +404,6 @@ class BaseMachine:
 
     def _stand(self) -> None:
         self._target = (0.0, 0.0)
-        self._commanded_s = -math.inf
         self.urgent = True
 
     # ------------------------------------------------------------ states
