@@ -30,7 +30,7 @@ from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.scenarios.maps import text_map
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
-from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms, world_witness
+from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, request_of, terms, world_witness
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
@@ -83,10 +83,7 @@ def run_fleet(
     for number, trial in enumerate(fits, 1):
         output.progress(f"trial {number} of {len(fits)}: {trial.label}")
         try:
-            if out is None:
-                result, _, _ = perform(trial, experiment, 1, runner, RUNNER)
-            else:
-                result = Keeper(out, experiment, runner, RUNNER)(trial)
+            result = Keeper(out, experiment, runner, RUNNER)(trial)
         except Over as over:
             raise over.error from None
         yield trial, result
