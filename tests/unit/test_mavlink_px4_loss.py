@@ -21,13 +21,13 @@ def test_a_lost_link_is_a_stop_of_its_own_after_a_second_and_a_fault_that_heals_
     assert bench.rover.mode == OFFBOARD
     bench.run(0.9, bench.drive)
     assert (bench.rover.mode, bench.body.state().speed_m_s) == (HOLD, 0.0)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 4.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 4.0, bench.drive)
     assert bench.session.fault
     bench.run(3.0, bench.drive)
     bench.cut = False
     seen: set[Lifecycle] = set()
     since_s = bench.now_s
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 5.0, lambda: seen.add(bench.session.lifecycle))
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 5.0, lambda: seen.add(bench.session.state))
     assert Lifecycle.ACTIVE not in seen
     assert not bench.rover.armed
     assert bench.now_s - since_s < 3.5  # disarmed first; a heartbeat a second is all that PX4 gives
@@ -39,10 +39,10 @@ def test_a_reboot_is_a_fault_and_everything_is_asked_again() -> None:
     bench.active()
     bench.run(1.0, bench.drive)
     bench.rover.power_on(bench.now_s)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 3.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 3.0, bench.drive)
     bench.ready()
     stamps = set()
-    bench.run(1.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
+    bench.run(1.0, lambda: stamps.add(getattr(bench.session.read(), "stamp_s", 0.0)))
     assert len(stamps) > 15  # 10 Hz unasked
 
 
@@ -51,19 +51,19 @@ def test_a_lost_position_is_a_fault_with_a_stop() -> None:
     bench.active()
     bench.run(1.0, bench.drive)
     bench.rover.located = False
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 2.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 2.0, bench.drive)
     bench.until(lambda: not bench.rover.armed, 4.0, bench.drive)
     assert "position" in bench.session.fault
 
 
 def test_a_pilot_is_not_fought() -> None:
     bench = Px4Bench()
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
+    bench.until(lambda: bench.session.state is Lifecycle.ACTIVE, each=bench.insist)
     bench.rover.pilot_mode(MANUAL)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 2.0, bench.insist)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 2.0, bench.insist)
     assert "MANUAL" in bench.session.fault
     assert "OFFBOARD" in bench.session.fault
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert reading.hazards & Hazard.ESTOP_BUTTON
     bench.run(4.0, bench.insist)
@@ -76,7 +76,7 @@ def test_a_refused_arm_is_told_in_the_firmware_s_words() -> None:
     bench.rover.refuse_arm = "High Accelerometer Bias, and a text that is longer than a single chunk"
     bench.until(lambda: bench.session.fault != "", each=bench.insist)
     assert f"Arming denied: {bench.rover.refuse_arm}" in bench.session.fault
-    assert bench.session.lifecycle is Lifecycle.READY
+    assert bench.session.state is Lifecycle.READY
     bench.until(lambda: bench.rover.mode == HOLD, 5.0)
 
 
@@ -84,7 +84,7 @@ def test_a_long_timeout_of_its_own_keeps_it_open() -> None:
     bench = Px4Bench()
     bench.rover.parameters["COM_OF_LOSS_T"] = (60.0, p.PARAM_REAL32)
     bench.run(4.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "COM_OF_LOSS_T" in bench.session.why
 
 
