@@ -313,7 +313,7 @@ def _release(board: RobotComputer, robot: str, version: str) -> Check:
     theirs = facts.current.rpartition("-")[0]
     if theirs != version:
         return Check("software", "warning", f"{what}; here it is {version}", f"fullswarm update {robot}")
-    back = f"; the last switch went back: {facts.back_because}" if facts.back_because else ""
+    back = f"; the last switch went back: {facts.rollback_reason}" if facts.rollback_reason else ""
     return Check("software", "ok", f"{what}{back}")
 
 

@@ -172,9 +172,9 @@ def fleet(
     as_json: Json = False,
 ) -> int:
     """Show what each robot runs and should run, its state, and what to do."""
-    from fullswarm.deploy.fleet import status
+    from fullswarm.deploy.fleet import commands
 
-    return status.fleet(_order(fleet, robots, ask_password=ask_password, at_a_time=at_a_time, as_json=as_json))
+    return commands.fleet(_order(fleet, robots, ask_password=ask_password, at_a_time=at_a_time, as_json=as_json))
 
 
 @shell_command()

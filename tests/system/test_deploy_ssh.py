@@ -364,7 +364,7 @@ def test_a_robot_that_says_too_much_is_cut_short(lab: Lab) -> None:
     async def talk(remote: Remote) -> Answer:
         return await remote.run("exec cat /dev/zero")
 
-    with pytest.raises(Unreachable, match="said more than 4 MB"):
+    with pytest.raises(Unreachable, match="printed more than 4 MB"):
         over_the_link(lab, talk)
 
 

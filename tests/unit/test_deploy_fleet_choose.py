@@ -41,7 +41,7 @@ def test_a_name_that_stands_for_nobody_is_not_the_whole_fleet(named: tuple[str, 
     fleet = FLEET.model_copy(update={"groups": {"spare": ()}})
     with pytest.raises(ConfigError) as caught:
         pick_robots(fleet, named, Path("lab.toml"))
-    assert f"'{' '.join(named)}' stands for no robot" in str(caught.value)
+    assert f"'{' '.join(named)}' selects no robot" in str(caught.value)
     assert [each.id for each in pick_robots(fleet, (*named, "r1"), Path("lab.toml"))] == ["r1"]
 
 
@@ -79,7 +79,7 @@ def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
     manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("estimation",))
     facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
     assert misfit(manifest, facts, wanted[0]) == ""
-    assert misfit(manifest, facts, wanted[1]) == "was made without what its agent needs: mavlink"
+    assert misfit(manifest, facts, wanted[1]) == "lacks what its agent needs: mavlink"
     with pytest.raises(ConfigError, match=r"no release fits it .*bundle .* --with estimation,mavlink"):
         choose_release(Store(tmp_path), None, facts, "m1", extras=wanted[1])
 
@@ -102,4 +102,4 @@ def test_what_cannot_be_kept_is_a_warning_for_the_robots_have_done_their_part(
     (tmp_path / "state").write_text("no folder")
     desired = Desired(tmp_path / "state/lab.json")
     desired.want({"r1": RELEASE})
-    assert f"warning: {desired.file}: cannot keep what robots should run" in capsys.readouterr().err
+    assert f"warning: {desired.file}: cannot store what robots should run" in capsys.readouterr().err

@@ -8,17 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from fullswarm.deploy.fleet.commands import json_line, size
-from fullswarm.deploy.fleet.facts import Facts, Health, bare
+from fullswarm.deploy.fleet.commands import _size, json_line, status_of
+from fullswarm.deploy.fleet.facts import Facts, Health, bare_facts
 from fullswarm.deploy.fleet.login import Address
 from fullswarm.deploy.fleet.releases import missing_of
-from fullswarm.deploy.fleet.remote import clean, clean_log_line, last_words, strict_json
-from fullswarm.deploy.fleet.status import line
+from fullswarm.deploy.fleet.remote import clean, clean_log_line, last_line, strict_json
 from fullswarm.deploy.release import manifest
 from fullswarm.errors import FullswarmError, MessageError
 
 RELEASE, NEWER = "1.0-0123456789ab", "1.1-0123456789ab"
-WAIT = "wait a minute; its guard decides"
+WAIT = "wait: without a commit it rolls back"
 HERE = Address("r1", "10.0.0.1", 22, "me")
 GOOD = Health(release=RELEASE, healthy=True)
 
@@ -27,8 +26,8 @@ def test_words_of_a_robot_are_one_printable_line() -> None:
     assert clean(b"\x1b[2Jowned\r\n\x07 by \xe2\x80\xae evil\xff") == "[2Jowned by evil�"
     assert clean("x" * 10_000_000, limit=5) == "xxxx…"
     assert clean_log_line(b"  \x1b]0;title\x07 text\n") == "   ]0;title  text"
-    assert last_words(b"first\nlast one\n\n") == "last one"
-    assert last_words(b"refused (no signature.\r )\n") == "refused (no signature. )"
+    assert last_line(b"first\nlast one\n\n") == "last one"
+    assert last_line(b"refused (no signature.\r )\n") == "refused (no signature. )"
 
 
 @pytest.mark.parametrize(
@@ -54,17 +53,17 @@ def test_facts_may_hold_more_than_we_know() -> None:
 def test_a_bare_computer_says_what_it_is() -> None:
     said = b"arch=aarch64\nglibc=2.36\npython=3.11\npython3.13=yes\ndisk_free_kb=2048\nclock_utc=12\nsystemd=yes\n"
     tools = b"has_ssh-keygen=yes\nhas_tar=yes\nhas_gzip=yes\nhas_awk=yes\n"
-    facts = bare(said + tools, "r1")
+    facts = bare_facts(said + tools, "r1")
     assert (facts.arch, facts.pythons, facts.disk_free_bytes, facts.installed) == (
         "aarch64",
         ["3.13"],
         2 * 2**20,
         False,
     )
-    with pytest.raises(FullswarmError, match="r1: ssh-keygen, tar, gzip, awk not there"):
-        bare(said, "r1")
+    with pytest.raises(FullswarmError, match="r1: missing on it: ssh-keygen, tar, gzip, awk"):
+        bare_facts(said, "r1")
     with pytest.raises(MessageError):
-        bare(b"arch=\nclock_utc=soon\n", "r1")
+        bare_facts(b"arch=\nclock_utc=soon\n", "r1")
 
 
 def test_a_robot_may_ask_for_nothing_outside_the_release(tmp_path: Path) -> None:
@@ -88,7 +87,7 @@ def test_a_robot_may_ask_for_nothing_outside_the_release(tmp_path: Path) -> None
     ],
 )  # fmt: skip
 def test_each_state_says_what_to_do(facts: Facts, wanted: str, health: str, mend: str) -> None:
-    told = line(HERE, facts, wanted)
+    told = status_of(HERE, facts, wanted)
     assert (told.health, told.mend) == (health, mend)
     assert (told.exit_code == 0) == (health == "healthy" and not told.skew)
 
@@ -98,12 +97,12 @@ def test_warnings_stand_beside_a_healthy_robot() -> None:
         protocol=1, robot="r1", current=RELEASE, health=GOOD, temperature_c=84.0, disk_free_bytes=1_000_000,
         clock_utc=time.time() - 3600,
     )  # fmt: skip
-    told = line(HERE, facts, RELEASE)
+    told = status_of(HERE, facts, RELEASE)
     assert told.why == "clock off by -3600 s; 1 MB of disk free; 84 °C"
 
 
 def test_sizes_for_people() -> None:
-    assert [size(each) for each in (0, 999, 99_000, 40_800_000)] == ["-", "999 B", "99 kB", "40.8 MB"]
+    assert [_size(each) for each in (0, 999, 99_000, 40_800_000)] == ["-", "999 B", "99 kB", "40.8 MB"]
 
 
 def test_a_line_of_the_journal_as_json() -> None:
@@ -112,4 +111,4 @@ def test_a_line_of_the_journal_as_json() -> None:
         "time_s": 1.8e9 + 0.5, "priority": 4, "text": "hub [2J lost",
     }  # fmt: skip
     assert json.loads(json_line(b"sudo: no tty \xff")) == {"text": "sudo: no tty \ufffd"}
-    assert json.loads(json_line(b'{"MESSAGE": [1, 2], "__REALTIME_TIMESTAMP": 1}'))["text"] == "bytes that are no text"
+    assert json.loads(json_line(b'{"MESSAGE": [1, 2], "__REALTIME_TIMESTAMP": 1}'))["text"] == "binary data"

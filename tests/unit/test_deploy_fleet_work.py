@@ -59,7 +59,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def hands(kits: dict[str, SupportPackage] | None = None) -> RobotUpdater:
     nothing = cast(Any, None)
     addresses = {"r1": Address("r1", "10.0.0.1", 22, "me")}
-    return RobotUpdater(nothing, addresses, nothing, nothing, lambda _: None, "", kits=kits or {})
+    return RobotUpdater(nothing, addresses, nothing, nothing, lambda _: None, "", packages=kits or {})
 
 
 def says(monkeypatch: pytest.MonkeyPatch, facts: Iterable[Facts]) -> list[Facts]:
@@ -108,7 +108,7 @@ def test_one_that_was_restarted_gets_its_time(monkeypatch: pytest.MonkeyPatch) -
     [
         (of(DIES, None), "activating/auto-restart, restarted 7 times"),
         (of(Agent(), WELL), "not started"),
-        (of(RUNS, None), "it says nothing of its health"),
+        (of(RUNS, None), "it reports no health"),
         (of(RUNS, Health(release="0.9-0123456789ab", healthy=True)), "it still runs 0.9-0123456789ab"),
     ],
 )
@@ -132,7 +132,7 @@ def test_a_kit_that_did_not_arrive_is_no_success(monkeypatch: pytest.MonkeyPatch
     task = hands({"r1": SupportPackage(b"", "new")})._install(
         Robot([Answer(0, b"", b"")]).remote, Facts(protocol=1, kit="old")
     )
-    with pytest.raises(FullswarmError, match="its files are other ones"):
+    with pytest.raises(FullswarmError, match="its files differ"):
         asyncio.run(task)
 
 
@@ -153,7 +153,7 @@ def test_what_turns_out_to_be_damaged_there_is_shipped_once_more(release: Path, 
     assert [each[0] for each in robot.asked] == ["want", "receive", "receive"]
     assert robot.fed[1] != robot.fed[2]
     robot = Robot([good, lacks])
-    with pytest.raises(FullswarmError, match="did not get the release whole"):
+    with pytest.raises(FullswarmError, match="received the release incompletely"):
         stage(robot, release, tmp_path)
     assert len(robot.asked) == 3
 

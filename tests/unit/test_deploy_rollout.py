@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fullswarm.deploy.fleet import rollout
 from fullswarm.deploy.fleet.rollout import (
     BAD,
-    IN_HAND,
+    IN_PROGRESS,
     Outcome,
     Plan,
     Rollout,
@@ -117,7 +117,7 @@ def test_plans_that_are_none(plan: tuple[int, float, int]) -> None:
 
 def test_a_share_of_the_robots() -> None:
     assert (parse_share("25%"), parse_share("100")) == (0.25, 1.0)
-    with pytest.raises(ConfigError, match="--wave: 'a few' is no share"):
+    with pytest.raises(ConfigError, match="--wave: invalid share 'a few'"):
         parse_share("a few")
 
 
@@ -130,7 +130,7 @@ def test_whatever_robots_do_in_whatever_order(data: st.DataObject) -> None:
     rollout = Rollout.of(robots(count), plan)
     switched: set[str] = set()
     while not rollout.over:
-        hands = [robot for robot, stage in rollout.stages.items() if stage in IN_HAND]
+        hands = [robot for robot, stage in rollout.stages.items() if stage in IN_PROGRESS]
         due = rollout.due()
         robot = data.draw(st.sampled_from(sorted({*hands, *due})))
         if robot in due:
@@ -153,7 +153,7 @@ def test_whatever_robots_do_in_whatever_order(data: st.DataObject) -> None:
             ends = STAGED_AS if rollout.stages[robot] is Stage.STAGING else SWITCHED_AS
             rollout = rollout.after(robot, data.draw(st.sampled_from(ends)))
     left = set(rollout.stages.values())
-    assert not left & (IN_HAND | {Stage.WAITING})
+    assert not left & (IN_PROGRESS | {Stage.WAITING})
     assert Stage.STAGED not in left or rollout.stopped
 
 
@@ -196,7 +196,7 @@ def test_an_interrupted_one_says_where_each_robot_stands() -> None:
         return board
 
     board = asyncio.run(main())
-    assert "goes back by itself within 60 s" in board.outcomes["r1"].what
+    assert "rolls back on its own within 60 s" in board.outcomes["r1"].what
     assert board.outcomes["r2"].what == "has it"
 
 
@@ -215,8 +215,8 @@ def test_a_fault_of_this_computer_is_one_robots_and_ends_no_others_work(error: O
     asyncio.run(perform_rollout(board, hands))
     assert list(board.rollout.stages.values()) == [Stage.FAILED, Stage.HEALTHY, Stage.HEALTHY]
     why = "No space left on device: /tmp/x" if error.errno else "OSError"
-    assert board.outcomes["r1"].what == f"this computer fails: {why}"
-    assert "its guard takes it back" in board.outcomes["r1"].mend
+    assert board.outcomes["r1"].what == f"error on this computer: {why}"
+    assert "its guard rolls it back" in board.outcomes["r1"].mend
 
 
 def test_a_bug_lets_those_finish_that_are_in_hand_and_begins_with_nobody() -> None:

@@ -1,7 +1,6 @@
 """Installs and updates robots over SSH: deploy, update in waves, roll back, show.
 
-``commands.py``      `deploy`, `update`, `rollback`, `reboot`, `logs`, `shell`
-``status.py``        `fleet`: what each robot runs, what it should run, whether it is healthy
+``commands.py``      `deploy`, `update`, `rollback`, `reboot`, `fleet`, `logs`, `shell`
 ``rollout.py``       which robots may switch when: canary, waves, stop at k failures
 ``robot_update.py``  the steps on one robot: install, ship, switch under guard, commit or roll back
 ``releases.py``      which release fits a robot, what the robot lacks of it, what each robot should run

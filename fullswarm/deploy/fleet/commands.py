@@ -1,26 +1,27 @@
-"""Runs ``deploy``, ``update``, ``rollback``, ``reboot``, ``logs`` and ``shell``; prints the result robot by robot."""
+"""Runs ``deploy``, ``update``, ``rollback``, ``reboot``, ``fleet``, ``logs``, ``shell``; prints a line per robot."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import shlex
 import shutil
 import tempfile
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.markup import escape
 from rich.table import Table
 
 from fullswarm import output
-from fullswarm.deploy.fleet.facts import Facts, facts_of
+from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
 from fullswarm.deploy.fleet.login import Address, Login, confirm_host_keys, login_for, pick_robots
 from fullswarm.deploy.fleet.releases import Archives, Desired, extras_needed
-from fullswarm.deploy.fleet.remote import LinkBroke, Remote, clean_log_line, need_asyncssh
+from fullswarm.deploy.fleet.remote import LinkBroke, Remote, clean, clean_log_line, need_asyncssh
 from fullswarm.deploy.fleet.robot_update import Refused, RobotUpdater, SupportPackage, read_health, roll_back
 from fullswarm.deploy.fleet.rollout import AT_A_TIME, GOOD, Outcome, Plan, Rollout, Stage, UpdateState, perform_rollout
 from fullswarm.deploy.release.keys import Keys, public
@@ -32,12 +33,17 @@ if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig
 
 FILE_COLUMNS = 110
-"""Columns into a file: a reason that is broken in five is hard to find again."""
+"""Width of a table in a file."""
+CLOCK_S = 60.0
+LOW_DISK_BYTES = 500_000_000
+HOT_C = 80.0
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One robot's line; `exit_code` 0 when all is well with it."""
+    """One robot's line of a result; `exit_code` 0 when all is well with it."""
 
     robot: str
     result: str
@@ -49,21 +55,45 @@ class Row:
 
     @classmethod
     def of(cls, robot: str, outcome: Outcome) -> Row:
-        """From what a rollout says."""
+        """Return the line for the outcome of a rollout."""
         code = 0 if outcome.stage in GOOD else outcome.exit_code
         changed = f" ({', '.join(outcome.changed)})" if outcome.changed and code == 0 else ""
-        return cls(
-            robot,
-            str(outcome.stage),
-            outcome.what if outcome.stage is Stage.CURRENT else outcome.what + changed,
-            outcome.mend,
-            outcome.release,
-            outcome.shipped_bytes,
-            code,
+        what = outcome.what if outcome.stage is Stage.CURRENT else outcome.what + changed
+        return cls(robot, str(outcome.stage), what, outcome.mend, outcome.release, outcome.shipped_bytes, code)
+
+    @classmethod
+    def failed(cls, address: Address, error: FullswarmError) -> Row:
+        """Return the line for an error."""
+        result = (
+            "unreachable" if isinstance(error, Unreachable) else "refused" if isinstance(error, Refused) else "failed"
         )
+        return cls(address.robot, result, error.what, error.hint, exit_code=error.exit_code)
 
 
-def print_rows(rows: Sequence[Row], *, as_json: bool) -> int:
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What one robot runs; `skew` is empty when it is what it should run."""
+
+    robot: str
+    host: str
+    release: str
+    desired: str
+    skew: str
+    health: str
+    why: str = ""
+    mend: str = ""
+    temperature_c: float | None = None
+    disk_free_bytes: int | None = None
+    exit_code: int = 0
+
+
+COLUMNS = {
+    Row: ("robot", "result", "runs", "shipped", "what", "what to do"),
+    Status: ("robot", "host", "release", "skew", "health", "why", "what to do"),
+}
+
+
+def print_rows(rows: Sequence[Row] | Sequence[Status], *, as_json: bool) -> int:
     """Print the rows and return the exit code: 0, 1 when some failed, else what all of them failed with."""
     codes = {each.exit_code for each in rows}
     code = codes.pop() if len(codes) == 1 else 1
@@ -73,35 +103,51 @@ def print_rows(rows: Sequence[Row], *, as_json: bool) -> int:
             del robot["exit_code"]
         output.data_json({"ok": code == 0, "robots": robots})
         return code
-    columns = ("robot", "result", "runs", "shipped", "what", "what to do")
-    cells = [
-        (each.robot, each.result, each.release or "-", size(each.shipped_bytes), each.what, each.mend) for each in rows
-    ]
-    output.data_table(table(columns, cells), into_file=FILE_COLUMNS)
+    shown = Table(box=None, pad_edge=False)
+    for name in COLUMNS[type(rows[0])] if rows else ():
+        shown.add_column(name, overflow="fold", no_wrap=name in ("robot", "result"))
+    for each in rows:  # escaped, because some of the text comes from robots
+        shown.add_row(*map(escape, _cells(each)))
+    output.data_table(shown, into_file=FILE_COLUMNS)
     return code
 
 
-def table(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:
-    """A plain table, whose words are only words: no markup that a robot could have put there."""
-    shown = Table(box=None, pad_edge=False)
-    for name in columns:
-        shown.add_column(name, overflow="fold", no_wrap=name in ("robot", "result"))
-    for row in rows:
-        shown.add_row(*(escape(each) for each in row))
-    return shown
+def _cells(row: Row | Status) -> tuple[str, ...]:
+    if isinstance(row, Row):
+        return row.robot, row.result, row.release or "-", _size(row.shipped_bytes), row.what, row.mend
+    return row.robot, row.host, row.release or "-", row.skew or "-", row.health, row.why, row.mend
 
 
-def size(count: int) -> str:
-    """``0.3 MB``."""
+def _size(count: int) -> str:
+    """Return ``0.3 MB``."""
     if count < 1000:
         return f"{count} B" if count else "-"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
+async def for_each_robot(
+    fleet: Fleet,
+    visit: Callable[[Address], Awaitable[T]],
+    failed: Callable[[Address, FullswarmError], T],
+    at_a_time: int,
+) -> list[T]:
+    """Visit all robots, `at_a_time`; `failed` makes a row of an error."""
+    room = asyncio.Semaphore(at_a_time)
+
+    async def one(address: Address) -> T:
+        async with room:
+            try:
+                return await visit(address)
+            except FullswarmError as error:
+                return failed(address, error)
+
+    return list(await asyncio.gather(*(one(each) for each in fleet.addresses.values())))
+
+
 # ---------------------------------------------------------------- deploy and update
 @dataclass(frozen=True, slots=True)
 class FleetRequest:
-    """What a command line asked for; times in seconds."""
+    """The options of a command line; times in seconds."""
 
     fleet: Path
     robots: Sequence[str] = ()
@@ -147,12 +193,12 @@ class Fleet:
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """In the order in which they are tried."""
+        """The robots in the order in which they are tried."""
         return tuple(each.id for each in self.robots)
 
     @property
     def addresses(self) -> dict[str, Address]:
-        """By robot."""
+        """SSH addresses by robot."""
         return {each.id: Address.of(each) for each in self.robots}
 
 
@@ -165,9 +211,9 @@ def deploy(order: FleetRequest) -> int:
         check_hub(each, fleet.config)
     signers = fleet.keys.allowed_signers()
     archives = {each.id: support_package(each, fleet.config, signers) for each in fleet.robots}
-    kits = {robot: SupportPackage(archive, package_id(archive)) for robot, archive in archives.items()}
-    everybody = Plan(canary=0, wave=1.0, stop_at=len(fleet.robots) + 1)
-    return _run(order, fleet, everybody, kits)
+    packages = {robot: SupportPackage(archive, package_id(archive)) for robot, archive in archives.items()}
+    at_once = Plan(canary=0, wave=1.0, stop_at=len(fleet.robots) + 1)
+    return _run(order, fleet, at_once, packages)
 
 
 def update(order: FleetRequest) -> int:
@@ -175,10 +221,10 @@ def update(order: FleetRequest) -> int:
     return _run(order, Fleet.of(order), order.plan, {})
 
 
-def _run(order: FleetRequest, fleet: Fleet, plan: Plan, kits: dict[str, SupportPackage]) -> int:
-    board = UpdateState(Rollout.of(fleet.ids, plan))
+def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, SupportPackage]) -> int:
+    state = UpdateState(Rollout.of(fleet.ids, plan))
     with tempfile.TemporaryDirectory(prefix="fullswarm-") as scratch:
-        work = RobotUpdater(
+        updater = RobotUpdater(
             fleet.login,
             fleet.addresses,
             Store.default(),
@@ -187,78 +233,76 @@ def _run(order: FleetRequest, fleet: Fleet, plan: Plan, kits: dict[str, SupportP
             fleet.keys.allowed_signers(),
             named=order.release,
             target=order.target,
-            kits=kits,
+            packages=packages,
             needs={each.id: extras_needed(each, fleet.config) for each in fleet.robots},
             public_key=public(fleet.keys.fleet_key()),
             guard_s=order.guard_s,
             force=order.force,
         )
         if order.release is not None:
-            work.store.get(order.release)  # a wrong name is no robot's fault
+            updater.store.get(order.release)  # a wrong name is reported once, not for each robot
         try:
-            asyncio.run(_perform(order, fleet, board, work, first_contact=bool(kits)))
+            asyncio.run(_perform(order, fleet, state, updater, first_install=bool(packages)))
         except KeyboardInterrupt:
-            print_rows(_rows(fleet, board), as_json=order.as_json)
+            print_rows(_rows(fleet, state), as_json=order.as_json)
             raise
-    if board.rollout.stopped:
+    if state.rollout.stopped:
         output.progress(f"stopped after {plan.stop_at} failures: the others keep what they run")
-    return print_rows(_rows(fleet, board), as_json=order.as_json)
+    return print_rows(_rows(fleet, state), as_json=order.as_json)
 
 
 async def _perform(
-    order: FleetRequest, fleet: Fleet, board: UpdateState, work: RobotUpdater, *, first_contact: bool
+    order: FleetRequest, fleet: Fleet, state: UpdateState, updater: RobotUpdater, *, first_install: bool
 ) -> None:
-    strangers: dict[str, FullswarmError] = {}
-    if first_contact and not order.dry_run:
+    unconfirmed: dict[str, FullswarmError] = {}
+    if first_install and not order.dry_run:
         known = tuple(fleet.addresses.values())
-        strangers = await confirm_host_keys(fleet.login, known, accept=order.accept_host_keys)
+        unconfirmed = await confirm_host_keys(fleet.login, known, accept=order.accept_host_keys)
     if order.dry_run:
-        looks = await asyncio.gather(*(work.look(each) for each in fleet.ids))
-        board.outcomes.update(zip(fleet.ids, looks, strict=True))
+        previews = await asyncio.gather(*(updater.preview(each) for each in fleet.ids))
+        state.outcomes.update(zip(fleet.ids, previews, strict=True))
         return
 
-    async def hands(robot: str, stage: Stage) -> Outcome:
-        problem = strangers.pop(robot, None)
+    async def step(robot: str, stage: Stage) -> Outcome:
+        problem = unconfirmed.pop(robot, None)
         if problem is not None:
-            lost = Stage.UNREACHABLE if isinstance(problem, Unreachable) else Stage.FAILED
-            return Outcome(lost, problem.what, problem.hint, exit_code=problem.exit_code)
-        return await work(robot, stage)
+            stage = Stage.UNREACHABLE if isinstance(problem, Unreachable) else Stage.FAILED
+            return Outcome(stage, problem.what, problem.hint, exit_code=problem.exit_code)
+        return await updater(robot, stage)
 
     try:
-        await perform_rollout(board, hands, order.at_a_time, order.keep_trying_s)
+        await perform_rollout(state, step, order.at_a_time, order.keep_trying_s)
     except asyncio.CancelledError:
-        board.interrupted(order.guard_s)
+        state.interrupted(order.guard_s)
         raise
     finally:
-        Desired.of(fleet.config.swarm).want(_wanted(board, work))
-        board.held()
+        Desired.of(fleet.config.swarm).want(_wanted(state, updater))
+        state.held()
 
 
-def _wanted(board: UpdateState, work: RobotUpdater) -> dict[str, str]:
-    """What robots should run from now on: what they were given; those that were away, what the others were given."""
-    given = {robot: folder.name for robot, folder in work.releases.items()}
-    away = [robot for robot, stage in board.rollout.stages.items() if stage is Stage.UNREACHABLE]
-    if work.named is not None or len(set(given.values())) == 1:
-        common = next(iter(given.values())) if given else work.store.get(work.named or "").name
+def _wanted(state: UpdateState, updater: RobotUpdater) -> dict[str, str]:
+    """Return what robots should run: what they were given; those that were unreachable, what the others were given."""
+    given = {robot: folder.name for robot, folder in updater.releases.items()}
+    away = [robot for robot, stage in state.rollout.stages.items() if stage is Stage.UNREACHABLE]
+    if updater.named is not None or len(set(given.values())) == 1:
+        common = next(iter(given.values())) if given else updater.store.get(updater.named or "").name
         given.update(dict.fromkeys(away, common))
-    unfit = [robot for robot, stage in board.rollout.stages.items() if stage is Stage.FAILED]
+    unfit = [robot for robot, stage in state.rollout.stages.items() if stage is Stage.FAILED]
     return {robot: release for robot, release in given.items() if robot not in unfit}
 
 
-def _rows(fleet: Fleet, board: UpdateState) -> list[Row]:
-    nothing = Outcome(Stage.WAITING, "not begun: nothing was changed", "update again")
-    return [Row.of(each, board.outcomes.get(each, nothing)) for each in fleet.ids]
+def _rows(fleet: Fleet, state: UpdateState) -> list[Row]:
+    nothing = Outcome(Stage.WAITING, "not started: nothing was changed", "update again")
+    return [Row.of(each, state.outcomes.get(each, nothing)) for each in fleet.ids]
 
 
 # ---------------------------------------------------------------- rollback and reboot
 AGENT_S = 40.0
 BOOT_POLL_S = 1.0
 
-Visit = Callable[[Address], Awaitable[Row]]
-
 
 def rollback(order: FleetRequest) -> int:
-    """Go back to the release before on each robot; return the exit code."""
+    """Roll back each robot to its previous release; return the exit code."""
     fleet = Fleet.of(order)
 
     async def visit(address: Address) -> Row:
@@ -266,11 +310,11 @@ def rollback(order: FleetRequest) -> int:
             facts = await _idle(remote, order)
             goal = "what it ran before" if facts.pending else facts.previous
             if goal is None:
-                hint = "`fullswarm update --release` takes any release of the store"
-                raise Refused("there is no release to go back to", where=address.robot, hint=hint)
+                hint = "`fullswarm update --release` installs any release of the store"
+                raise Refused("there is no release to roll back to", where=address.robot, hint=hint)
             if order.dry_run:
-                return Row(address.robot, "would go back", f"to {goal}", release=facts.current or "")
-            now = await roll_back(remote, "asked for by the operator")
+                return Row(address.robot, "would roll back", f"to {goal}", release=facts.current or "")
+            now = await roll_back(remote, "requested by the operator")
             why = await _why_not_healthy(remote)
         if why:
             return Row(
@@ -278,7 +322,7 @@ def rollback(order: FleetRequest) -> int:
             )
         return Row(address.robot, "rolled back", f"from {facts.current}", release=now or "")
 
-    rows = asyncio.run(for_each_robot(fleet.addresses, visit, order.at_a_time))
+    rows = asyncio.run(for_each_robot(fleet, visit, Row.failed, order.at_a_time))
     if not order.dry_run:
         back = {each.robot: each.release for each in rows if each.result == "rolled back" and each.release}
         Desired.of(fleet.config.swarm).want(back)
@@ -300,37 +344,20 @@ def reboot(order: FleetRequest, wait_s: float | None) -> int:
                 if answer.code:
                     raise Refused(answer.words, where=address.robot)
             except LinkBroke:
-                pass  # it is on its way down
+                pass  # it is shutting down
         if wait_s is None:
             return Row(address.robot, "reboots", release=facts.current or "")
         output.progress(f"{address.robot}: reboots")
         return await _wait_for_boot(fleet.login, address, facts.boot_id, wait_s)
 
-    return print_rows(asyncio.run(for_each_robot(fleet.addresses, visit, order.at_a_time)), as_json=order.as_json)
-
-
-async def for_each_robot(addresses: Mapping[str, Address], visit: Visit, at_a_time: int) -> list[Row]:
-    """Visit all, `at_a_time`; an error is the robot's own row."""
-    room = asyncio.Semaphore(at_a_time)
-
-    async def one(address: Address) -> Row:
-        async with room:
-            try:
-                return await visit(address)
-            except Unreachable as error:
-                return Row(address.robot, "unreachable", error.what, error.hint, exit_code=error.exit_code)
-            except FullswarmError as error:
-                result = "refused" if isinstance(error, Refused) else "failed"
-                return Row(address.robot, result, error.what, error.hint, exit_code=error.exit_code)
-
-    return list(await asyncio.gather(*(one(each) for each in addresses.values())))
+    return print_rows(asyncio.run(for_each_robot(fleet, visit, Row.failed, order.at_a_time)), as_json=order.as_json)
 
 
 async def _idle(remote: Remote, order: FleetRequest) -> Facts:
     facts = await facts_of(remote)
     if not facts.installed:
-        hint = f"`fullswarm deploy {remote.robot}` puts it there"
-        raise FullswarmError("nothing of ours is installed there", where=remote.robot, hint=hint)
+        hint = f"`fullswarm deploy {remote.robot}` installs it"
+        raise FullswarmError("fullswarm is not installed on it", where=remote.robot, hint=hint)
     if facts.busy_with and not order.force:
         hint = "stop it (`fullswarm stop`) first, or --force"
         raise Refused(f"it is {facts.busy_with}", where=remote.robot, hint=hint)
@@ -342,8 +369,8 @@ async def _why_not_healthy(remote: Remote) -> str:
     now = asyncio.get_running_loop().time
     until_s = now() + AGENT_S
     while True:
-        said, why = await read_health(remote)
-        if said is not None and said.healthy:
+        health, why = await read_health(remote)
+        if health is not None and health.healthy:
             return ""
         if now() >= until_s:
             return why
@@ -351,7 +378,7 @@ async def _why_not_healthy(remote: Remote) -> str:
 
 
 async def _wait_for_boot(login: Login, address: Address, boot_id: str, wait_s: float) -> Row:
-    """Wait until a computer has booted anew."""
+    """Wait until a computer has rebooted."""
     now = asyncio.get_running_loop().time
     began_s = now()
     while now() < began_s + wait_s:
@@ -362,28 +389,109 @@ async def _wait_for_boot(login: Login, address: Address, boot_id: str, wait_s: f
                     release = facts.current or ""
                     return Row(address.robot, "rebooted", f"back after {now() - began_s:.0f} s", release=release)
         except FullswarmError:
-            pass  # not up yet
+            pass  # still booting
         await asyncio.sleep(BOOT_POLL_S)
-    mend = "look at its screen, or put its card into a computer"
-    return Row(address.robot, "not back", f"nothing heard for {wait_s:.0f} s", mend, exit_code=3)
+    mend = "check its screen, or put its card into a computer"
+    return Row(address.robot, "not back", f"no answer for {wait_s:.0f} s", mend, exit_code=3)
 
 
 def _see_logs(address: Address) -> str:
     return f"fullswarm logs {address.robot}"
 
 
+# ---------------------------------------------------------------- fleet
+def fleet(order: FleetRequest) -> int:
+    """Print the fleet; return 0 when all is well and as it should be, 3 when no robot was reached, else 1."""
+    whole = Fleet.of(order)
+    desired = Desired.of(whole.config.swarm).read()
+
+    async def visit(address: Address) -> Status:
+        async with whole.login.connect(address) as remote:
+            return status_of(address, await facts_of(remote), desired.get(address.robot, ""))
+
+    def failed(address: Address, error: FullswarmError) -> Status:
+        wanted = desired.get(address.robot, "")
+        state = "unreachable" if isinstance(error, Unreachable) else "unknown"
+        skew = f"wants {wanted}" if wanted else ""
+        return Status(address.robot, address.host, "", wanted, skew, state, error.what, error.hint, exit_code=3)
+
+    return print_rows(asyncio.run(for_each_robot(whole, visit, failed, order.at_a_time)), as_json=order.as_json)
+
+
+def status_of(address: Address, facts: Facts, wanted: str) -> Status:
+    """Return the state of one robot by its facts."""
+    release = clean(facts.current or "", 80)
+    skew = f"wants {wanted}" if wanted and wanted != release else ""
+    health, why, mend = _health(address.robot, facts)
+    if not mend and skew:
+        mend = f"fullswarm update {address.robot}"
+        why = why or (f"rolled back: {facts.rollback_reason}" if facts.rollback_reason else "")
+    warnings = _warnings(facts)
+    return Status(
+        address.robot,
+        address.host,
+        release,
+        wanted,
+        skew,
+        health,
+        "; ".join(filter(None, (why, *warnings))),
+        mend,
+        facts.temperature_c,
+        facts.disk_free_bytes,
+        exit_code=0 if health == "healthy" and not skew else 1,
+    )
+
+
+def _health(robot: str, facts: Facts) -> tuple[str, str, str]:
+    """Return state, reason, and what to do."""
+    deploy, logs = f"fullswarm deploy {robot}", f"fullswarm logs {robot}"
+    if not facts.installed:
+        return "not installed", "", deploy
+    if facts.robot != robot:
+        name = clean(facts.robot, 64) or "none"
+        return "another robot", f"its own name is {name}", "`host` in the fleet file, or deploy it under this name"
+    if not facts.current:
+        return "no release", facts.rollback_reason, deploy
+    if facts.pending:
+        return (
+            "pending",
+            f"{clean(facts.pending, 80)} is not committed yet",
+            "wait: without a commit it rolls back",
+        )
+    if facts.health is None:
+        restarts = f", {facts.agent.restarts} restarts" if facts.agent.restarts else ""
+        return "silent", f"no report of its agent ({clean(facts.agent.state, 40) or 'no unit'}{restarts})", logs
+    if not facts.health.healthy:
+        return "not healthy", clean("; ".join(facts.health.why)), logs
+    return "healthy", "", ""
+
+
+def _warnings(facts: Facts) -> list[str]:
+    warnings = []
+    off_s = clock_error_s(facts)
+    if not math.isnan(off_s) and abs(off_s) > CLOCK_S:
+        warnings.append(f"clock off by {off_s:+.0f} s")
+    if facts.disk_free_bytes is not None and facts.disk_free_bytes < LOW_DISK_BYTES:
+        warnings.append(f"{facts.disk_free_bytes / 1e6:.0f} MB of disk free")
+    if not facts.disk_writable:
+        warnings.append("disk not writable")
+    if facts.temperature_c is not None and facts.temperature_c > HOT_C:
+        warnings.append(f"{facts.temperature_c:.0f} °C")
+    return warnings
+
+
 # ---------------------------------------------------------------- logs and shell
 def logs(order: FleetRequest, lines: int, *, follow: bool) -> int:
-    """Print what a robot's agent has said, as it stands or as JSON lines; return the exit code."""
+    """Print the log of a robot's agent, as text or JSON lines; return the exit code."""
     fleet = Fleet.of(order)
     address = fleet.addresses[fleet.ids[0]]
 
     async def read() -> int:
         words = ("logs", *(("--json",) if order.as_json else ()), *(("-f",) if follow else ()), "-n", str(lines))
-        tell = json_line if order.as_json else clean_log_line
+        convert = json_line if order.as_json else clean_log_line
         async with fleet.login.connect(address) as remote:
             answer = await remote.program(
-                *words, within_s=None if follow else 60.0, line=lambda said: output.data(tell(said))
+                *words, within_s=None if follow else 60.0, line=lambda raw: output.data(convert(raw))
             )
         if answer.code:
             raise FullswarmError(f"no logs: {answer.words}", where=address.robot, hint="fullswarm deploy")
@@ -392,20 +500,20 @@ def logs(order: FleetRequest, lines: int, *, follow: bool) -> int:
     return asyncio.run(read())
 
 
-def json_line(said: bytes) -> str:
-    """Return one line of the journal's own JSON as ours: when (s since 1970), how bad (syslog's 0 to 7), what."""
+def json_line(raw: bytes) -> str:
+    """Return one line of the journal's JSON as ours: time (s since 1970), priority (syslog's 0 to 7), text."""
     try:
-        entry = json.loads(said)
+        entry = json.loads(raw)
         text = entry["MESSAGE"]
         when_s, priority = int(entry["__REALTIME_TIMESTAMP"]) / 1e6, int(entry.get("PRIORITY", 6))
     except (ValueError, TypeError, KeyError):
-        return json.dumps({"text": clean_log_line(said)})
-    text = clean_log_line(text.encode()) if isinstance(text, str) else "bytes that are no text"
+        return json.dumps({"text": clean_log_line(raw)})
+    text = clean_log_line(text.encode()) if isinstance(text, str) else "binary data"
     return json.dumps({"time_s": when_s, "priority": priority, "text": text})
 
 
 def shell(order: FleetRequest, command: list[str]) -> int:
-    """Hand the terminal over to ``ssh``, which takes the place of this process."""
+    """Replace this process by ``ssh``."""
     fleet = Fleet.of(order)
     address = fleet.addresses[fleet.ids[0]]
     pins = fleet.login.pins
@@ -423,7 +531,7 @@ def shell(order: FleetRequest, command: list[str]) -> int:
 
 
 def ssh_words(fleet: Fleet, address: Address) -> list[str]:
-    """``ssh``'s arguments: our pinned keys and no others, the fleet's key, then the user's own."""
+    """Return ``ssh``'s arguments: only our pinned host keys; the fleet's key, then the user's own."""
     return [
         *("-o", f"UserKnownHostsFile={fleet.login.pins.known_hosts}"),
         *("-o", "GlobalKnownHostsFile=/dev/null"),

@@ -1,4 +1,4 @@
-"""One round trip: what a robot is and what it runs, before the first install too."""
+"""Reads in one round trip what a robot is and what it runs, before the first install too."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Agent(msgspec.Struct, frozen=True):
 
 
 class Health(msgspec.Struct, frozen=True):
-    """What the agent says of itself, each second; only what is looked at here."""
+    """The agent's health file, written each second; only the fields that are used here."""
 
     robot: str = ""
     release: str | None = ""
@@ -54,7 +54,7 @@ class Health(msgspec.Struct, frozen=True):
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """What ``fullswarm-robot facts`` says; before the first install what the probe says, with protocol 0.
+    """The answer of ``fullswarm-robot facts``; before the first install that of the probe, with protocol 0.
 
     Sizes in bytes, clocks in seconds since the epoch, temperatures in °C.
     """
@@ -73,7 +73,7 @@ class Facts(msgspec.Struct, frozen=True):
     boot_id: str = ""
     current: str | None = None
     previous: str | None = None
-    pending: str | None = None  # switched to, and waits for its verdict
+    pending: str | None = None  # switched to, neither committed nor rolled back
     releases: list[str] = []
     agent: Agent = Agent()
     health: Health | None = None
@@ -88,39 +88,39 @@ class Facts(msgspec.Struct, frozen=True):
 
     @property
     def settled(self) -> bool:
-        """It runs a release that nothing is going to take back."""
+        """It runs a committed release."""
         return bool(self.current) and not self.pending
 
     @property
     def busy_with(self) -> str:
-        """What it does that a restart of its agent would end; empty while it stands idle, or says nothing."""
-        said = self.health
-        if said is None:
+        """What a restart of its agent would end; empty while it is idle, or reports nothing."""
+        health = self.health
+        if health is None:
             return ""
-        behaviour = clean(said.behaviour or "", 64)
-        if said.moving:
+        behaviour = clean(health.behaviour or "", 64)
+        if health.moving:
             return f"moving ({behaviour})" if behaviour else "moving"
-        return f"active with '{behaviour}'" if said.lifecycle == "ACTIVE" and behaviour else ""
+        return f"active with '{behaviour}'" if health.lifecycle == "ACTIVE" and behaviour else ""
 
     @property
-    def back_because(self) -> str:
-        """Why it went back the last time: ``<from> <to> <epoch> <why>`` without the first three."""
+    def rollback_reason(self) -> str:
+        """Why it rolled back the last time: ``<from> <to> <epoch> <why>`` without the first three."""
         words = (self.last_rollback or "").split(maxsplit=3)
         return clean(words[3]) if len(words) == 4 else ""
 
 
 def clock_error_s(facts: Facts) -> float:
-    """How far a robot's clock is off ours, in seconds; NaN when it does not say."""
+    """Return how far a robot's clock is ahead of ours, in seconds; NaN when it is not reported."""
     return math.nan if facts.clock_utc is None else facts.clock_utc - time.time()
 
 
 async def facts_of(remote: Remote) -> Facts:
-    """Ask a robot, in one round trip, whether we have installed anything there or not.
+    """Read the facts of a robot, whether fullswarm is installed there or not.
 
     Raises
     ------
     MessageError
-        What it says is not what our program says.
+        The answer is not that of our program.
     Unreachable, NoRoot
         As `Remote.program`.
     """
@@ -128,23 +128,23 @@ async def facts_of(remote: Remote) -> Facts:
     script = f"if [ -x {PROGRAM} ]; then :; else {PROBE}\nfi\n{root}"
     answer = await remote.script_as_root(script, first=first, within_s=FACTS_S)
     if answer.out.startswith(BARE):
-        return bare(answer.out.removeprefix(BARE), remote.robot)
+        return bare_facts(answer.out.removeprefix(BARE), remote.robot)
     if answer.code:
         raise FullswarmError(f"fullswarm-robot fails: {answer.words}", where=remote.robot, hint="`fullswarm deploy`")
     return strict_json(answer.out, Facts, remote.robot)
 
 
-def bare(said: bytes, robot: str) -> Facts:
+def bare_facts(probe: bytes, robot: str) -> Facts:
     """Read the probe's ``key=value`` lines, and refuse a computer that cannot become a robot.
 
     Raises
     ------
     MessageError
-        They are no such lines.
+        They are malformed.
     FullswarmError
         Something is missing there that an install needs.
     """
-    values = dict(line.split("=", 1) for line in said.decode("utf-8", "replace").splitlines() if "=" in line)
+    values = dict(line.split("=", 1) for line in probe.decode("utf-8", "replace").splitlines() if "=" in line)
     try:
         free = int(values["disk_free_kb"]) * 1024 if values.get("disk_free_kb") else None
         clock = float(values["clock_utc"])
@@ -154,7 +154,7 @@ def bare(said: bytes, robot: str) -> Facts:
     missing = [tool for tool in ("ssh-keygen", "tar", "gzip", "awk") if f"has_{tool}" not in values]
     if missing or "systemd" not in values:
         what = ", ".join([*missing, *([] if "systemd" in values else ["systemd"])])
-        raise FullswarmError(f"{what} not there", where=robot, hint="a Debian, Ubuntu or Raspberry Pi OS has them")
+        raise FullswarmError(f"missing on it: {what}", where=robot, hint="a Debian, Ubuntu or Raspberry Pi OS has them")
     return Facts(
         arch=arch,
         glibc=clean(values.get("glibc", ""), 20),

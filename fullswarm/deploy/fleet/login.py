@@ -30,9 +30,9 @@ SSH_PORT = 22
 CONNECT_S = 20.0
 ALIVE_S = 10.0
 ALIVE_COUNT = 3
-"""A link on which nothing at all comes back for 30 s is over."""
+"""A link without any answer for 30 s counts as broken."""
 ATTEMPTS = 2
-"""sshd turns some away at random while many log in (``MaxStartups``)."""
+"""sshd rejects some connections at random while many log in (``MaxStartups``)."""
 AGAIN_S = 1.0
 
 
@@ -44,7 +44,7 @@ class HostKeyProblem(FullswarmError):
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """The keys that robots of one swarm are known by.
+    """The host keys of the robots of one swarm.
 
     Parameters
     ----------
@@ -63,15 +63,15 @@ class Pins:
     flashed: Path
 
     def keys(self, robot: str, host: str, port: int) -> list[str]:
-        """Public keys (``ssh-ed25519 AAAA…``) that this robot may show; none: it is not known yet."""
+        """Return the public keys (``ssh-ed25519 AAAA…``) that this robot may show; none: it is not known yet."""
         return self._pinned(known_hosts_name(host, port)) or self._made_here(robot)
 
     def pin(self, host: str, port: int, key: str) -> None:
         """Remember a key that the user has confirmed."""
-        line = f"{known_hosts_name(host, port)} {_bare(key)}\n".encode()
+        line = f"{known_hosts_name(host, port)} {_without_comment(key)}\n".encode()
         with usable(self.known_hosts.parent, self.known_hosts):
             self.known_hosts.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            # One write to a file opened for appending: two commands at a time do not tear each other's lines.
+            # One write to a file opened for appending, so that the lines of two commands do not mix.
             file = os.open(self.known_hosts, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
             try:
                 os.write(file, line)
@@ -79,7 +79,7 @@ class Pins:
                 os.close(file)
 
     def pin_flashed(self, robot: str, host: str, port: int) -> None:
-        """Write down for ``ssh`` what is known of a robot flashed here."""
+        """Pin the key of a robot flashed here, so that ``ssh`` knows it too."""
         if not self._pinned(known_hosts_name(host, port)):
             for key in self._made_here(robot):
                 self.pin(host, port, key)
@@ -94,7 +94,7 @@ class Pins:
         return HostKeyProblem(
             "shows another host key than the one that is known: another computer at its address, or an interception",
             where=f"{robot} ({host})",
-            hint=f"only if it was set up anew on purpose: {mend}, then `fullswarm deploy {robot}`",
+            hint=f"only if it was set up again on purpose: {mend}, then `fullswarm deploy {robot}`",
         )
 
     def unknown(self, robot: str, host: str, key: str) -> HostKeyProblem:
@@ -113,28 +113,28 @@ class Pins:
     def _made_here(self, robot: str) -> list[str]:
         try:
             with usable(self.flashed):
-                return [_bare((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
+                return [_without_comment((self.flashed / f"{robot}_ed25519.pub").read_text("utf-8"))]
         except FileNotFoundError:
             return []
 
 
 def known_hosts_name(host: str, port: int) -> str:
-    """The name a host has in ``known_hosts``."""
+    """Return the name of a host in ``known_hosts``."""
     return host if port == SSH_PORT else f"[{host}]:{port}"
 
 
 def key_fingerprint(key: str) -> str:
-    """``SHA256:…`` as ``ssh`` and ``ssh-keygen -l`` print it."""
+    """Return ``SHA256:…`` as ``ssh`` and ``ssh-keygen -l`` print it."""
     digest = hashlib.sha256(base64.b64decode(key.split()[1])).digest()
     return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
 
 
-def _bare(key: str) -> str:
+def _without_comment(key: str) -> str:
     return " ".join(key.split()[:2])
 
 
 def _lines(file: Path) -> list[tuple[str, str]]:
-    """Names and key of each line; comments, markers and hashed names are not ours."""
+    """Names and key of each line; without comments, markers and hashed names."""
     try:
         text = file.read_text("utf-8")
     except FileNotFoundError:
@@ -149,14 +149,14 @@ def _lines(file: Path) -> list[tuple[str, str]]:
 
 # ---------------------------------------------------------------- connections
 class LoginRefused(FullswarmError):
-    """The computer answers, but none of our keys opens it."""
+    """The computer answers, but accepts none of our keys."""
 
     exit_code = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a robot's computer answers, and as whom we log in."""
+    """The SSH address of a robot's computer, and the user to log in as."""
 
     robot: str
     host: str
@@ -170,20 +170,20 @@ class Address:
 
     @property
     def where(self) -> str:
-        """For messages."""
+        """The robot and its address, for messages."""
         return f"{self.robot} ({self.host}:{self.port})" if self.port != 22 else f"{self.robot} ({self.host})"
 
 
 @dataclass(frozen=True, slots=True)
 class Login:
-    """How we log in.
+    """Opens connections to robots.
 
     Parameters
     ----------
     fleet_key
-        Private key that robots know after their first install.
+        Private key that robots accept after their first install.
     own_keys
-        Also try the user's agent and own keys: for a first contact.
+        Also try the user's agent and own keys: for a first install.
     """
 
     pins: Pins
@@ -201,7 +201,7 @@ class Login:
         HostKeyProblem
             Not pinned yet, or another key than the pinned one.
         LoginRefused
-            None of our keys is let in.
+            None of our keys is accepted.
         Unreachable
             No answer in time.
         """
@@ -215,7 +215,7 @@ class Login:
         """Ask a computer for its host key, without logging in (``ssh-ed25519 AAAA…``); raises `Unreachable`."""
         import asyncssh
 
-        with _told(address, self.pins):
+        with _translated(address, self.pins):
             async with asyncio.timeout(self.connect_s):
                 key = await asyncssh.get_server_host_key(address.host, address.port)
         if key is None:
@@ -241,7 +241,7 @@ class Login:
         for number, which in enumerate(keys, start=1):
             try:
                 met: list[str] = []
-                with _told(address, self.pins, met):
+                with _translated(address, self.pins, met):
                     async with asyncio.timeout(self.connect_s):
                         return await self._dial(address, which, met), number > 1
             except LoginRefused:
@@ -250,7 +250,7 @@ class Login:
         raise AssertionError("the last key has raised or returned")
 
     async def _dial(self, address: Address, keys: dict[str, Any], met: list[str]) -> Any:
-        """Connect; `met` gets the robot's name once its own computer is at the other end, behind all jump hosts."""
+        """Connect; `met` gets the robot's name once its own computer is reached, behind all jump hosts."""
         import asyncssh
 
         def arrived() -> asyncssh.SSHClient:
@@ -268,23 +268,23 @@ class Login:
             preferred_auth="publickey",
             keepalive_interval=ALIVE_S,
             keepalive_count_max=ALIVE_COUNT,
-            compression_algs=None,  # what is big is packed already
+            compression_algs=None,  # large data is compressed already
             **keys,
         )
 
 
 @contextlib.contextmanager
-def _told(address: Address, pins: Pins, met: Sequence[str] | None = None) -> Any:
-    """Turn what asyncssh and sockets raise into our errors; the cause stays, to decide whether to try again.
+def _translated(address: Address, pins: Pins, met: Sequence[str] | None = None) -> Any:
+    """Turn the errors of asyncssh and sockets into ours; the cause is kept, to decide whether to try again.
 
     Parameters
     ----------
     met
-        Empty until the robot's own computer was at the other end; None: any host key of that one is taken.
+        Empty until the robot's own computer is reached; None: accept any host key of it.
     """
     import asyncssh
 
-    check = "is it switched on and in this network? `host` in the fleet file says where"
+    check = "is it switched on and in this network? `host` in the fleet file is its address"
     try:
         yield
     except (asyncssh.HostKeyNotVerifiable, asyncssh.KeyExchangeFailed) as error:
@@ -295,22 +295,22 @@ def _told(address: Address, pins: Pins, met: Sequence[str] | None = None) -> Any
     except asyncssh.PermissionDenied:
         port = "" if address.port == 22 else f"-p {address.port} "
         hint = (
-            f"`fullswarm deploy {address.robot}` once, with a key of yours that it lets in "
-            f"(`ssh-copy-id {port}{address.user}@{address.host}`); `ssh_user` in the fleet file says who"
+            f"`fullswarm deploy {address.robot}` once, with a key of yours that it accepts "
+            f"(`ssh-copy-id {port}{address.user}@{address.host}`); `ssh_user` in the fleet file is the user"
         )
-        raise LoginRefused(f"does not let '{address.user}' in with our keys", where=address.where, hint=hint) from None
+        raise LoginRefused(f"accepts none of our keys for '{address.user}'", where=address.where, hint=hint) from None
     except TimeoutError:
         raise Unreachable("does not answer", where=address.where, hint=check) from None
     except (OSError, asyncssh.ConnectionLost, asyncssh.DisconnectError) as error:
         lost = error if isinstance(error, ConnectionError) else ConnectionResetError()
         cause = lost if isinstance(error, ConnectionError | asyncssh.Error) else error
-        raise Unreachable(_words_for(error), where=address.where, hint=check) from cause
+        raise Unreachable(_describe(error), where=address.where, hint=check) from cause
     except (asyncssh.Error, ValueError) as error:
         raise Unreachable(clean(str(error)), where=address.where, hint=check) from None
 
 
 def _jump_host(address: Address, reason: str) -> HostKeyProblem:
-    """Return the error for a jump host whose key ``~/.ssh/known_hosts`` has not; asyncssh ends with `for host NAME`."""
+    """Return the error for a jump host without a known key; asyncssh's text ends with `for host NAME`."""
     _, found, name = reason.rpartition(" for host ")
     name = clean(name).split()[0] if found and name.strip() else ""
     return HostKeyProblem(
@@ -320,8 +320,8 @@ def _jump_host(address: Address, reason: str) -> HostKeyProblem:
     )
 
 
-def _words_for(error: Exception) -> str:
-    """Say what went wrong on the way without asyncio's own wording (``[Errno 111] Connect call failed ('…', 22)``)."""
+def _describe(error: Exception) -> str:
+    """Describe a connection's error without asyncio's wording (``[Errno 111] Connect call failed ('…', 22)``)."""
     if isinstance(error, ConnectionRefusedError):
         return "refuses the connection: no SSH server on that port"
     if isinstance(error, socket.gaierror):
@@ -351,7 +351,7 @@ def pick_robots(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple
         picked.update({each: by_id[each] for each in members})
     if words and not picked:  # an unset variable of a script must not mean the whole fleet
         hint = "an empty word or group; leave the robots out for all of them"
-        raise ConfigError(f"'{' '.join(words)}' stands for no robot", where=str(where), hint=hint)
+        raise ConfigError(f"'{' '.join(words)}' selects no robot", where=str(where), hint=hint)
     chosen = tuple(picked.values()) or tuple(each for each in config.robot if each.host or not each.simulated)
     if not chosen:
         raise ConfigError("no robot with a computer of its own", where=str(where), hint='host = "10.0.0.11" names one')
@@ -359,12 +359,12 @@ def pick_robots(config: SwarmConfig, named: Iterable[str], where: Path) -> tuple
 
 
 def login_for(config: SwarmConfig, keys: Keys, *, ask_password: bool = False, own_keys: bool = False) -> Login:
-    """Return how to log in to the robots of a fleet; asks for sudo's password once if it shall.
+    """Return how to log in to the robots of a fleet; with `ask_password` asks for sudo's password once.
 
     Raises
     ------
     ConfigError
-        The keys are not this user's to read.
+        This user may not read the keys.
     """
     password = None
     if ask_password:
@@ -373,23 +373,21 @@ def login_for(config: SwarmConfig, keys: Keys, *, ask_password: bool = False, ow
     pins = Pins(keys.known_hosts, keys.folder / "hosts" / config.swarm)
     with usable(keys.folder):
         key = keys.fleet_key()
-        key.open("rb").close()  # each robot would say it otherwise, and as if it were the robot's fault
+        key.open("rb").close()  # or each robot would report it as its own error
     return Login(pins, key, own_keys, password)
 
 
-async def confirm_host_keys(
-    entrance: Login, addresses: Sequence[Address], *, accept: bool
-) -> dict[str, FullswarmError]:
+async def confirm_host_keys(login: Login, addresses: Sequence[Address], *, accept: bool) -> dict[str, FullswarmError]:
     """Pin the host keys of unknown computers, after the user has confirmed each.
 
     Returns
     -------
     dict
-        The robots that could not be asked or were not confirmed, and why.
+        The robots whose key could not be read or was not confirmed, and why.
     """
-    pins = entrance.pins
+    pins = login.pins
     fresh = [each for each in addresses if not pins.keys(each.robot, each.host, each.port)]
-    shown = await asyncio.gather(*(entrance.host_key(each) for each in fresh), return_exceptions=True)
+    shown = await asyncio.gather(*(login.host_key(each) for each in fresh), return_exceptions=True)
     problems: dict[str, FullswarmError] = {}
     for address, key in zip(fresh, shown, strict=True):
         if isinstance(key, FullswarmError):
@@ -398,7 +396,7 @@ async def confirm_host_keys(
             raise key
         elif accept or _confirmed(address, key):
             pins.pin(address.host, address.port, key)
-            output.progress(f"{address.where}: host key {key_fingerprint(key)} is known from now on")
+            output.progress(f"{address.where}: host key {key_fingerprint(key)} is pinned")
         else:
             problems[address.robot] = pins.unknown(address.robot, address.host, key)
     return problems

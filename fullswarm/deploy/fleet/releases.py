@@ -34,7 +34,7 @@ GZIP_LEVEL = 6
 
 
 def extras_needed(robot: RobotConfig, config: SwarmConfig) -> frozenset[str]:
-    """Return the extras that a release must have, or the robot's agent would not start."""
+    """Return the extras that a release must have for the robot's agent to start."""
     try:
         driver = {make_of(robot.url).extra} & ONBOARD.keys()
     except ConfigError:
@@ -56,7 +56,7 @@ def choose_release(
     Raises
     ------
     ConfigError
-        There is none, or the one that was named does not fit; says which command makes one.
+        There is none, or the named one does not fit; the hint is the command that makes one.
     """
     if named is not None:
         folder = store.get(named)
@@ -75,21 +75,21 @@ def choose_release(
 
 
 def misfit(manifest: Manifest, facts: Facts, extras: frozenset[str] = frozenset()) -> str:
-    """Say why a robot cannot run a release; empty when it can."""
+    """Return why a robot cannot run a release; empty when it can."""
     wanted = manifest.target
     if facts.arch != wanted.arch:
-        return f"is for {wanted.arch}, this computer is {facts.arch or 'silent about it'}"
+        return f"is for {wanted.arch}, this computer is {facts.arch or 'unknown'}"
     if wanted.python not in (python_of(facts), *facts.pythons):
         return f"is for Python {wanted.python}, here is {python_of(facts) or 'none'}"
     if facts.glibc and _numbers(facts.glibc) < _numbers(wanted.glibc):
         return f"needs glibc {wanted.glibc}, here is {facts.glibc}"
     if lacking := extras - set(manifest.extras):
-        return f"was made without what its agent needs: {', '.join(sorted(lacking))}"
+        return f"lacks what its agent needs: {', '.join(sorted(lacking))}"
     return ""
 
 
 def python_of(facts: Facts) -> str:
-    """``3.11``, whatever follows."""
+    """Return ``3.11`` without what follows."""
     return ".".join(facts.python.split(".")[:2])
 
 
@@ -101,7 +101,7 @@ def _how_to_make(facts: Facts, extras: frozenset[str]) -> str:
 
 
 def with_option(extras: frozenset[str]) -> str:
-    """Return the option that asks for extras, with a space before it; empty for none."""
+    """Return the option that adds extras, with a space before it; empty for none."""
     return f" --with {','.join(sorted(extras))}" if extras else ""
 
 
@@ -110,31 +110,31 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 # ---------------------------------------------------------------- what robots lack
-def missing_of(release: Path, said: bytes, robot: str) -> tuple[str, ...]:
-    """Read a robot's list of what it lacks: paths of this release and nothing else of our disk.
+def missing_of(release: Path, answer: bytes, robot: str) -> tuple[str, ...]:
+    """Read a robot's list of missing files: paths of this release and nothing else of our disk.
 
     Raises
     ------
     MessageError
-        It asks for something that is not in the release.
+        It names a file that is not in the release.
     """
     known = manifest.read_sums(release)
-    paths = tuple(dict.fromkeys(said.decode("utf-8", "replace").splitlines()))
+    paths = tuple(dict.fromkeys(answer.decode("utf-8", "replace").splitlines()))
     for path in paths:
         if path not in known:
-            hint = "`fullswarm deploy` puts our program in place of what answers there"
-            raise MessageError(f"asks for '{clean(path)}', which is not in the release", where=robot, hint=hint)
+            hint = "`fullswarm deploy` installs our program in place of the one that answers"
+            raise MessageError(f"requests '{clean(path)}', which is not in the release", where=robot, hint=hint)
     return tuple(sorted(paths))
 
 
 def size_of(release: Path) -> int:
-    """Bytes that a whole release takes on a disk."""
+    """Return the bytes that a whole release takes on a disk."""
     return sum((release / each).stat().st_size for each in manifest.read_sums(release))
 
 
 @dataclass(slots=True)
 class Archives:
-    """Archives in a folder of their own, each made when the first robot needs it.
+    """Archives of what robots lack, each made once, when the first robot needs it.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Archives:
         if place.name not in self._made:
             work = asyncio.to_thread(_zstd if codec == "zst" else _gzip, release, missing, place)
             self._made[place.name] = asyncio.create_task(work)
-        # Shielded: a robot that is given up must not take the archive from the others.
+        # Shielded: cancelling one robot must not cancel the archive of the others.
         return await asyncio.shield(self._made[place.name])
 
 
@@ -183,11 +183,11 @@ class Desired:
 
     @classmethod
     def of(cls, swarm: str) -> Desired:
-        """Return the one of a swarm, in this user's state folder."""
+        """Return the file of a swarm, in this user's state folder."""
         return cls(platformdirs.user_state_path("fullswarm") / "desired" / f"{swarm}.json")
 
     def read(self) -> dict[str, str]:
-        """Return what was asked for; a file that cannot be read says nothing."""
+        """Return the desired releases; of a file that cannot be read, none."""
         try:
             raw = json.loads(self.file.read_text("utf-8"))
         except (OSError, ValueError):
@@ -197,17 +197,16 @@ class Desired:
         return {robot: each for robot, each in raw.items() if isinstance(each, str) and manifest.is_id(each)}
 
     def want(self, releases: Mapping[str, str]) -> None:
-        """Remember releases of some robots, and leave the others as they are.
+        """Store the releases of some robots; those of the others stay.
 
-        When nothing can be written there it only warns: the robots have done their part, and what became of each is
-        still to be told.
+        When the file cannot be written it only warns, because the results of the robots are still to be printed.
         """
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             with self.file.with_suffix(".lock").open("a") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)  # two terminals, two halves of a fleet
+                fcntl.flock(lock, fcntl.LOCK_EX)  # another terminal may update other robots
                 fresh = self.file.with_suffix(".fresh")
                 fresh.write_text(json.dumps({**self.read(), **releases}, indent=1, sort_keys=True) + "\n", "utf-8")
                 fresh.replace(self.file)
         except OSError as error:
-            output.progress(f"warning: {self.file}: cannot keep what robots should run: {error.strerror}")
+            output.progress(f"warning: {self.file}: cannot store what robots should run: {error.strerror}")

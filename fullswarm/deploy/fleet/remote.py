@@ -24,50 +24,50 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 LINE = 300
-"""Characters of a robot's words that fit into a message."""
+"""Characters of a robot's answer that fit into a message."""
 PROGRAM = '"${FULLSWARM_ROOT-}"/opt/fullswarm/bin/fullswarm-robot'
-"""Word of a shell script; only tests move the root."""
+"""As written in a shell script; only tests change the root."""
 BEGIN = "fullswarm-begin"
 CHUNK_BYTES = 64 * 1024
 ANSWER_BYTES = 4 * 1024 * 1024
 STALL_S = 45.0
-"""A robot that takes nothing for so long is as good as gone: 2 MB in flight take 16 s at 1 Mbit/s."""
+"""A robot that accepts no data for so long counts as unreachable: 2 MB in flight take 16 s at 1 Mbit/s."""
 COMMAND_S = 60.0
 OPEN_S = 20.0
 CLOSE_S = 3.0
 _OURS = (b"fullswarm-robot:", b"install.sh:")
-"""The prefix of sudo's own messages."""
+"""The prefixes of our own messages."""
 _SUDO = re.compile(rb"sudo(-rs)?: |Sorry, user .* (may not|is not allowed)|\S+ is not in the sudoers file")
 _HARMLESS = re.compile(rb"unable to resolve host|unable to send audit message|setrlimit\(|command not found")
-"""sudo says it and goes on; and a program that is not there is no matter of who may run it."""
+"""Warnings of sudo after which it goes on; and a missing program, which is no refusal."""
 _NO_SUDO = re.compile(rb"\bsudo: (command )?not found")
 
 Feed = bytes | Path
 Line = Callable[[bytes], None]
 
 
-def clean(said: bytes | str, limit: int = LINE) -> str:
-    """One printable line: no escape sequences, no bidirectional tricks, at most `limit` characters."""
-    text = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
+def clean(raw: bytes | str, limit: int = LINE) -> str:
+    """Return one printable line: no escape sequences, no bidirectional tricks, at most `limit` characters."""
+    text = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
     # Cut before the slow part: a robot that sends 100 MB takes no more of our time than one that sends a line.
     words = "".join(_printable(each) for each in text[: 4 * limit]).split()
     line = " ".join(words)
     return line if len(line) <= limit else line[: limit - 1] + "…"
 
 
-def clean_log_line(said: bytes) -> str:
-    """One line of a log with its spaces, at most 4000 characters of it."""
-    return "".join(_printable(each) for each in said.decode("utf-8", "replace").rstrip("\r\n")[:4000])
+def clean_log_line(output: bytes) -> str:
+    """Return one line of a log with its spaces, at most 4000 characters of it."""
+    return "".join(_printable(each) for each in output.decode("utf-8", "replace").rstrip("\r\n")[:4000])
 
 
-def last_words(said: bytes) -> str:
-    """What the last line that is not empty says: programs put what went wrong there."""
-    # Not at \r, with which some programs end lines in the midst of ours.
-    lines = [line for line in said[-8192:].split(b"\n") if line.strip(b" \r\t)")]
+def last_line(output: bytes) -> str:
+    """Return the last line that is not empty: programs print their error there."""
+    # Not split at \r, with which some programs end lines.
+    lines = [line for line in output[-8192:].split(b"\n") if line.strip(b" \r\t)")]
     return clean(lines[-1]) if lines else ""
 
 
-def strict_json(said: bytes, kind: type[T], robot: str) -> T:
+def strict_json(output: bytes, kind: type[T], robot: str) -> T:
     """Read JSON into a typed struct.
 
     Raises
@@ -76,7 +76,7 @@ def strict_json(said: bytes, kind: type[T], robot: str) -> T:
         It is not JSON, or not of this shape.
     """
     try:
-        return msgspec.json.decode(said, type=kind)
+        return msgspec.json.decode(output, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         hint = "another program in its place, or another version: `fullswarm deploy` puts ours there"
         raise MessageError(f"its answer cannot be read: {clean(str(error))}", where=robot, hint=hint) from None
@@ -91,18 +91,18 @@ def _printable(character: str) -> str:
 
 # ---------------------------------------------------------------- the connection
 class LinkBroke(Unreachable):
-    """The connection ended under a command: whether the command was carried out is not known."""
+    """The connection ended under a command: whether the command was carried out is unknown."""
 
 
 class NoRoot(FullswarmError):
-    """We are logged in, but may not become root."""
+    """The login worked, but root is not permitted."""
 
     exit_code = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a command said. `code` as in ``fullswarm-robot``: 0 ok, 1 negative, 2 usage, 3 refused, 4 rolled back."""
+    """The result of a command; `code` as in ``fullswarm-robot``: 0 ok, 1 negative, 2 usage, 3 refused, 4 back."""
 
     code: int
     out: bytes
@@ -111,7 +111,7 @@ class Answer:
     @property
     def words(self) -> str:
         """Why, in one line."""
-        return last_words(self.err) or last_words(self.out) or f"exit code {self.code}"
+        return last_line(self.err) or last_line(self.out) or f"exit code {self.code}"
 
 
 @dataclass(slots=True)
@@ -121,9 +121,9 @@ class Remote:
     Parameters
     ----------
     own_key
-        The user's own key opened it, not the fleet's.
+        It was opened with the user's own key, not the fleet's.
     sent_bytes
-        What commands were fed so far.
+        What commands got on stdin so far.
     """
 
     robot: str
@@ -149,7 +149,7 @@ class Remote:
     async def as_root(
         self, words: str, *, feed: Feed = b"", within_s: float | None = COMMAND_S, line: Line | None = None
     ) -> Answer:
-        """Run words of a shell script as root; raises as `program`."""
+        """Run a command of a shell script as root; raises as `program`."""
         script, first = root_script(words, self.sudo_password)
         return await self.script_as_root(script, first=first, feed=feed, within_s=within_s, line=line)
 
@@ -164,13 +164,13 @@ class Remote:
     ) -> Answer:
         """Run a script that ends in one of `root_script`; raises as `program`."""
         answer = await self.run(script, first=first, feed=feed, within_s=within_s, line=line)
-        if said := sudo_refusal(answer):
+        if refusal := sudo_refusal(answer):
             hint = (
                 "the password is wrong, or the user is no sudoer"
                 if self.sudo_password is not None
                 else "--ask-sudo-password, or let ssh_user be root"
             )
-            raise NoRoot(f"may not become root there: {said}", where=self.robot, hint=hint)
+            raise NoRoot(f"may not become root there: {refusal}", where=self.robot, hint=hint)
         return answer
 
     async def run(
@@ -187,18 +187,18 @@ class Remote:
         Parameters
         ----------
         within_s
-            How long it may take after it was fed; None: for ever. Fed, it must never stall for `STALL_S`.
+            Time limit after its input was sent; None: no limit. Sending must never stall for `STALL_S`.
         line
             Gets stdout line by line, which is then not part of the answer.
 
         Raises
         ------
         Unreachable
-            It did not end in time, took nothing more, or said too much.
+            It did not end in time, stopped reading its input, or printed too much.
         LinkBroke
             The connection ended before the command did.
         """
-        # The login shell may be any; what we say is for a POSIX shell.
+        # The login shell may be any; the script is for a POSIX shell.
         command = f"exec sh -c {shlex.quote(script)}"
         try:
             return await self._talk(command, first, feed, line, within_s)
@@ -215,15 +215,15 @@ class Remote:
         except (asyncssh.Error, OSError) as error:
             raise self._broke(error) from None
         feeding = asyncio.create_task(self._feed(process.stdin, first, feed))
-        heard = asyncio.gather(_read(process.stdout, line), _read(process.stderr, None))
+        reading = asyncio.gather(_read(process.stdout, line), _read(process.stderr, None))
         try:
-            # All three at a time: a robot that talks while it is fed must not wait for us, nor we for it.
-            both: set[asyncio.Future[Any]] = {feeding, heard}
+            # All three at a time, or a robot that prints while it reads its input would wait for us, and we for it.
+            both: set[asyncio.Future[Any]] = {feeding, reading}
             await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
             if feeding.done():
                 feeding.result()
             async with asyncio.timeout(within_s):
-                out, err = await heard
+                out, err = await reading
                 await process.wait_closed()
             if process.exit_status is None:
                 raise self._broke(None)
@@ -236,14 +236,14 @@ class Remote:
             raise Unreachable(str(error), where=self.robot, hint="is that a robot of ours?") from None
         finally:
             feeding.cancel()
-            heard.cancel()
+            reading.cancel()
             process.close()
-            await asyncio.gather(feeding, heard, return_exceptions=True)
+            await asyncio.gather(feeding, reading, return_exceptions=True)
 
     async def _feed(self, stdin: Any, first: bytes, feed: Feed) -> None:
-        """Write everything, never faster than the robot takes it, and say that it was all."""
-        # A command may end before it has read all it was meant to get, for one because it refuses. Its exit code
-        # tells, not our broken pipe; and when the link broke there is no exit code.
+        """Write all input, never faster than the robot reads it, then end of file."""
+        # A command may end before it has read all of its input, for example because it refuses. Then its exit code
+        # counts, not our broken pipe; when the link broke there is no exit code.
         with contextlib.suppress(BrokenPipeError, ConnectionError):
             for chunk in _chunks(first, feed):
                 stdin.write(chunk)
@@ -258,7 +258,7 @@ class Remote:
 
 
 async def _read(stream: Any, line: Line | None) -> bytes:
-    """Read to the end; `line` gets whole lines as they come."""
+    """Read to the end; `line` gets whole lines as they arrive."""
     kept = bytearray()
     while chunk := await stream.read(CHUNK_BYTES):
         kept += chunk
@@ -268,7 +268,7 @@ async def _read(stream: Any, line: Line | None) -> bytes:
                 line(bytes(each))
             kept = bytearray(rest[-CHUNK_BYTES:])
         elif len(kept) > ANSWER_BYTES:
-            raise ValueError(f"said more than {ANSWER_BYTES // 2**20} MB")
+            raise ValueError(f"printed more than {ANSWER_BYTES // 2**20} MB")
     if line is not None and kept:
         line(bytes(kept))
     return b"" if line is not None else bytes(kept)
@@ -287,10 +287,10 @@ def _chunks(first: bytes, feed: Feed) -> Iterator[bytes]:
 
 
 def root_script(words: str, password: str | None) -> tuple[str, bytes]:
-    """Shell script that runs `words` as root, and what must come first on its stdin.
+    """Return a shell script that runs `words` as root, and what must come first on its stdin.
 
-    A rule without a password may hold for the command, so that sudo never reads the one we send. Hence a line
-    that says where the command's own input begins, read by a shell behind sudo.
+    A sudo rule without a password may apply, so that sudo never reads the one we send. Hence a marker line before the
+    command's own input, which a shell started by sudo reads up to.
     """
     if password is None:
         return f'set -- {words}; if [ "$(id -u)" -eq 0 ]; then exec "$@"; fi; exec sudo -n "$@"', b""
@@ -302,23 +302,23 @@ def root_script(words: str, password: str | None) -> tuple[str, bytes]:
 
 
 def sudo_refusal(answer: Answer) -> str:
-    """What sudo, or the shell that finds no sudo, said instead of running the command; empty: it was run.
+    """Return the message of sudo, or of a shell without sudo, when the command was not run; empty: it was run.
 
-    1 is what sudo ends with when it refuses, and also an answer of the programs that it runs.
+    1 is the exit code of sudo when it refuses, and also one of the programs that it runs.
     """
     lines = answer.err.splitlines()
     if answer.code == 127:
-        said = [each for each in lines if _NO_SUDO.search(each)]
+        messages = [each for each in lines if _NO_SUDO.search(each)]
     elif answer.code == 1 and not answer.out and not any(each.startswith(_OURS) for each in lines):
-        said = [each for each in lines if _SUDO.match(each) and not _HARMLESS.search(each)]
+        messages = [each for each in lines if _SUDO.match(each) and not _HARMLESS.search(each)]
     else:
         return ""
-    return clean(said[-1]) if said else ""
+    return clean(messages[-1]) if messages else ""
 
 
 @contextlib.asynccontextmanager
 async def closing(connection: asyncssh.SSHClientConnection) -> AsyncIterator[None]:
-    """Close a connection at the end, politely for three seconds."""
+    """Close a connection at the end; abort it when it does not close within three seconds."""
     try:
         yield
     finally:
@@ -331,7 +331,7 @@ async def closing(connection: asyncssh.SSHClientConnection) -> AsyncIterator[Non
 
 
 def need_asyncssh() -> None:
-    """Say at once, and once, that SSH needs the extra.
+    """Check that the extra for SSH is installed.
 
     Raises
     ------

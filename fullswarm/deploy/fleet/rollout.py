@@ -27,7 +27,7 @@ from fullswarm.errors import ConfigError
 
 
 class Stage(StrEnum):
-    """Where one robot stands."""
+    """The state of one robot in a rollout."""
 
     WAITING = "waiting"
     STAGING = "staging"
@@ -44,7 +44,7 @@ class Stage(StrEnum):
 
 GOOD = frozenset({Stage.HEALTHY, Stage.CURRENT})
 BAD = frozenset({Stage.ROLLED_BACK, Stage.LOST})
-IN_HAND = frozenset({Stage.STAGING, Stage.SWITCHING})
+IN_PROGRESS = frozenset({Stage.STAGING, Stage.SWITCHING})
 _AFTER = {
     Stage.STAGING: frozenset({Stage.STAGED, Stage.CURRENT, Stage.FAILED, Stage.UNREACHABLE, Stage.REFUSED}),
     Stage.SWITCHING: frozenset({Stage.HEALTHY, Stage.REFUSED, Stage.FAILED, Stage.UNREACHABLE}) | BAD,
@@ -53,7 +53,7 @@ _AFTER = {
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one robot, and what to do."""
+    """The result of one robot, and what to do."""
 
     stage: Stage
     what: str
@@ -66,16 +66,16 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How careful to be.
+    """How many robots switch at a time, and when to stop.
 
     Parameters
     ----------
     canary
-        So many robots run the release first; all of them must be healthy.
+        Number of robots that run the release first; all of them must be healthy.
     wave
         Share of the robots that do not run it yet, 0 to 1, that may do so before the rest.
     stop_at
-        With so many failures no further robot switches.
+        Number of failures after which no further robot switches.
     """
 
     canary: int = 1
@@ -97,7 +97,7 @@ class Rollout:
 
     @classmethod
     def of(cls, robots: tuple[str, ...], plan: Plan) -> Rollout:
-        """Begin with robots in the order in which they shall be tried."""
+        """Start with robots in the order in which they are tried."""
         return cls(plan, dict.fromkeys(robots, Stage.WAITING))
 
     @property
@@ -107,11 +107,11 @@ class Rollout:
 
     @property
     def over(self) -> bool:
-        """Nothing is in hand and nothing is due."""
-        return not self._count(IN_HAND) and not self.due()
+        """No robot is in progress and none is due."""
+        return not self._count(IN_PROGRESS) and not self.due()
 
     def due(self) -> dict[str, Stage]:
-        """Robots that may be taken in hand now, with the stage they enter: STAGING or SWITCHING."""
+        """Return the robots that may start a step now, with the stage they enter: STAGING or SWITCHING."""
         waiting = self._in(Stage.WAITING)
         if waiting:
             return dict.fromkeys(waiting, Stage.STAGING)
@@ -120,32 +120,32 @@ class Rollout:
         return dict.fromkeys(self._in(Stage.STAGED)[: self._room()], Stage.SWITCHING)
 
     def begun(self, robot: str) -> Rollout:
-        """Take a robot in hand that is due."""
+        """Return it after a robot that is due has started its step."""
         return self._with(robot, self.due()[robot])
 
     def after(self, robot: str, stage: Stage) -> Rollout:
-        """Say what became of a robot in hand."""
+        """Return it after a robot has finished its step."""
         now = self.stages[robot]
         if stage not in _AFTER.get(now, ()):
             raise ValueError(f"{robot} cannot be '{stage}' after '{now}'")
         return self._with(robot, stage)
 
     def again(self, robot: str) -> Rollout:
-        """Begin anew with a robot that could not be reached, or was moving."""
+        """Return it with a robot waiting again that could not be reached, or was moving."""
         if self.stages[robot] not in (Stage.UNREACHABLE, Stage.REFUSED):
             raise ValueError(f"{robot} is '{self.stages[robot]}'")
         return self._with(robot, Stage.WAITING)
 
     def _room(self) -> int:
-        """How many more robots may switch, by what has become of those before."""
-        # A robot that ran the release before is no evidence for how the others take the switch.
-        everybody = len(self.stages) - self._count({Stage.CURRENT})
+        """Return how many more robots may switch, by the results so far."""
+        # A robot that ran the release already is no evidence about the switch of the others.
+        total = len(self.stages) - self._count({Stage.CURRENT})
         switching, good, bad = self._count({Stage.SWITCHING}), self._count({Stage.HEALTHY}), self._count(BAD)
-        if good < min(self.plan.canary, everybody):
+        if good < min(self.plan.canary, total):
             return max(0, self.plan.canary - good - switching)
-        # Good and bad: the wave is over when all of it has been heard of, not when it has been sent.
-        wave = max(math.ceil(self.plan.wave * everybody), self.plan.canary)
-        return everybody if good + bad >= wave else max(0, wave - good - bad - switching)
+        # Good and bad: a wave is over when all its results are in, not when all of it has switched.
+        wave = max(math.ceil(self.plan.wave * total), self.plan.canary)
+        return total if good + bad >= wave else max(0, wave - good - bad - switching)
 
     def _in(self, stage: Stage) -> list[str]:
         return [robot for robot, each in self.stages.items() if each is stage]
@@ -163,12 +163,14 @@ def parse_share(text: str) -> float:
     Raises
     ------
     ConfigError
-        It is no percentage.
+        It is not a percentage.
     """
     try:
         return float(text.removesuffix("%")) / 100.0
     except ValueError:
-        raise ConfigError(f"'{text}' is no share of the robots", where="--wave", hint="--wave 25%") from None
+        raise ConfigError(
+            f"invalid share '{text}'; expected a percentage", where="--wave", hint="for example 25%"
+        ) from None
 
 
 # ---------------------------------------------------------------- performing it
@@ -180,96 +182,96 @@ RobotStep = Callable[[str, Stage], Awaitable[Outcome]]
 
 @dataclass(slots=True)
 class UpdateState:
-    """What is known of an update, at any moment."""
+    """The rollout and its results so far."""
 
     rollout: Rollout
     outcomes: dict[str, Outcome] = field(default_factory=dict)
 
     def begin(self, robot: str) -> Stage:
-        """Take a robot in hand."""
+        """Start the step of a robot that is due."""
         self.rollout = self.rollout.begun(robot)
         return self.rollout.stages[robot]
 
     def end(self, robot: str, outcome: Outcome) -> None:
-        """Write down what became of it."""
+        """Store the result of its step."""
         self.rollout = self.rollout.after(robot, outcome.stage)
         self.outcomes[robot] = outcome
 
     def again(self) -> int:
-        """Begin anew with robots that could not be reached or were moving; return how many."""
+        """Let robots wait again that could not be reached or were moving; return how many."""
         late = [robot for robot, each in self.rollout.stages.items() if each in (Stage.UNREACHABLE, Stage.REFUSED)]
         for robot in late:
             self.rollout = self.rollout.again(robot)
         return len(late)
 
     def held(self) -> None:
-        """Report that robots which have the release and may not switch to it keep what they run."""
+        """Mark the robots that have the release but may not switch to it."""
         for robot, stage in self.rollout.stages.items():
             if stage is Stage.STAGED and robot in self.outcomes:
                 outcome = self.outcomes[robot]
                 self.outcomes[robot] = replace(outcome, what=f"held back: {outcome.what}", mend="update again")
 
     def interrupted(self, guard_s: float) -> None:
-        """Say of each robot in hand in which state we leave it."""
+        """Store for each robot in progress in which state it is left."""
         for robot, stage in self.rollout.stages.items():
             if stage is Stage.STAGING:
-                mend = "update again: it goes on with what is missing"
-                self.outcomes[robot] = Outcome(stage, "interrupted while staging: it runs what it ran", mend)
+                mend = "update again: it continues with what is missing"
+                self.outcomes[robot] = Outcome(stage, "interrupted while staging: its release is unchanged", mend)
             elif stage is Stage.SWITCHING:
-                what = f"interrupted at its switch: it goes back by itself within {guard_s:.0f} s"
+                what = f"interrupted at its switch: it rolls back on its own within {guard_s:.0f} s"
                 self.outcomes[robot] = Outcome(stage, what, "then update again")
             elif stage is Stage.WAITING and robot not in self.outcomes:
-                self.outcomes[robot] = Outcome(stage, "not begun: nothing was changed", "update again")
+                self.outcomes[robot] = Outcome(stage, "not started: nothing was changed", "update again")
 
 
 async def perform_rollout(
-    board: UpdateState, hands: RobotStep, at_a_time: int = AT_A_TIME, keep_trying_s: float = 0.0
+    state: UpdateState, step: RobotStep, at_a_time: int = AT_A_TIME, keep_trying_s: float = 0.0
 ) -> None:
-    """Do all that is due. Cancelled, it lets go of every robot at once and leaves `board` as things stand.
+    """Perform all steps that are due. Cancelled, it ends every connection at once and keeps `state` as it is.
 
     Parameters
     ----------
     keep_trying_s
-        Try again for so long with robots that cannot be reached or are moving.
+        Retry for so long with robots that cannot be reached or are moving.
     """
     now = asyncio.get_running_loop().time
     until_s = now() + keep_trying_s
     while True:
-        await _round(board, hands, at_a_time)
-        if board.rollout.stopped or now() >= until_s or not board.again():
+        await _round(state, step, at_a_time)
+        if state.rollout.stopped or now() >= until_s or not state.again():
             return
         await asyncio.sleep(min(TRY_AGAIN_S, keep_trying_s))
 
 
-async def _round(board: UpdateState, hands: RobotStep, at_a_time: int) -> None:
+async def _round(state: UpdateState, step: RobotStep, at_a_time: int) -> None:
     running: dict[asyncio.Task[Outcome], str] = {}
-    bug: Exception | None = None
+    failure: Exception | None = None
     try:
         while True:
-            for robot in list(board.rollout.due())[: at_a_time - len(running)] if bug is None else ():
-                stage = board.begin(robot)
-                running[asyncio.ensure_future(_hand(hands, robot, stage))] = robot
+            for robot in list(state.rollout.due())[: at_a_time - len(running)] if failure is None else ():
+                stage = state.begin(robot)
+                running[asyncio.ensure_future(_step(step, robot, stage))] = robot
             if not running:
                 break
             done, _ = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
             for each in done:
                 robot = running.pop(each)
                 try:
-                    board.end(robot, each.result())
-                except Exception as error:  # others may be in the midst of their switch: no new one begins, they finish
-                    bug = bug or error
+                    state.end(robot, each.result())
+                except Exception as error:  # others may be switching: they finish, no new one starts
+                    failure = failure or error
     finally:
         for each in running:
             each.cancel()
         await asyncio.gather(*running, return_exceptions=True)
-    if bug is not None:
-        raise bug
+    if failure is not None:
+        raise failure
 
 
-async def _hand(hands: RobotStep, robot: str, stage: Stage) -> Outcome:
+async def _step(step: RobotStep, robot: str, stage: Stage) -> Outcome:
     try:
-        return await hands(robot, stage)
-    except OSError as error:  # this computer's: a full disk, a key file, too many open files
+        return await step(robot, stage)
+    except OSError as error:  # of this computer: a full disk, a key file, too many open files
         what = ": ".join(filter(None, (error.strerror or str(error) or "OSError", str(error.filename or ""))))
-        mend = "if it switched, its guard takes it back; " if stage is Stage.SWITCHING else ""
-        return Outcome(Stage.FAILED, f"this computer fails: {what}", f"{mend}update again")
+        mend = "if it switched, its guard rolls it back; " if stage is Stage.SWITCHING else ""
+        return Outcome(Stage.FAILED, f"error on this computer: {what}", f"{mend}update again")
