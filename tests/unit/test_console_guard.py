@@ -121,7 +121,7 @@ def test_a_port_that_is_taken_is_said() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(Unreachable, match="cannot listen"):
-            serve.serve(Target(), serve.Options(listen=f"127.0.0.1:{port}"))
+            serve.serve(Target(), serve.Options(listen=f"127.0.0.1:{port}"), lambda *_: None)
 
 
 def test_the_address_has_the_token_where_no_server_sees_it() -> None:
@@ -179,4 +179,4 @@ def called(names: Names, address: str) -> bool:
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingExtra, match=r"fullswarm\[console\]"):
-        serve.serve(Target(), serve.Options())
+        serve.serve(Target(), serve.Options(), lambda *_: None)

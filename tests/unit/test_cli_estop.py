@@ -17,7 +17,7 @@ from fullswarm.operator import session
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
-from tests.unit.test_operator_cli import FakeSwarm, run
+from tests.unit.test_cli_swarm import FakeSwarm, run
 
 
 class Fleet(FakeSwarm):
