@@ -22,8 +22,7 @@ from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.simulation.bodies import Body, FreeBody
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World

@@ -34,8 +34,7 @@ from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import DriverError
 from tests.emulated.can_robot import multicast
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
