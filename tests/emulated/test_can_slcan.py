@@ -14,8 +14,7 @@ import pytest
 
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.emulators.can.adapter import PtyWire
-from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import AdapterPort, EmulatedBase
 from fullswarm.errors import DriverError
 from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait, wait_state
 
@@ -170,9 +169,9 @@ def test_the_port_vanishes_with_the_emulator_and_stale_links_are_replaced(url: s
 
 def test_a_file_is_not_overwritten(url: str, tmp_path: Path) -> None:
     (tmp_path / "robot.can").write_text("somebody's data")
-    with pytest.raises(DriverError, match="something else is there"):
+    with pytest.raises(DriverError, match="there is something else"):
         EmulatedBase(url)
-    with pytest.raises(DriverError, match="cannot make the port"):
+    with pytest.raises(DriverError, match="no port can be made"):
         EmulatedBase(url.replace("robot.can", "no/such/folder/robot.can"))
 
 
@@ -189,6 +188,7 @@ def test_nobody_reads_and_the_emulator_goes_on(url: str) -> None:
             os.close(descriptor)
 
 
-def port_of(base: EmulatedBase) -> PtyWire:
-    assert isinstance(base._wire, PtyWire)
-    return base._wire
+def port_of(base: EmulatedBase) -> AdapterPort:
+    port = base._links[0].port
+    assert isinstance(port, AdapterPort)
+    return port

@@ -124,17 +124,6 @@ def test_garbage_and_a_cut_frame_cost_a_frame_and_no_more() -> None:
         assert math.hypot(newer.odometry.x_m - true.x_m, newer.odometry.y_m - true.y_m) < 0.05
 
 
-@pytest.mark.slow
-def test_stuck_sensors_stop_the_robot() -> None:
-    with driving() as (robot, driver):
-        robot.stick_sensors()
-        until(lambda: driver.command(Twist(-0.2, 0.0)) == STAND)
-        assert "has not changed" in driver.fault
-        until(lambda: not moves(robot))
-        robot.stick_sensors(False)
-        until(lambda: driver.state is Lifecycle.READY)
-
-
 def test_a_low_battery_and_a_hanging_wheel_are_told() -> None:
     with driving() as (robot, driver):
         robot.set_battery(0.05)

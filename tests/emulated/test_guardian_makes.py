@@ -34,12 +34,10 @@ from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import DriverError
+from tests.emulated.can_robot import multicast
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
-from tests.emulated.test_can_driver import GROUP, multicast_refusal
-from tests.emulated.test_can_driver import free_port as free_can_port
 
 BOUND_S = 1.3
 """From the kill to rest, from 1 m/s."""
@@ -98,12 +96,6 @@ def base(url: str) -> Iterator[Plugged]:
 def create() -> Iterator[Plugged]:
     with CreateEmulator() as emulator:
         yield Plugged(emulator, CreateDriver, f"{emulator.url}&guardian=1", 0.5)
-
-
-def multicast() -> str:
-    if reason := multicast_refusal():
-        pytest.skip(f"no multicast on loopback: {reason}")
-    return f"{GROUP}?interface=udp_multicast&port={free_can_port()}"
 
 
 ROBOTS: dict[str, Callable[[Path], Any]] = {

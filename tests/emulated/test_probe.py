@@ -30,9 +30,9 @@ from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.line import Line
 from fullswarm.emulators.can.emulator import EmulatedBase
-from fullswarm.emulators.create_oi.emulator import CreateEmulator, Quirks
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.firmware import Quirks
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.bodies import BodyState
 

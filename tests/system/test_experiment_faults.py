@@ -205,13 +205,9 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
         assert (asked["name"], asked["trials"]) == ("paper", [trial_id(trial) for trial in planned])
 
 
-# That kinematic trials repeat, test_shards_together_are_the_whole shows as well.
-@pytest.mark.parametrize(
-    "engine",
-    [pytest.param("kinematic", marks=pytest.mark.slow), "pybullet"],
-)
-def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path, engine: str) -> None:
-    assert run(options(tmp_path / "out", "3", engine=engine, cells=("robots=8,uniform,move_to_goal_bc",))) == 0
+# That kinematic trials repeat, test_shards_together_are_the_whole shows.
+def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path) -> None:
+    assert run(options(tmp_path / "out", "3", engine="pybullet", cells=("robots=8,uniform,move_to_goal_bc",))) == 0
     (folder,) = (tmp_path / "out" / TRIALS).iterdir()
     program = "from fullswarm.cli.experiment import experiment_app; experiment_app()"
     command = [sys.executable, "-c", program, "trial", str(folder), "--out", str(tmp_path / "again"), "--json"]
