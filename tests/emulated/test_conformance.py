@@ -174,7 +174,7 @@ RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
 
 MOTORS = "motors off unless ACTIVE"
 NO_DEVICE = {
-    MOTORS, "odometry against the truth", "speed told and true", "unplug", "close while unplugged",
+    MOTORS, "odometry and true motion", "measured and true speed", "unplug", "close while unplugged",
     "unplug in mid-frame", "mute and stale data", "garbage", "frames cut short",
     "controller's process paused", "watchdog_s",
 }  # fmt: skip

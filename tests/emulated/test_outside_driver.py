@@ -189,7 +189,7 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
         return Twist(now.speed_m_s, now.turn_rad_s)
 
     rig = Rig(make=lambda: kind(emulator.url), body_speed=speed, other_process=True)
-    with pytest.raises(AssertionError, match=r"still moves .* paused; its description says watchdog_s=1\.0"):
+    with pytest.raises(AssertionError, match=r"still moves .* paused; its description claims watchdog_s=1\.0"):
         check_driver(rig, settle_s=1.0)
 
 
