@@ -38,6 +38,7 @@ from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import DriverError
 from tests.emulated.can_robot import multicast
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
+from tests.waiting import until
 
 BOUND_S = 1.3
 """From the kill to rest, from 1 m/s."""
@@ -114,14 +115,6 @@ ROBOTS: dict[str, Callable[[Path], Any]] = {
 SLOW = ("rover udpout", "vesc multicast", "odrive slcan")
 """The same frames on a link that another make has in the quick tests."""
 ONE_OF_EACH = ("rover udp", "rover tcp signed", "px4 udp", "vesc slcan", "odrive multicast", "create serial")
-
-
-def until(condition: Callable[[], bool], limit_s: float, what: str) -> float:
-    began_s = CLOCK.now_s()
-    while not condition():
-        assert CLOCK.now_s() - began_s < limit_s, f"not within {limit_s:g} s: {what}"
-        PAUSE.wait(0.002)
-    return CLOCK.now_s() - began_s
 
 
 @contextmanager

@@ -17,7 +17,8 @@ from fullswarm.drivers.mavlink.signing import Signing, Timestamps
 from fullswarm.emulators.mavlink.emulator import Px4Emulator
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.bodies import FreeBody
-from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port
+from tests.waiting import until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 
