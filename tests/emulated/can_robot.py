@@ -15,6 +15,7 @@ from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from tests.emulated.rover_link import free_port
+from tests.waiting import until
 
 ODRIVE = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&watchdog=0.5"
 VESC = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&gear=10&pole_pairs=7"
@@ -46,17 +47,8 @@ def multicast() -> str:
     return f"{GROUP}?interface=udp_multicast&port={free_port()}"
 
 
-def wait(condition: Callable[[], bool], limit_s: float, what: Callable[[], str] = str) -> float:
-    """Wait until `condition`; return how long it took."""
-    start_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - start_s < limit_s, what()
-        time.sleep(0.002)
-    return time.monotonic() - start_s
-
-
 def wait_state(driver: CanBaseDriver, state: Lifecycle, limit_s: float = 4.0) -> float:
-    return wait(lambda: driver.state is state, limit_s, lambda: f"{driver.state}, not {state}: {driver.fault}")
+    return until(lambda: driver.state is state, limit_s, lambda: f"{driver.state}, not {state}: {driver.fault}")
 
 
 class Robot:

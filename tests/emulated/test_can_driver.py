@@ -14,7 +14,8 @@ from fullswarm.drivers.base import STAND, Driver, Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.drivers.can.port import CanPort
 from fullswarm.errors import DriverError
-from tests.emulated.can_robot import GROUP, ODRIVE, Robot, channel, multicast, wait, wait_state
+from tests.emulated.can_robot import GROUP, ODRIVE, Robot, channel, multicast, wait_state
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def there_and_back(robot: Robot) -> None:
         true_m = robot.emulated.body.state().rolled_m - began_m
         assert true_m * sign > 0.15
         near = pytest.approx(true_m, rel=0.01)
-        wait(lambda: robot.reading().odometry.x_m - before_m == near, 1.0)  # noqa: B023  (called at once)
+        until(lambda: robot.reading().odometry.x_m - before_m == near, 1.0)  # noqa: B023  (called at once)
 
 
 def test_a_life(make_robot: Callable[[str], Robot]) -> None:
@@ -66,13 +67,13 @@ def test_a_life(make_robot: Callable[[str], Robot]) -> None:
     assert robot.driver.firmware == "ODrive 0.6.10"
     there_and_back(robot)
     robot.drive(Twist(0.3, 0.0), lambda: robot.speed() > 0.25)
-    assert wait(lambda: robot.speed() < 0.01, 1.5) > 0.2  # silence is a stop
+    assert until(lambda: robot.speed() < 0.01, 1.5) > 0.2  # silence is a stop
     assert robot.driver.state is Lifecycle.ACTIVE
     robot.drive(Twist(0.3, 0.0), lambda: robot.speed() > 0.25)
     robot.odrives[1].inject("CURRENT_LIMIT_VIOLATION")
     robot.drive(Twist(0.3, 0.0), lambda: robot.driver.state is Lifecycle.FAULT, 1.0)
     assert "right wheel (node 2) reports CURRENT_LIMIT_VIOLATION" in robot.driver.fault
-    wait(robot.idle, 0.3)
+    until(robot.idle, 0.3)
     assert robot.driver.malformed == 0
 
 
@@ -80,10 +81,10 @@ def test_close_goes_over_zero_to_idle(robot: Robot) -> None:
     robot.moving()
     robot.driver.close()
     assert str(robot.driver.state) == "CLOSED"
-    wait(lambda: robot.idle() and robot.speed() < 0.05, 0.3)
+    until(lambda: robot.idle() and robot.speed() < 0.05, 0.3)
     robot.driver.close()
     robot.driver.open()  # and again, from zero
-    wait(lambda: robot.driver.read() is not None, 1.0)
+    until(lambda: robot.driver.read() is not None, 1.0)
     assert robot.reading().odometry.x_m == pytest.approx(0.0, abs=0.02)
 
 
@@ -94,7 +95,7 @@ def test_bus_off_is_a_fault_and_ends_ready(robot: Robot) -> None:
     bus.queue.put(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False))
     wait_state(robot.driver, Lifecycle.FAULT)
     assert "bus-off" in robot.driver.fault
-    wait(robot.idle, 1.5)
+    until(robot.idle, 1.5)
     assert wait_state(robot.driver, Lifecycle.READY) < 2.0
     assert robot.idle()
 
@@ -106,7 +107,7 @@ def test_a_stray_datagram_is_counted_and_ignored(make_robot: Callable[[str], Rob
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
         stranger.sendto(b"not a frame", (GROUP, int(bus.rpartition("=")[2])))
-    wait(lambda: port_of(robot.driver).dropped == 1, 1.0)
+    until(lambda: port_of(robot.driver).dropped == 1, 1.0)
     assert robot.driver.state is Lifecycle.ACTIVE
 
 

@@ -16,7 +16,8 @@ from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.emulators.can.emulator import AdapterPort, EmulatedBase
 from fullswarm.errors import DriverError
-from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait, wait_state
+from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait_state
+from tests.waiting import until
 
 OTHER_PROCESS = """
 import sys
@@ -52,7 +53,7 @@ def test_a_drive_through_the_port(robot: Robot) -> None:
     robot.moving()
     robot.drive(Twist(0.3, 1.0), lambda: abs(robot.reading().odometry.heading_rad) > 0.3)
     robot.driver.deactivate()
-    wait(lambda: robot.standing() and robot.reading().twist.linear_m_s == 0.0, 1.5)
+    until(lambda: robot.standing() and robot.reading().twist.linear_m_s == 0.0, 1.5)
     true, told = robot.emulated.body.state(), robot.reading().odometry
     assert (told.x_m, told.y_m, told.heading_rad) == pytest.approx((true.x_m, true.y_m, true.heading_rad), abs=0.01)
     assert robot.driver.malformed == 0
@@ -70,7 +71,7 @@ def test_unplugged_and_plugged_in_again(robot: Robot) -> None:
     robot.emulated.unplug()
     assert wait_state(robot.driver, Lifecycle.FAULT) < 0.5
     assert "robot.can" in robot.driver.fault
-    wait(robot.standing, 0.9)  # watchdog and rolling out
+    until(robot.standing, 0.9)  # watchdog and rolling out
     robot.emulated.replug()
     assert wait_state(robot.driver, Lifecycle.READY) < 2.0
     assert robot.idle()
@@ -109,7 +110,7 @@ def test_a_bad_line_never_breaks_the_driver(robot: Robot) -> None:
     faults = robot.keep_driving(Twist(0.3, 0.0), 1.0)
     robot.emulated.faults.corrupt = 0.0
     assert not any("unexpected" in each for each in faults)
-    wait(lambda: robot.driver.state in (Lifecycle.READY, Lifecycle.ACTIVE), 4.0, lambda: robot.driver.fault)
+    until(lambda: robot.driver.state in (Lifecycle.READY, Lifecycle.ACTIVE), 4.0, lambda: robot.driver.fault)
 
 
 @pytest.mark.slow
@@ -134,7 +135,7 @@ def test_the_world_in_another_process(url: str) -> None:
             wait_state(driver, Lifecycle.READY)
             driver.activate()
             wait_state(driver, Lifecycle.ACTIVE)
-            wait(lambda: bool(driver.command(Twist(0.3, 0.0))) and moved(driver) > 0.05, 2.0)
+            until(lambda: bool(driver.command(Twist(0.3, 0.0))) and moved(driver) > 0.05, 2.0)
             world.kill()
             wait_state(driver, Lifecycle.FAULT)
         finally:
@@ -183,7 +184,7 @@ def test_nobody_reads_and_the_emulator_goes_on(url: str) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
         try:
             os.write(descriptor, b"C\rS5\rO\r")
-            wait(lambda: port_of(base).lost > 10, 6.0)
+            until(lambda: port_of(base).lost > 10, 6.0)
         finally:
             os.close(descriptor)
 

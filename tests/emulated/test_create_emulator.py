@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,17 +20,9 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import CREATE2, Mode, Op, StreamParser
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import DriverError
+from tests.waiting import until
 
 GO = Twist(0.3, 0.5)
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> float:
-    """Wait for a condition; return how long it took."""
-    began_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() < began_s + timeout_s, "it did not happen in time"
-        time.sleep(0.002)
-    return time.monotonic() - began_s
 
 
 @contextmanager
