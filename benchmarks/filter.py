@@ -30,8 +30,9 @@ import osqp
 from scipy import sparse
 
 from fullswarm import kernels
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.safety import barrier
-from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter, Tuning, robot_params
 from fullswarm.core.centralised import joint_filter
 from fullswarm.core.centralised.joint_filter import Arena, JointFilter
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
@@ -116,27 +117,27 @@ class Ours:
 
     def __init__(self, some: list[Scene]) -> None:
         count, each = len(some), len(some[0].others)
-        self.filter = SafetyFilter(
-            [str(row) for row in range(count)], (Description("any", "any", RADIUS_M, LIMITS),) * count,
-            np.full(count, SPEED), np.full(count, LIMITS.turn_rad_s), np.ones(count, bool), 0.02, REACH_M, BOUNDS,
-            (1.0, 3.0),
+        robots = robot_params(
+            (Description("any", "any", RADIUS_M, LIMITS),) * count, np.full(count, SPEED),
+            np.full(count, LIMITS.turn_rad_s), np.ones(count, bool),
         )  # fmt: skip
-        self.wish, self.pose = np.array([one.wish for one in some]), np.array([one.pose for one in some])
+        tuning = Tuning(period_s=0.02, reach_m=REACH_M, speed_gain=1.0, turn_gain_per_s=3.0)
+        self.filter = SafetyFilter([str(row) for row in range(count)], robots, tuning, BOUNDS)
         places = np.concatenate([one.others for one in some])
-        heard = np.zeros((len(places), 6))
-        heard[:, :2], heard[:, 5] = places, RADIUS_M
-        self.near = np.arange(count + 1) * each, np.arange(count * each)
-        self.heard = places, heard, np.full(len(places), 0.001), np.full(len(places), 0.001)
-        self.flags, self.zero = np.ones(count, bool), np.zeros(count)
-        self.motion = np.zeros((count, 2))
-        self.gain, self.margin, self.twists = np.full(count, GAIN), np.full(count, MARGIN_M), np.zeros((count, 2))
+        states = np.zeros((len(places), 6))
+        states[:, :2], states[:, 5] = places, RADIUS_M
+        spread_m, blur_m, arrival_s = np.full(len(places), 0.001), np.full(len(places), 0.001), np.zeros(len(places))
+        start, other = np.arange(count + 1) * each, np.arange(count * each)
+        self.near = Nearby(start, other, places, states, spread_m, blur_m, arrival_s)
+        self.requested = Requested(
+            np.array([one.wish for one in some]), np.ones(count, bool), np.full(count, GAIN), np.full(count, MARGIN_M)
+        )
+        self.measured = Measured(np.array([one.pose for one in some]), np.zeros((count, 2)), np.zeros(count))
+        self.twists = np.zeros((count, 2))
 
     def __call__(self) -> None:
         """Filter once."""
-        self.filter.apply(
-            0.0, self.wish, self.flags, self.pose, self.motion, self.zero, self.gain, self.margin, self.near,
-            self.heard, NO_OBSTACLES, self.twists,
-        )  # fmt: skip
+        self.filter.apply(0.0, self.requested, self.measured, self.near, NO_OBSTACLES, self.twists)
 
 
 def timed(call: Callable[[], Any], into: list[float]) -> Any:
@@ -192,7 +193,8 @@ def single(neighbours: int, count: int) -> Single:
         nx, ny = scene.normals.T.tolist()
         limits = scene.limits.tolist()
         x, y = scene.wish.tolist()
-        found = timed(partial(barrier.project, x, y, nx, ny, limits, len(limits)), solve)
+        planes = barrier.HalfPlanes._make((nx, ny, limits, [], []))
+        found = timed(partial(barrier.project, x, y, planes, len(limits)), solve)
         solved = answer.info.status == "solved"
         unsolved += not solved
         different += solved and bool(np.abs(np.array(found) - answer.x).max() > SAME)

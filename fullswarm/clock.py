@@ -1,4 +1,4 @@
-"""Clocks. Only this file and :mod:`fullswarm.runtime` ask the operating system for the time."""
+"""Clocks. Only this file and :mod:`fullswarm.runtime` read the operating system's time."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's monotonic clock. Setting the wall clock back does not move it.
 
-    On Linux it counts the time for which the computer was suspended, as ``CLOCK_MONOTONIC`` there does not: whoever
-    wakes up must see that what it knows is old.
+    On Linux it counts the time for which the computer was suspended, as ``CLOCK_MONOTONIC`` there does not: after
+    a suspend a process must see that its data is old.
     """
 
     def now_s(self) -> float:
@@ -52,7 +52,7 @@ def clock_id() -> str:
     """Return the name of the clock that :class:`MonotonicClock` reads: stamps of one name compare, others do not.
 
     All processes of a computer share it until the computer is started again; a container may have one of its own.
-    Empty where the system does not tell.
+    Empty where the system does not provide it.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()

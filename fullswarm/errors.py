@@ -1,10 +1,10 @@
-"""The error tree. Every message says what happened, where, and what to do about it.
+"""The error tree. Every message states what happened, where, and what to do.
 
 ::
 
     FullswarmError
     ├── ConfigError          a file or an option is wrong                        exit 2
-    │   └── RequestRefused   the core said no to a request, with its reason      exit 2
+    │   └── RequestRefused   the core refused a request, with its reason         exit 2
     ├── Unreachable          no answer from the hub, the core or a robot         exit 3
     ├── MessageError         bytes that are not one of our messages
     ├── DriverError          a robot's link or firmware                          exit 3

@@ -21,12 +21,12 @@ def unicycle(
 
     ``u_v = K_v bᵀṗ`` and ``u_w = K_w w`` with ``w = wrap(atan2(ṗ_y, ṗ_x) - θ)``. The paper prints a
     one-argument atan2; the two-argument one is meant, or a robot could not tell ahead from behind.
-    A velocity of zero has no direction: the robot then stands instead of turning to heading 0.
+    A velocity of zero has no direction: the robot then stays instead of turning to heading 0.
 
     Returns
     -------
     tuple
-        Speed in m/s (negative: the wished velocity lies behind) and turn rate in rad/s, neither capped.
+        Speed in m/s (negative: the desired velocity points backwards) and turn rate in rad/s, neither capped.
     """
     speed = math.hypot(vx_m_s, vy_m_s)
     if speed < 1e-9:

@@ -4,7 +4,7 @@
 key                                                     message                way
 ======================================================  =====================  ===========================
 ``<swarm>/behaviour/request``                           BehaviourRequest       operator → main controller
-``<swarm>/behaviour/status``                            RequestStatus          core → everybody
+``<swarm>/behaviour/status``                            RequestStatus          core → all
 ``<swarm>/behaviour/<name>/control_request``            CentralisedRequest     main controller → its node
 ``<swarm>/behaviour/<name>/commands``                   CentralisedCommands    its node → request handler
 ``<swarm>/robot/<id>/behaviour/<name>/control_requests``  ControlRequest       request handler → agent
@@ -13,21 +13,21 @@ key                                                     message                w
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
-``<swarm>/health/<host>``                               HealthReport           agent → everybody
+``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
-``<swarm>/lease/holders``                               Leases                 core → everybody
+``<swarm>/lease/holders``                               Leases                 core → all
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
-``<swarm>/stop``                                        StopRequest            anybody → agents, core
-``<swarm>/estop``                                       EStop                  anybody → agents, core
-``<swarm>/estop/receipt/<id>``                          EStopReceipt           agent → everybody
-``<swarm>/robot/<id>/ping``                             Ping                   anybody → agent
-``<swarm>/robot/<id>/pong``                             Ping                   agent → anybody
+``<swarm>/stop``                                        StopRequest            any → agents, core
+``<swarm>/estop``                                       EStop                  any → agents, core
+``<swarm>/estop/receipt/<id>``                          EStopReceipt           agent → all
+``<swarm>/robot/<id>/ping``                             Ping                   any → agent
+``<swarm>/robot/<id>/pong``                             Ping                   agent → any
 ``<swarm>/measurement/<metric>/<host>``                 …Measurement           calculator → summarizer
 ``<swarm>/summary/<metric>``                            Summary                summarizer → performance node
-``<swarm>/params/<layer>/request``                      ParamRequest           anybody → a layer's database
+``<swarm>/params/<layer>/request``                      ParamRequest           any → a layer's database
 ``<swarm>/params/<layer>/reply/<id>``                   ParamReply             the database → the asker
-``<swarm>/params/<layer>/changed``                      ParamChanged           the database → everybody
+``<swarm>/params/<layer>/changed``                      ParamChanged           the database → all
 ======================================================  =====================  ===========================
 """
 
@@ -50,7 +50,7 @@ TRUTH = "truth"
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The keys of one swarm; several swarms share a network without hearing each other."""
+    """The keys of one swarm; several swarms share a network without receiving each other's messages."""
 
     swarm: str = "swarm"
 
@@ -67,7 +67,7 @@ class Keys:
 
     @property
     def behaviour_status(self) -> str:
-        """What became of them."""
+        """The status of each request."""
         return f"{self.swarm}/behaviour/status"
 
     def centralised_request(self, behaviour: str = ANY) -> str:
@@ -112,12 +112,12 @@ class Keys:
 
     @property
     def lease_request(self) -> str:
-        """Who wants to drive which robots."""
+        """Requests of operators for the authority over robots."""
         return f"{self.swarm}/lease/request"
 
     @property
     def leases(self) -> str:
-        """Who drives which robots."""
+        """The present leases of all robots."""
         return f"{self.swarm}/lease/holders"
 
     def intervention(self, host: str = ANY) -> str:

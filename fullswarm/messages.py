@@ -1,7 +1,7 @@
 """Every message on the wire: typed, versioned, immutable. SI units, radians, ENU; stamps are monotonic seconds.
 
 Each struct carries its name and version in the field ``kind`` (``"Command/1"``). A reader refuses an unknown version
-or field instead of guessing, and a number that is not finite or that no lab will see: the ranges below are checked
+or field instead of guessing, and a number that is not finite or beyond any lab's range: the ranges below are checked
 while a message is decoded. Stamps order the messages of one sender; the receiver measures ages from the arrival.
 """
 
@@ -74,27 +74,27 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
               tag=lambda name: f"{name}/1"):  # fmt: skip
     """Base of all messages; a subclass with another version overrides ``tag``.
 
-    ``frozen`` and ``kw_only`` are repeated by each subclass: msgspec does not hand ``kw_only`` down.
+    ``frozen`` and ``kw_only`` are repeated by each subclass: msgspec does not inherit ``kw_only``.
     """
 
 
 # ---------------------------------------------------------------- operator <-> core
 class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/3"):
-    """An operator asks for a behaviour (paper II.B). Sent again until answered; `id` makes it exactly-once."""
+    """An operator requests a behaviour (paper II.B). Repeated until answered; `id` makes it exactly-once."""
 
     id: str
     behaviour: str
     robots: Names = ()  # empty: the whole swarm; "@name": a group of the core's database
     parameters: Parameters = {}
-    source: str = ""  # which process asks: "cli@host:pid"
-    operator: str = ""  # in whose name, for leases: "anna@lab1"
-    take: bool = False  # take the robots over from the operator who holds them
-    clock: str = ""  # which clock `stamp_s` was read off, see `clock_id`; empty: one that only `source` reads
+    source: str = ""  # the requesting process: "cli@host:pid"
+    operator: str = ""  # the person, for leases: "anna@lab1"
+    take: bool = False  # also take the leases that another operator holds
+    clock: str = ""  # the clock of `stamp_s`, see `clock_id`; empty: one that only `source` reads
     stamp_s: Stamp = 0.0  # orders the requests of one operator, and all stops, on one clock; others by arrival
 
 
 class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/2"):
-    """What became of a request; the newest one for an `id` holds."""
+    """The status of a request; the newest one for an `id` is valid."""
 
     request_id: str
     behaviour: str
@@ -102,15 +102,15 @@ class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/2"):
     reason: str = ""  # why it was refused or superseded
     code: str = ""  # of the reason, see `fullswarm.reasons`
     parameters: About = {}  # what the reason is about
-    robots: Names = ()  # which shall run it
-    running: Names = ()  # which confirmed
+    robots: Names = ()  # that are to run it
+    running: Names = ()  # that have confirmed it
     missing: Names = ()  # addressed, but not present now; they get it when they join
-    refused_by: Names = ()  # which refused, e.g. latched e-stop
+    refused_by: Names = ()  # that refused it, e.g. with a latched e-stop
     stamp_s: Stamp = 0.0
 
 
 class StopRequest(Message, frozen=True, kw_only=True):
-    """Stand still now. Goes to the robots directly and to the core; needs neither authority nor an answer."""
+    """Stop now. Sent to the robots directly and to the core; needs neither a lease nor an answer."""
 
     id: str
     robots: Names = ()  # empty: all
@@ -118,25 +118,25 @@ class StopRequest(Message, frozen=True, kw_only=True):
 
 
 class LeaseRequest(Message, frozen=True, kw_only=True):
-    """An operator takes, keeps or gives back the authority over robots. Said again each second while it is held."""
+    """An operator takes, renews or returns leases of robots. Repeated each second while they are held."""
 
     operator: str
     robots: Names
-    hold: bool  # False: give back what `operator` holds of them
-    take: bool = False  # also from the operator who holds them now
+    hold: bool  # False: return those that `operator` holds
+    take: bool = False  # also leases that another operator holds now
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Who drives a robot; part of Leases."""
+    """The operator that drives a robot; part of Leases."""
 
     robot: str
     operator: str
     age_s: Duration  # since it was granted
-    taken_from: str = ""  # who held it before and did not give it back
+    taken_from: str = ""  # the former holder, if it was taken over
 
 
 class Leases(Message, frozen=True, kw_only=True):
-    """All leases there are, on change and each second. A robot without one obeys every operator."""
+    """All leases there are, on change and each second. A robot without one accepts requests of every operator."""
 
     leases: Annotated[tuple[Lease, ...], Meta(max_length=MOST)]
     core: str = ""  # which core process
@@ -164,7 +164,7 @@ class EStopReceipt(Message, frozen=True, kw_only=True):
 
 
 class Ping(Message, frozen=True, kw_only=True):
-    """Sent back by the robot's agent at once, as its pong; nothing else comes of it."""
+    """Sent back by the robot's agent at once, as its pong; has no other effect."""
 
     id: str
     robot: str
@@ -181,10 +181,10 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     parameters: Parameters = {}
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
-    team: Team = 0  # whose robots the law counts as neighbours; 0: all that are sensed
-    centralised: bool = False  # no law on board: obey Command messages of `request_id`
-    survives_core: bool = False  # go on when the core's heartbeat is silent
-    expires_s: Validity = 0.0  # > 0: the request is an intent that lapses this long after its arrival
+    team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
+    centralised: bool = False  # no law on board: apply Command messages of `request_id`
+    survives_core: bool = False  # continue when the core's heartbeat is silent
+    expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival
     core: str = ""  # which core process; sequences of different processes do not compare
     sequence: Ordinal = 0
     stamp_s: Stamp = 0.0
@@ -220,7 +220,7 @@ class CentralisedRequest(Message, frozen=True, kw_only=True):
 
 
 class CentralisedCommands(Message, frozen=True, kw_only=True):
-    """A centralised node's commands for its robots; the request handler hands them out (paper II.C.2)."""
+    """A centralised node's commands for its robots; the request handler distributes them (paper II.C.2)."""
 
     request_id: str
     behaviour: str
@@ -246,7 +246,7 @@ class Command(Message, frozen=True, kw_only=True):
 class PoseFix(Message, frozen=True, kw_only=True):
     """Where a supervisory process sees a robot: motion capture, a camera, the simulator. World frame.
 
-    ``stamp_s`` is the source's own clock: it orders the fixes of one source and tells how late they are.
+    ``stamp_s`` is the source's own clock: it orders the fixes of one source and shows how late they are.
     """
 
     robot: str
@@ -261,12 +261,12 @@ class PoseFix(Message, frozen=True, kw_only=True):
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """A process of the core or a centralised node is alive, and what it has in hand."""
+    """A process of the core or a centralised node is alive; with its active requests."""
 
     node: str
     process: str  # unique per process start
     sequence: Ordinal
-    active: Names = ()  # request ids in hand
+    active: Names = ()  # ids of requests
     stamp_s: Stamp = 0.0
 
 
@@ -292,9 +292,9 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
 
 
 class Interventions(Message, frozen=True, kw_only=True):
-    """What the safety filter changes now, 5 Hz while it changes anything, then once empty. Columns of equal length.
+    """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
-    Velocity let through minus velocity wished, world frame; `reasons` says what it keeps clear of.
+    Allowed velocity minus desired velocity, world frame; `reasons` names what the filter avoids.
     """
 
     host: str
@@ -317,7 +317,7 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
 
 
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How one robot is; part of a HealthReport."""
+    """The state of one robot; part of a HealthReport."""
 
     robot: str
     driver: str  # URL
@@ -328,10 +328,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     behaviour: str = ""  # empty: none
     request_id: str = ""
     core: str = ""  # which core process gave `sequence`
-    sequence: Ordinal = 0  # of the newest control request obeyed
+    sequence: Ordinal = 0  # of the newest control request accepted
     moving: bool = False
     estop: bool = False
-    stop_reason: str = ""  # why it stands although a behaviour is on
+    stop_reason: str = ""  # why it stands although a behaviour is enabled
     stop_code: str = ""  # of `stop_reason`, see `fullswarm.reasons`
     stop_parameters: About = {}
     fault: str = ""
@@ -343,7 +343,7 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     position_sigma_m: KnownSigma = -1.0  # standard deviation along the worse axis; -1: unknown
     heading_sigma_rad: KnownSigma = -1.0
     pose_note: str = ""  # fixes lost or refused, a pose that jumped
-    deviation_m_s: Finite = 0.0  # how far the safety filter holds its velocity from the wished one now
+    deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
 
@@ -382,7 +382,7 @@ class CoverageMeasurement(Message, frozen=True, kw_only=True):
 
 
 class RobotMeasurement(Message, frozen=True, kw_only=True):
-    """All that is one number per robot, or per host: what each name means stands in ``perf/metrics.py``.
+    """All that is one number per robot, or per host: ``perf/metrics.py`` defines each name.
 
     Cumulative since the process started or the newest value, so that a lost message costs nothing. A number that is
     not finite, or beyond `LARGEST`: has none.
@@ -403,7 +403,7 @@ class Summary(Message, frozen=True, kw_only=True):
     """A summarizer's result for the whole swarm (paper II.F.2)."""
 
     metric: str  # work, coverage, collisions, … see `perf/metrics.py`
-    values: dict[str, Finite]  # e.g. total_m, mean_m, max_m; truth_total_m: as a supervisory process saw it
+    values: dict[str, Finite]  # e.g. total_m, mean_m, max_m; truth_total_m: as a supervisory process measured it
     per_robot: dict[str, Finite] = {}
     finished: bool = False
     reason: str = ""  # which termination condition was met
@@ -422,7 +422,7 @@ class ParamRequest(Message, frozen=True, kw_only=True):
 
 
 class ParamEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One value with where it came from."""
+    """One value with its author and time."""
 
     key: str
     value: Value | dict[str, object] | None

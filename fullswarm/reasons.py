@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 
 class Code(enum.StrEnum):
-    """What may keep a robot from motion or a request from being carried out."""
+    """What keeps a robot from motion or a request from being carried out."""
 
     NONE = ""
     GIVEN = "given"  # a text from outside this table: a driver's, a law's, a library's
@@ -36,7 +36,7 @@ class Code(enum.StrEnum):
     FENCE = "fence"
     OVERLAP = "overlap"  # robot: the other one
     FRAME = "frame"
-    FOREIGN_FRAME = "foreign_frame"  # host: whose positions count from elsewhere
+    FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
     STOPPED = "stopped"  # by
     ESTOP_ENGAGED = "estop_engaged"  # by
@@ -50,17 +50,17 @@ class Code(enum.StrEnum):
     OVERCURRENT = "overcurrent"
     CHARGER = "charger"
     MOTORS_OFF = "motors_off"
-    POSITION = "position"  # its autopilot does not know where it is
+    POSITION = "position"  # its autopilot has no position
     PORT_HELD = "port_held"  # another process uses the port
 
     # why a request was refused or ended
     ESTOP_LATCHED = "estop_latched"
-    SPENT = "spent"  # why
+    VOIDED = "spent"  # why
     HELD = "held"  # robot → operator
     SUPERSEDED = "superseded"  # by: the id of the other request
     CAME_FIRST = "came_first"  # by: the id of the newer request
     OTHER_CORE = "other_core"
-    LAPSED = "lapsed"  # after_s
+    NOT_REPEATED = "lapsed"  # after_s
     PARAMETERS = "parameters"  # problems; the hint after them lists all parameters
 
 
@@ -68,14 +68,14 @@ TEXTS: dict[Code, str] = {
     Code.NONE: "",
     Code.ESTOP: "e-stop is latched; clear it with `fullswarm estop --clear`",
     Code.DRIVER: "the driver is not ready",
-    Code.READING: "the robot has told nothing new for too long",
+    Code.READING: "sensor data is stale",
     Code.LAW: "law '{law}': {error}",
     Code.HUB: "the hub is lost",
     Code.CORE: "the core's heartbeat is silent",
-    Code.EXPIRED: "the operator's intent has run out",
+    Code.EXPIRED: "the operator's intent has expired",
     Code.STALE: "no fresh command",
     Code.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
-    Code.CLOCK: "this computer stood still; what it knows is too old",
+    Code.CLOCK: "clock jumped (suspend or stall); waiting for fresh data",
     Code.POSE: "the estimator has no pose",
     Code.FENCE: "it would leave the arena",
     Code.OVERLAP: "'{robot}' is reported in the same place, so one position is wrong: check where both robots are, "
@@ -85,23 +85,23 @@ TEXTS: dict[Code, str] = {
     Code.FOREIGN_FRAME: "the position of '{host}' counts from where it was switched on: write [world] origin = "
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
-    "it drives on once that is back",
+    "it continues once that is back",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
     Code.DRIVER_FAILED: "the driver failed: {fault}",
     Code.DRIVER_STOPPED: "the robot has stopped by itself",
     Code.ESTOP_LATCHED: "its e-stop is latched; clear it with `fullswarm estop --clear`",
-    Code.SPENT: "{why}; ask for it again",
+    Code.VOIDED: "{why}; ask for it again",
     Code.SUPERSEDED: "superseded by {by}",
     Code.CAME_FIRST: "superseded by {by}, which came first",
     Code.OTHER_CORE: "another core commands this robot",
-    Code.LAPSED: "the intent lapsed after {after_s} s",
+    Code.NOT_REPEATED: "the intent expired after {after_s} s without a repetition",
 }
-"""The texts that this package words itself; all others come with their codes from where they are known."""
+"""The texts of this package; all others come with their codes from outside."""
 
 DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED})
-"""A robot without a behaviour that stands for one of these does what somebody asked for: no cause for alarm."""
+"""A robot without a behaviour that stands for one of these was stopped on request: no cause for alarm."""
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -163,6 +163,6 @@ def holds(code: str, parameters: Mapping[str, str], wanted: Code) -> bool:
     return code == wanted or (code == Code.SEVERAL and wanted in parameters.values())
 
 
-def spent(why: Reason) -> Reason:
+def voided(why: Reason) -> Reason:
     """Return why a request that was ended for `why` may not start again."""
-    return reason(Code.SPENT, why=why.text)
+    return reason(Code.VOIDED, why=why.text)

@@ -34,7 +34,7 @@ DRIVERS = MappingProxyType(
         "mavlink+serial": "fullswarm.drivers.mavlink:MAKE",
     }
 )
-"""Each scheme's record (:class:`fullswarm.drivers.make.Make`). `robots find` asks them in this order."""
+"""Each scheme's record (:class:`fullswarm.drivers.make.Make`). `robots find` tries them in this order."""
 
 _LAWS = "fullswarm.agent.behaviours"
 LAWS = MappingProxyType(
@@ -61,7 +61,7 @@ def driver_class(url: str) -> Any:
     Raises
     ------
     ConfigError
-        Unknown scheme, or a plug-in that does not import; says which and why.
+        Unknown scheme, or a plug-in that does not import; names it and the cause.
     """
     found = record(url)
     return found if isinstance(found, type) else found.driver_class()
@@ -73,7 +73,7 @@ def record(url: str) -> Any:
     Raises
     ------
     ConfigError
-        Unknown scheme, or a plug-in that does not import; says which and why.
+        Unknown scheme, or a plug-in that does not import; names it and the cause.
     """
     module, _, name = driver_target(url).partition(":")
     found = getattr(_import(module, url), name, None)
@@ -133,7 +133,7 @@ def record_files() -> tuple[Path, ...]:
         try:
             spec = importlib.util.find_spec(module)
         except (ImportError, ValueError):
-            continue  # half uninstalled: its robot says so when it is asked for
+            continue  # half uninstalled: reported when its robot is used
         file = Path(spec.origin).with_suffix(".toml") if spec and spec.origin else None
         if file is not None and file.is_file():
             files.append(file)

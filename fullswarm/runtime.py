@@ -131,7 +131,7 @@ class Timer:
 
 
 class Scheduler(Protocol):
-    """What a node may ask of the runtime."""
+    """What a node may use of the runtime."""
 
     def now_s(self) -> float:
         """Return the node's monotonic time in seconds."""
@@ -247,7 +247,7 @@ class Runtime:
         Returns
         -------
         float
-            Seconds until it wants to be called again; sooner when :attr:`Mailbox.on_put` says so. 0: there is more.
+            Seconds until it must be called again; sooner when :attr:`Mailbox.on_put` says so. 0: there is more.
         """
         # Messages first, but a flood of them must neither starve a deadline nor the other loop.
         more = self.mailbox.drain(most=AT_ONCE) == AT_ONCE

@@ -26,7 +26,7 @@ log = structlog.get_logger()
 SEED = "seed"
 BUSY_S = 1.0
 CHANGES_KEPT = 100
-"""Of each key. What a core wants of its robots changes with every request: a year of that must not fill the disk, nor
+"""Of each key. The orders of a core change with every request: a year of them must not fill the disk, nor
 be read at each start."""
 
 _TABLES = """
@@ -83,7 +83,7 @@ class Store:
             raise self._explain(error) from error
 
     def entry(self, key: str) -> ParamEntry | None:
-        """Return what `key` holds and who set it; None when it was never set."""
+        """Return the value of `key` and its author; None when it was never set."""
         rows = self._query("SELECT key, value, author, changed FROM entry WHERE key = ?", key)
         return rows[0] if rows else None
 
@@ -102,7 +102,7 @@ class Store:
         return tuple(row for row in rows if row.value is not None)
 
     def history(self, key: str) -> tuple[ParamEntry, ...]:
-        """Return the newest changes of `key`, oldest first; ``prefix*`` stands for all keys that begin so.
+        """Return the newest changes of `key`, oldest first; ``prefix*`` means all keys with that prefix.
 
         A key's changes before its last `CHANGES_KEPT` are forgotten.
         """
@@ -119,7 +119,7 @@ class Store:
         return self.set_many({key: value}, author)[0]
 
     def set_many(self, values: Mapping[str, Stored], author: str) -> tuple[ParamEntry, ...]:
-        """Write several values in one transaction, then tell the watchers.
+        """Write several values in one transaction, then call the watchers.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class Store:
             log.error("not saved: the next start will not restore it", error=str(error), keys=sorted(values)[:5])
 
     def seed(self, entries: Mapping[str, Stored], author: str = SEED) -> tuple[str, ...]:
-        """Write what the TOML files say, where nothing else was written since; return the keys that changed."""
+        """Write the values of the TOML files, where nothing else was written since; return the keys that changed."""
         changed: dict[str, Stored] = {}
         for key, value in entries.items():
             old = self.entry(key)

@@ -22,7 +22,7 @@ from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
-from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry import interventions
 from fullswarm.agent.telemetry.metrics import MetricSampler
@@ -69,7 +69,6 @@ class AgentNode:
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
         self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
-        bounds = np.array(config.bounds_m)
         count = len(fleet.ids)
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
@@ -91,10 +90,18 @@ class AgentNode:
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
         self.filter = SafetyFilter(
-            fleet.ids, fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit,
-            self.controller.reverse, 1.0 / settings.control_rate_hz, settings.sensing_radius_m, bounds,
-            (settings.speed_gain, settings.turn_gain_per_s),
-        )  # fmt: skip
+            fleet.ids,
+            robot_params(
+                fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit, self.controller.reverse
+            ),
+            Tuning(
+                period_s=1.0 / settings.control_rate_hz,
+                reach_m=settings.sensing_radius_m,
+                speed_gain=settings.speed_gain,
+                turn_gain_per_s=settings.turn_gain_per_s,
+            ),
+            np.array(config.bounds_m),
+        )
         self.interventions = interventions.InterventionReporter(
             bus, self._keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.controller,
             self.neighbours,
@@ -120,8 +127,7 @@ class AgentNode:
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.metrics = MetricSampler(
-            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.neighbours, self.desired.near,
-            self.deadlocks,
+            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.desired.near, self.deadlocks,
         )  # fmt: skip
         self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
         self.inbox = Inbox(

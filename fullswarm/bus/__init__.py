@@ -7,7 +7,7 @@ ones from their modules: this package does not load zenoh.
 
 Files:
 
-``base.py``            what a node may ask of a bus, wrappers that name the sender and count, how key expressions match
+``base.py``            the interface of a bus, wrappers that name the sender or count, matching of key expressions
 ``codec.py``           messages as bytes: MessagePack, with errors that say what does not fit
 ``endpoint.py``        where the hub listens: the default address, its syntax, and which computers reach it
 ``hub.py``             the hub: a zenoh router in a process of its own; agents, core and operators are its clients

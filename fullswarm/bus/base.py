@@ -1,4 +1,4 @@
-"""What a node may ask of a bus, and how key expressions match."""
+"""The interface of a bus, its wrappers that name the sender or count messages, the matching of key expressions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Bus(Protocol):
         ...
 
     def connected(self) -> bool:
-        """Tell whether others can be reached now (the hub is there; always so within one process)."""
+        """Tell whether others can be reached now (the hub is connected; always true within one process)."""
         ...
 
     def close(self) -> None:

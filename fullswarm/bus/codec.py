@@ -1,7 +1,7 @@
-"""Messages as bytes: MessagePack, with errors that say what does not fit.
+"""Encodes and decodes messages as MessagePack; errors name what does not fit.
 
-What decodes is of its type, within the ranges that the type's annotations state, and has columns of equal length: a
-reader need not ask again.
+A decoded message is of its type, within the ranges of the type's annotations, and has columns of equal length: a
+reader need not check again.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fullswarm.messages import FITS, Message
 M = TypeVar("M", bound=Message)
 
 LARGEST_BYTES = 4_000_000
-"""Of one message. A thousand robots' health is a tenth of it; what is longer would hold up its reader."""
+"""Limit of one message. A thousand robots' health is a tenth of it; a longer message would block its reader."""
 
 _encoder = msgspec.msgpack.Encoder()
 
@@ -41,7 +41,7 @@ def decode(data: bytes, kind: type[M]) -> M:
     ------
     MessageError
         Not MessagePack, another type, another version, an unknown or missing field, a number out of range, columns
-        that do not fit together; says which.
+        that do not fit together; names it.
     """
     if len(data) > LARGEST_BYTES:
         raise MessageError(f"{len(data)} bytes, more than {LARGEST_BYTES}", where=kind.__name__)
@@ -67,5 +67,5 @@ def _explain(data: bytes, kind: type[Message], error: Exception) -> str:
     if isinstance(found, str) and found != wanted:
         same_name = found.split("/")[0] == wanted.split("/")[0]
         advice = "update the older side" if same_name else "two programs use one key for different things"
-        return f"got '{found}' where '{wanted}' is understood: {advice}"
+        return f"got '{found}' where '{wanted}' is expected: {advice}"
     return str(error)

@@ -43,7 +43,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_endpoint(endpoint: str, insecure_network: bool) -> None:
-    """Refuse an address that other machines reach, unless the user said so.
+    """Refuse an address that other machines reach, unless the user allows it.
 
     Raises
     ------
@@ -52,8 +52,8 @@ def check_endpoint(endpoint: str, insecure_network: bool) -> None:
     """
     if not is_loopback(host_of(endpoint)) and not insecure_network:
         raise ConfigError(
-            "this address is open to the network, and the bus has no keys yet: anybody on that network could "
-            "drive the robots",
+            "this address is open to the network, and the bus has no authentication: any computer on that network "
+            "could drive the robots",
             where=endpoint,
             hint=f"use {DEFAULT_HUB}, or allow it with --insecure-network (insecure_network=True) on a network "
             "that you trust",

@@ -15,7 +15,7 @@ __all__ = ["DEFAULT_HUB", "Hub", "check_endpoint"]
 
 
 class Hub:
-    """Passes messages between the clients that connect to `endpoint`.
+    """Routes messages between the clients that connect to `endpoint`.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Hub:
         self._session: zenoh.Session | None = None
 
     def open(self) -> None:
-        """Listen; a hub that is open stays so.
+        """Listen; an open hub stays open.
 
         Raises
         ------

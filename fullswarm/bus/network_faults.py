@@ -25,13 +25,13 @@ M = TypeVar("M", bound=Message)
 Deliver = Callable[[], None]
 
 DETOUR_S = 0.05
-"""How much longer at most a message takes that is reordered."""
+"""Longest extra delay of a reordered message."""
 
 EXAMPLE = "loss=20%,delay=100ms±50,partition=r1+r2|*"
-REST = "*"
+OTHERS = "*"
 """In a partition: all processes that are not named."""
 LONGEST_S = 60.0
-"""A message that is later than that is of no use."""
+"""Longest delay that can be given."""
 
 _SHARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(%?)\Z")
 _TIME = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(ms|s)?\Z")
@@ -41,12 +41,12 @@ _UNIT_S = {"ms": 0.001, "s": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class Partition:
-    """Processes on different sides do not hear each other from `start_s` to `end_s`.
+    """Processes on different sides receive nothing from each other from `start_s` to `end_s`.
 
     Parameters
     ----------
     sides
-        Names of processes; ``*`` stands for all that no side names. A process on no side receives all.
+        Names of processes; ``*`` means all that no side names. A process on no side receives all.
     """
 
     sides: tuple[frozenset[str], ...]
@@ -65,14 +65,14 @@ class Partition:
         for index, side in enumerate(self.sides):
             if name in side:
                 return index
-            if REST in side:
+            if OTHERS in side:
                 rest = index
         return rest
 
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The conditions that every message meets on its way from one process to another, for each receiver anew.
+    """The injected faults that every message is subject to between two processes, drawn for each receiver.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Network:
     duplicate
         Share that arrives once more, with a delay of its own.
     reorder
-        Share that takes another way: up to `DETOUR_S` longer, past those that wait and passed by later ones.
+        Share that is delivered out of order: up to `DETOUR_S` later than the others.
     partitions
         Which processes are cut off from each other, and when.
     """
@@ -98,7 +98,7 @@ class Network:
     @property
     def names(self) -> frozenset[str]:
         """Every process that a partition names."""
-        return frozenset(name for each in self.partitions for side in each.sides for name in side) - {REST}
+        return frozenset(name for each in self.partitions for side in each.sides for name in side) - {OTHERS}
 
 
 def parse_network(text: str, where: str = "--network") -> Network:
@@ -140,7 +140,7 @@ def check_names(network: Network, known: Iterable[str], where: str = "--network"
     known = tuple(known)
     for name in sorted(network.names - set(known)):
         raise ConfigError(
-            f"the partition names '{name}', which is no process of this swarm", where=where,
+            f"the partition names '{name}', which is not a process of this swarm", where=where,
             hint=did_you_mean(name, known),
         )  # fmt: skip
 
@@ -151,7 +151,7 @@ def _take(part: str, values: dict[str, float], partitions: list[Partition]) -> N
         raise ConfigError("there is no condition between the commas", hint=f"for example {EXAMPLE}")
     key, equals, value = (each.strip() for each in part.partition("="))
     if key not in _READ and key != "partition":
-        raise ConfigError(f"'{key}' is no condition of a network", hint=did_you_mean(key, [*_READ, "partition"]))
+        raise ConfigError(f"'{key}' is not a condition of a network", hint=did_you_mean(key, [*_READ, "partition"]))
     if not equals or not value:
         raise ConfigError("a value is missing", hint=f"for example {EXAMPLE}")
     if key == "partition":
@@ -245,18 +245,18 @@ _READ: dict[str, Callable[[str, str], dict[str, float]]] = {
 def faulty(
     bus: SenderBus, scheduler: Scheduler, spec: Network | str, seed: int, name: str, since_s: float = 0.0
 ) -> SenderBus:
-    """Return `bus` as process `name` has it on a network of conditions `spec`.
+    """Return `bus` as process `name` has it with the injected faults `spec`.
 
     Parameters
     ----------
     spec
-        Conditions, or their text such as ``loss=20%,delay=100ms±50``.
+        Faults, or their text such as ``loss=20%,delay=100ms±50``.
     seed
         With a simulated clock the same seed gives the same run, to the byte.
     name
         A robot's id, ``core``, ``centralised``, ``operator`` or ``world``.
     since_s
-        Scheduler's time from which the times of a partition count.
+        Scheduler's time that is zero for the times of a partition.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def faulty(
 
 @dataclass(slots=True)
 class Counts:
-    """What came of the messages of others so far."""
+    """Number of messages from other processes by what became of them."""
 
     sent: int = 0  # that would have arrived here on a good network
     lost: int = 0  # by chance
@@ -278,12 +278,12 @@ class Counts:
 
 
 class Link:
-    """The way from one process to another: fate and order of each message.
+    """The connection from one process to another: decides loss, delay and order of each message.
 
     Parameters
     ----------
     chance
-        Its own, so that what happens here does not depend on the traffic of others.
+        A generator of its own, so that the faults here do not depend on other traffic.
     """
 
     def __init__(self, network: Network, scheduler: Scheduler, chance: random.Random, counts: Counts) -> None:
@@ -331,7 +331,7 @@ class Link:
 
 @dataclass(slots=True, eq=False)
 class _Interest:
-    """All handlers for one expression: a message comes once to a process, however many of its nodes listen."""
+    """All handlers for one expression: a message reaches a process once, however many of its nodes subscribe."""
 
     handlers: list[Callable[[Any], None]] = field(default_factory=list)
     inner: Subscription | None = None
@@ -346,7 +346,7 @@ Interests = dict[tuple[str, type[Message], bool], _Interest]
 
 
 class _Share:
-    """One handler's share in an interest; the last one that goes ends it."""
+    """One handler's share in an interest; the last one to close ends it."""
 
     def __init__(self, interests: Interests, key: tuple[str, type[Message], bool], handler: Callable[[Any], None]):
         # Not the handler itself: the same one may be subscribed twice.
@@ -369,7 +369,7 @@ class FaultyBus:
 
     Attributes
     ----------
-    counts : what came of the messages of others
+    counts : what became of the messages of other processes
     """
 
     def __init__(
@@ -382,7 +382,7 @@ class FaultyBus:
         self._interests: Interests = {}
 
     def publish(self, key: str, message: Message, *, sender: str = "") -> None:
-        """Send `message`; what becomes of it is decided where it arrives."""
+        """Send `message`; faults are injected where it arrives."""
         self._bus.publish(key, message, sender=sender or self._name)
 
     def subscribe(
@@ -428,11 +428,11 @@ class FaultyBus:
         return link
 
     def connected(self) -> bool:
-        """Tell whether the hub is there: a bad network does not say that it is bad."""
+        """Tell whether the hub is connected: injected faults do not show here."""
         return self._bus.connected()
 
     def close(self) -> None:
-        """Close the bus inside; what is still on its way does not arrive."""
+        """Close the bus inside; delayed messages are dropped."""
         for interest in self._interests.values():
             interest.handlers.clear()
         self._interests.clear()

@@ -1,4 +1,4 @@
-"""The live bus: a zenoh client of the hub behind the interface that every node knows.
+"""The live bus: a zenoh client of the hub behind the interface of every bus.
 
 Messages arrive on zenoh's receive thread, are decoded there and put into the node's mailbox; no Python thread
 is left that could keep a process from ending. Messages between nodes of one process do not touch the network.
@@ -26,11 +26,11 @@ from fullswarm.runtime import Mailbox
 M = TypeVar("M", bound=Message)
 
 CACHED_KEYS = 1024
-"""Keys whose publisher or route is remembered: every reply has a key of its own, so it must end."""
+"""Keys whose publisher or route is cached: every reply has a key of its own, so the cache is bounded."""
 
-COMPLAIN_S = 1.0
-COMPLAINTS = 32
-"""Keys at most that are complained of within `COMPLAIN_S`, once each: a flood must not fill the log."""
+LOG_S = 1.0
+LOGGED_KEYS = 32
+"""Most keys that are logged within `LOG_S`, once each: a flood must not fill the log."""
 
 _STEERING = frozenset({"command", "commands", "control_request", "control_requests", "request"})
 _STOPPING = frozenset({"stop", "estop", "heartbeat"})
@@ -45,7 +45,7 @@ CLOSE_S = 0.5
 """Longest wait for a session to end: with a frozen hub zenoh itself would take nine seconds."""
 
 _COMMON: dict[str, object] = {
-    # Nothing is found by accident: the default settings join any zenoh on the local network.
+    # No discovery: the default settings join any zenoh on the local network.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # else opening a router waits 0.5 s in vain
@@ -70,7 +70,7 @@ def untyped(method: Callable[[], object]) -> None:
 
 
 def reason_of(error: zenoh.ZError) -> str:
-    """Return what zenoh says, without the place in its sources."""
+    """Return zenoh's error text, without the place in its sources."""
     return str(error).split(" at /")[0]
 
 
@@ -89,9 +89,9 @@ def client_config(hub: str, *, multicast: bool) -> zenoh.Config:
 
 
 class HubLink:
-    """Opens a client's session as soon as the hub is there, watches the link, closes it at the end.
+    """Opens a client's session as soon as the hub answers, watches the link, closes it at the end.
 
-    One daemon thread does all that may block. `up` tells whether the link stands; zenoh's transport events set
+    One daemon thread does all that may block. `up` is true while the link is connected; zenoh's transport events set
     it, so that reading it costs nothing. After a loss zenoh connects again by itself and restores what was
     declared.
 
@@ -141,7 +141,7 @@ class HubLink:
         return None
 
     def _on_event(self, event: zenoh.TransportEvent) -> None:
-        """Book a transport that came or went; runs on zenoh's threads, at once."""
+        """Record a transport that connected or disconnected; runs on zenoh's threads."""
         zid = str(event.transport.zid)
         with self._lock:
             if event.kind == zenoh.SampleKind.PUT:
@@ -155,12 +155,12 @@ class HubLink:
                 self._is_up.clear()
 
     def wait(self, timeout_s: float) -> None:
-        """Return once the link stands.
+        """Return once the link is connected.
 
         Raises
         ------
         Unreachable
-            It does not within `timeout_s`, or the link is closed.
+            It is not within `timeout_s`, or the link is closed.
         """
         if self._closing.is_set():
             raise Unreachable("this bus is closed", where=self.hub)
@@ -168,7 +168,7 @@ class HubLink:
             raise Unreachable(
                 "no hub answers",
                 where=self.hub,
-                hint="start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub",
+                hint="start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub",
             )
 
     def close(self) -> None:
@@ -189,7 +189,7 @@ class Inbox:
     mailbox
         Where the messages wait for the node.
     expression, kind, handler
-        What to listen to, the type to decode, what to call.
+        The keys, the type to decode, the function to call.
     latest
         Keep one message per key: a newer one takes the place of one that still waits.
     with_sender
@@ -197,9 +197,9 @@ class Inbox:
     urgent
         Run the handler on zenoh's thread when the node is idle (see :meth:`Mailbox.run_now`).
     on_bad
-        Told the key and the error of a message that is dropped.
+        Called with the key and the error of a message that is dropped.
     on_close
-        Told once, by :meth:`close`.
+        Called once, by :meth:`close`.
 
     Raises
     ------
@@ -234,7 +234,7 @@ class Inbox:
         self._active = True
 
     def declare(self, session: zenoh.Session) -> None:
-        """Ask the hub for messages of other processes. The caller sees to it that this happens once."""
+        """Subscribe to messages of other processes at the hub. The caller does this once."""
         if self._active:
             # Direct: zenoh's own handler thread is not a daemon, a process with one would never end.
             callback = zenoh.handlers.Callback(self.receive, indirect=False)
@@ -292,7 +292,7 @@ class Inbox:
         self._on_close(self)
 
     def undeclare(self) -> None:
-        """Tell the hub."""
+        """Withdraw the declaration at the hub."""
         declared, self._declared = self._declared, None
         if declared is not None:
             untyped(declared.undeclare)
@@ -310,7 +310,7 @@ def _sender(sample: zenoh.Sample) -> str:
 def is_urgent(key: str) -> bool:
     """Tell whether messages of `key` start, steer or stop robots.
 
-    They overtake others on the link, and an idle node handles them on the thread that brings them.
+    They have priority on the link, and an idle node handles them on the receiving thread.
     """
     topic, _, rest = key.partition("/")[2].partition("/")
     if topic in ("robot", "behaviour"):
@@ -353,8 +353,8 @@ class ZenohBus:
         self._inboxes: list[Inbox] = []
         self._routes: dict[str, tuple[Inbox, ...]] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._complained: set[str] = set()
-        self._clock, self._complaints_s = MonotonicClock(), 0.0
+        self._logged: set[str] = set()
+        self._clock, self._logged_s = MonotonicClock(), 0.0
         self._session: zenoh.Session | None = None
         self._closed = False
         # Two locks: zenoh's threads count while another thread holds the first one inside zenoh.
@@ -415,7 +415,7 @@ class ZenohBus:
         return inbox
 
     def connected(self) -> bool:
-        """Tell whether the link to the hub stands; false within milliseconds of the hub's death."""
+        """Tell whether the hub is connected; false within milliseconds of its end."""
         return self._link.up
 
     def wait_connected(self, timeout_s: float) -> None:
@@ -453,7 +453,7 @@ class ZenohBus:
         return route
 
     def _publisher(self, key: str) -> zenoh.Publisher | None:
-        """Declare a publisher: a put then costs 1 µs instead of 25, and stays here while there is no subscriber."""
+        """Declare a publisher: a put then costs 1 µs instead of 25, and sends nothing while there is no subscriber."""
         with self._lock:
             if self._session is None:
                 return None
@@ -466,8 +466,8 @@ class ZenohBus:
                     priority=zenoh.Priority.REAL_TIME if is_urgent(key) else zenoh.Priority.DATA,
                     allowed_destination=zenoh.Locality.REMOTE,
                 )
-            except zenoh.ZError as error:  # a key made from what a stranger sent must not end this process
-                self._complain(key, f"cannot publish: {reason_of(error)}")
+            except zenoh.ZError as error:  # a key made from another process's message must not end this one
+                self._log_once(key, f"cannot publish: {reason_of(error)}")
                 return None
             self._publishers[key] = publisher
         return publisher
@@ -483,16 +483,16 @@ class ZenohBus:
     def _drop(self, key: str, error: MessageError) -> None:
         with self._count_lock:
             self.dropped += 1
-        self._complain(key, str(error))
+        self._log_once(key, str(error))
 
-    def _complain(self, key: str, reason: str) -> None:
+    def _log_once(self, key: str, reason: str) -> None:
         """Log once per key, which names the sender, and second, whatever the rate."""
         now_s = self._clock.now_s()
         with self._count_lock:
-            if now_s - self._complaints_s >= COMPLAIN_S:
-                self._complained.clear()
-                self._complaints_s = now_s
-            if key in self._complained or len(self._complained) >= COMPLAINTS:
+            if now_s - self._logged_s >= LOG_S:
+                self._logged.clear()
+                self._logged_s = now_s
+            if key in self._logged or len(self._logged) >= LOGGED_KEYS:
                 return
-            self._complained.add(key)
+            self._logged.add(key)
         _log.warning("message dropped", key=key, reason=reason, dropped=self.dropped)

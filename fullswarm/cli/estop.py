@@ -231,7 +231,7 @@ class EStopReport:
 
 
 def receipt_line(receipt: EStopReceipt) -> str:
-    """Return a receipt in words."""
+    """Return a receipt as text."""
     if not receipt.engaged:
         return f"{receipt.robot}: released"
     if receipt.standing:

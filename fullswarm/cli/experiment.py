@@ -1,4 +1,4 @@
-"""The verbs of ``fullswarm experiment``: `run` and `trial`."""
+"""`fullswarm experiment`: runs, repeats, watches and draws trials."""
 
 from __future__ import annotations
 
@@ -20,57 +20,66 @@ def run_experiment(
         str,
         typer.Argument(
             metavar="NAME|FILE.toml",
-            help="One of the package: paper, safety; or your own.",
+            help="An experiment of the package (paper, safety), or a file.",
             autocompletion=completion.experiments,
         ),
     ],
-    seeds: Annotated[str | None, typer.Option(metavar="A-B", help="Seeds instead of the file's: 0-19, or 7.")] = None,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="A-B", help="Run these seeds, not the file's: 0-19, or 7.")
+    ] = None,
     cells: Annotated[
         list[str] | None,
-        typer.Option("--cells", metavar="FILTER", help="Only these: 'behaviour=navigate_bc,robots=32'; may repeat."),
+        typer.Option(
+            "--cells",
+            metavar="FILTER",
+            help="Run only these cells: 'behaviour=navigate_bc,robots=32'; may be repeated.",
+        ),
     ] = None,
-    small: Annotated[bool, typer.Option("--small", help="The file's small version: a minute or two.")] = False,
+    small: Annotated[bool, typer.Option("--small", help="Run the file's small version: a minute or two.")] = False,
     engine: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Instead of the file's: kinematic, pybullet, pybullet-wheels.")
+        str | None,
+        typer.Option(metavar="NAME", help="Use this engine, not the file's: kinematic, pybullet, pybullet-wheels."),
     ] = None,
     network: Annotated[
         str | None,
-        typer.Option(metavar="SPEC", help="A bad network for all: loss=20%,delay=100ms±50."),
+        typer.Option(metavar="SPEC", help="Inject network faults in all trials: loss=20%,delay=100ms±50."),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes at once.")] = 2,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
     timeout_s: Annotated[
         float, typer.Option("--trial-timeout", min=1.0, metavar="SECONDS", help="Wall-clock limit of one trial.")
     ] = 600.0,
     retries: Annotated[
-        int, typer.Option(min=0, max=10, help="Run a trial again whose process died or ran out of time.")
+        int, typer.Option(min=0, max=10, help="Repeat a trial whose process died or ran out of time.")
     ] = 1,
     shard: Annotated[
-        str | None, typer.Option(metavar="I/N", help="Only every Nth trial from the Ith on, for N machines.")
+        str | None, typer.Option(metavar="I/N", help="Run every Nth trial from the Ith on, for N machines.")
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to go on.")
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Keep each trial here; run again to continue.")
     ] = None,
     dask: Annotated[
-        str | None, typer.Option(metavar="local|ADDRESS", help="Run by Dask, here or where its scheduler is.")
+        str | None, typer.Option(metavar="local|ADDRESS", help="Run on Dask, here or at its scheduler.")
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Real processes in real time instead of lockstep, one trial at a time.")
+        bool, typer.Option("--live", help="Run real processes in real time, not in lockstep, one trial at a time.")
     ] = False,
     emulate: Annotated[
-        str | None, typer.Option(metavar="MAKE", help="With --live: robots of this make, behind emulated ports.")
+        str | None, typer.Option(metavar="MAKE", help="With --live: emulate robots of this make on real ports.")
     ] = None,
     fleet: Annotated[
-        Path | None, typer.Option("--fleet", metavar="FILE", help="On the robots of a fleet file; pauses to set up.")
+        Path | None,
+        typer.Option("--fleet", metavar="FILE", help="Run on the robots of a fleet file; pause for their set-up."),
     ] = None,
     yes: Annotated[
-        bool, typer.Option("--yes", help="With --fleet: robots stand in their places and may drive; ask nobody.")
+        bool,
+        typer.Option("--yes", help="With --fleet: skip the confirmation prompts; robots are in place and may drive."),
     ] = False,
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="With --fleet: listen beyond this machine.")
     ] = False,
     as_json: Json = False,
 ) -> int:
-    """Run an experiment. Exit code 0: none failed, and none collided but where the file expects it; 1 otherwise."""
+    """Run an experiment. Exit code 0: none failed, and none collided except where the file expects it; 1 otherwise."""
     from fullswarm.evaluate.experiment import run as experiment
 
     options = experiment.Options(
@@ -114,13 +123,13 @@ def run_trial(
 @experiment_app.command()
 @shell_command()
 def watch(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the experiment keeps its trials (--out).")],
-    once: Annotated[bool, typer.Option("--once", help="As it is now, then end.")] = False,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of the experiment (its --out).")],
+    once: Annotated[bool, typer.Option("--once", help="Print the present state and end.")] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="JSON: one document with --once, else a line at each change.")
+        bool, typer.Option("--json", help="Print JSON: one document with --once, else a line at each change.")
     ] = False,
 ) -> int:
-    """Show how an experiment goes, until all its trials have ended or Ctrl-C, which leaves it running."""
+    """Show the progress of an experiment, until its trials have ended or Ctrl-C, which leaves it running."""
     from fullswarm.evaluate.experiment import watch as watch_run
 
     return watch_run.watch(watch_run.Watch(folder, once, as_json))
@@ -129,26 +138,29 @@ def watch(
 @experiment_app.command()
 @shell_command()
 def replay(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of an experiment or a trial.")],
     to: Annotated[
         Path,
-        typer.Option("--to", metavar="FILE", help="A picture (.png, .svg) of the whole way, or a film (.gif, .mp4)."),
+        typer.Option(
+            "--to", metavar="FILE", help="Write a picture (.png, .svg) of the whole trial, or a film (.gif, .mp4)."
+        ),
     ],
     trial: Annotated[
-        str, typer.Option("--trial", metavar="ID", help="Which one: how its id begins; * fits anything.")
+        str, typer.Option("--trial", metavar="ID", help="The trial, by the start of its id; * matches anything.")
     ] = "",
     speed: Annotated[
-        float, typer.Option("--speed", min=0.01, max=1000.0, help="Seconds of the trial in one of the film.")
+        float, typer.Option("--speed", min=0.01, max=1000.0, help="Seconds of the trial per second of the film.")
     ] = 4.0,
     fps: Annotated[float, typer.Option("--fps", min=0.1, max=120.0, help="Frames per second of the film.")] = 10.0,
     from_s: Annotated[
-        float | None, typer.Option("--from", metavar="SECONDS", help="Begin here; none: at the start.")
+        float | None, typer.Option("--from", metavar="SECONDS", help="Start here (default: at 0).")
     ] = None,
     until_s: Annotated[
-        float | None, typer.Option("--until", metavar="SECONDS", help="End here; a picture shows the robots then.")
+        float | None,
+        typer.Option("--until", metavar="SECONDS", help="End here; a picture shows the robots at this time."),
     ] = None,
     width_px: Annotated[
-        int, typer.Option("--width", metavar="PIXELS", help="Of the picture or film, 320 to 3840.")
+        int, typer.Option("--width", metavar="PIXELS", help="Width of the picture or film, 320 to 3840.")
     ] = 720,
 ) -> int:
     """Draw or film a trial: the world from above."""

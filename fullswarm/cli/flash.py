@@ -1,4 +1,4 @@
-"""The command ``fullswarm flash``."""
+"""`fullswarm flash`: writes SD cards for unattended first boot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fullswarm.cli.options import Json, shell_command
 
 
 class FirstBoot(StrEnum):
-    """How an image is set up when it boots for the first time."""
+    """How an image is configured at first boot."""
 
     AUTO = "auto"
     CLOUD_INIT = "cloud-init"
@@ -32,62 +32,72 @@ def flash(
         Path | None, typer.Option("--fleet", envvar="FULLSWARM_FLEET", metavar="FILE", help="The fleet file (TOML).")
     ] = None,
     image: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Raspberry Pi OS or the like: .img, .img.xz, .img.gz, .img.zst")
+        Path | None,
+        typer.Option(metavar="FILE", help="Image of Raspberry Pi OS or similar: .img, .img.xz, .img.gz, .img.zst"),
     ] = None,
     device: Annotated[
-        list[str] | None, typer.Option(metavar="/dev/sdX", help="The card to write; several: one per robot.")
+        list[str] | None, typer.Option(metavar="/dev/sdX", help="The card to write; repeat for several robots.")
     ] = None,
     to_file: Annotated[
         list[Path] | None, typer.Option("--output", metavar="FILE", help="Write an image file instead of a card.")
     ] = None,
     seed_only: Annotated[
         bool,
-        typer.Option("--seed-only", help="Leave the system on the card (image file, mounted boot folder) as it is."),
+        typer.Option(
+            "--seed-only", help="Write only the first-boot configuration (card, image file, mounted boot folder)."
+        ),
     ] = False,
     release: Annotated[
-        str | None, typer.Option(metavar="ID|DIR", help="What the robot runs; none: the newest for --target.")
+        str | None, typer.Option(metavar="ID|DIR", help="The release of the robot (default: the newest for --target).")
     ] = None,
-    target: Annotated[str, typer.Option(metavar="NAME", help="Whose releases: rpi-arm64, x86_64.")] = "rpi-arm64",
+    target: Annotated[
+        str, typer.Option(metavar="NAME", help="The target of the release: rpi-arm64, x86_64.")
+    ] = "rpi-arm64",
     wifi: Annotated[
         list[str] | None,
-        typer.Option(metavar="SSID", help="A Wi-Fi network; asks for its passphrase, or FULLSWARM_WIFI_PASSPHRASE."),
+        typer.Option(
+            metavar="SSID", help="Wi-Fi network; prompts for its passphrase unless FULLSWARM_WIFI_PASSPHRASE is set."
+        ),
     ] = None,
     wifi_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Networks and country as TOML; nobody else may read it.")
+        Path | None, typer.Option(metavar="FILE", help="Networks and country as TOML; readable by its owner only.")
     ] = None,
     country: Annotated[
-        str | None, typer.Option(metavar="XX", help="Where the robot is used, e.g. DE: Wi-Fi needs it.")
+        str | None, typer.Option(metavar="XX", help="Country of use, e.g. DE; required for Wi-Fi.")
     ] = None,
     static: Annotated[
         str | None,
-        typer.Option(metavar="ROUTER/PREFIX", help="Fixed addresses: each robot's `host`, router 10.0.0.1/24."),
+        typer.Option(metavar="ROUTER/PREFIX", help="Use static addresses: each robot's `host`, router 10.0.0.1/24."),
     ] = None,
     sha256: Annotated[
-        str | None, typer.Option(metavar="HEX", help="Of the image file; none: from FILE.sha256 beside it.")
+        str | None, typer.Option(metavar="HEX", help="Hash of the image file (default: from FILE.sha256 beside it).")
     ] = None,
     first_boot: Annotated[
-        FirstBoot, typer.Option(help="How the image is set up; auto: by what its boot partition holds.")
+        FirstBoot, typer.Option(help="How the image is configured; auto: by its boot partition.")
     ] = FirstBoot.AUTO,
     yes: Annotated[
-        list[str] | None, typer.Option(metavar="SERIAL", help="Overwrite the card with this serial number; else asks.")
+        list[str] | None,
+        typer.Option(metavar="SERIAL", help="Overwrite the card with this serial number without a prompt."),
     ] = None,
-    max_size: Annotated[int, typer.Option(min=1, metavar="GB", help="A larger device is not taken for a card.")] = 300,
-    wait: Annotated[bool, typer.Option("--wait", help="Until the robots say hello on the fleet's hub.")] = False,
-    minutes: Annotated[float, typer.Option(min=0.01, max=1440, help="How long --wait waits.")] = 15.0,
+    max_size: Annotated[int, typer.Option(min=1, metavar="GB", help="Refuse larger devices.")] = 300,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until the robots report on the fleet's hub.")] = False,
+    minutes: Annotated[float, typer.Option(min=0.01, max=1440, help="Time limit of --wait.")] = 15.0,
     hub: Annotated[
         str | None,
-        typer.Option(envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="For --wait; none: the fleet file's."),
+        typer.Option(
+            envvar="FULLSWARM_HUB", metavar="ENDPOINT", help="The hub for --wait (default: the fleet file's)."
+        ),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(readable=False, metavar="CARD|FILE|DIR", help="Only print what a first boot has left on a card."),
+        typer.Option(readable=False, metavar="CARD|FILE|DIR", help="Print the report of a first boot from a card."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, write no card.")] = False,
     as_json: Json = False,
 ) -> int:
-    """Write cards whose robots need nothing further: first boot, Wi-Fi, software, offline. Also reads their reports.
+    """Flash SD cards for unattended first boot: Wi-Fi and software, offline. Print their reports.
 
-    Exit code 0: written and read back; 1: a card failed; 2: refused; 3: --wait heard nothing.
+    Exit code 0: written and read back; 1: a card failed; 2: refused; 3: --wait received nothing.
     """
     from fullswarm.deploy.flash.plan import FlashRequest
     from fullswarm.deploy.flash.result import print_report

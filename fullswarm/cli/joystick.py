@@ -193,7 +193,7 @@ def _report_problems(pads: tuple[PadState, ...]) -> None:
 
 
 def _choose(states: tuple[PadState, ...], pad: str) -> PadState:
-    """Return the pad meant: by number or GUID, else the only one, else the only unknown one."""
+    """Return the pad to map: by number or GUID, else the only one, else the only unknown one."""
     from fullswarm.operator.joystick import devices
 
     named = [each for number, each in enumerate(states, 1) if pad in (str(number), each.guid)]
@@ -227,7 +227,7 @@ def _ask(pads: Pads, chosen: PadState, runtime: Runtime, patience_s: float | Non
             since_s = now_s
         if _enter_pressed() or (patience_s is not None and now_s - since_s > patience_s):
             wizard.skip()
-        wizard.look(now_s, pads.raw(chosen.id))
+        wizard.update(now_s, pads.raw(chosen.id))
         text = f"{wizard.note}\n{wizard.prompt}" if wizard.note else wizard.prompt
         if text != shown:
             output.progress(text)

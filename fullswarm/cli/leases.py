@@ -66,7 +66,7 @@ def _list(target: Target, as_json: bool) -> int:
 
 
 def duration(seconds: float) -> str:
-    """Return a time as people say it: ``12 s``, ``3 min 05 s``, ``2 h 07 min``."""
+    """Return a time as text: ``12 s``, ``3 min 05 s``, ``2 h 07 min``."""
     whole = int(seconds)
     if whole < 60:
         return f"{whole} s"

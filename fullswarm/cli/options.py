@@ -68,7 +68,7 @@ def robot_ids(names: Iterable[str] | None, *, groups: bool = False) -> tuple[str
     for each in ids:
         if each.startswith(GROUP) and not groups:
             raise ConfigError(
-                f"'{each}' is a group, and this goes straight to the robots, which know no groups",
+                f"'{each}' is a group, and this order goes straight to the robots, which have no groups",
                 hint="name the robots, or none to mean all of them",
             )
         if not ROBOT_ID.match(each.removeprefix(GROUP)):

@@ -106,7 +106,7 @@ def refusal(status: RequestStatus) -> FullswarmError:
         kind = SafetyStop if latched else FullswarmError
         return kind(status.reason, where=status.behaviour)
     # The core's reason mostly ends with what to do; two hints would be one too many.
-    hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` shows what can be asked for"
+    hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` lists the behaviours"
     return RequestRefused(status.reason or "refused without a reason", where=status.behaviour, hint=hint)
 
 
@@ -124,7 +124,7 @@ def settled(status: RequestStatus) -> bool:
 
 
 def status_lines(status: RequestStatus) -> list[str]:
-    """Return a request's status in words, the robots by name."""
+    """Return a request's status as text, the robots by name."""
     robots = ", ".join(status.robots) or "no robot"
     lines = [f"{status.phase} {status.request_id}: {status.behaviour} for {robots}"]
     if status.reason:

@@ -1,4 +1,4 @@
-"""`fullswarm results`: look at, compare, export and report what an experiment left in a folder."""
+"""`fullswarm results`: shows, compares, exports and reports the results of experiments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document.")
 @results_app.command("list")
 @shell_command()
 def list_cells(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="The results folder; else this one.")] = Path(),
+    folder: Annotated[
+        Path, typer.Argument(metavar="[FOLDER]", help="The results folder (default: this folder).")
+    ] = Path(),
     as_json: AsJson = False,
 ) -> int:
     """List the cells of a results folder with counts."""
@@ -44,13 +46,14 @@ def show(
 @shell_command()
 def export(
     folder: Folder,
-    form: Annotated[str, typer.Option("--format", metavar="csv|xlsx|parquet|mat", help="The kind of file.")] = "csv",
+    form: Annotated[str, typer.Option("--format", metavar="csv|xlsx|parquet|mat", help="The file format.")] = "csv",
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Where to; else results.FORMAT in the folder.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write (default: results.FORMAT in the folder)."),
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="A row per trial and quantity instead of per trial.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Write a row per trial and quantity, not per trial.")] = False,
 ) -> int:
-    """Write all figures of all trials as a table; prints the file's name."""
+    """Write all figures of all trials as a table; print the file's name."""
     from fullswarm.evaluate.results import commands as results
 
     return results.export(folder, form, out, long)
@@ -59,10 +62,11 @@ def export(
 @results_app.command("map")
 @shell_command()
 def coverage(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An experiment's, or one trial's.")],
-    trial: Annotated[str, typer.Option("--trial", metavar="ID", help="Which one: how its id begins.")] = "",
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of an experiment or a trial.")],
+    trial: Annotated[str, typer.Option("--trial", metavar="ID", help="The trial, by the start of its id.")] = "",
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Where to; else coverage.pgm in the trial's folder.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write (default: coverage.pgm in the trial's folder)."),
     ] = None,
 ) -> int:
     """Write what a trial's robots have covered as a map: PGM and YAML, as ROS's map_server reads them."""
@@ -80,7 +84,7 @@ def compare(
     by: Annotated[
         str | None, typer.Option("--by", metavar="FIELD", help="Compare within a folder: behaviour, engine, limits, …")
     ] = None,
-    cells: Annotated[bool, typer.Option("--cells", help="Also each cell by itself.")] = False,
+    cells: Annotated[bool, typer.Option("--cells", help="Compare each cell too.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """Compare trials in pairs of the same seed: differences B - A with intervals, effect sizes, tests."""
@@ -93,12 +97,12 @@ def compare(
 @shell_command()
 def report(
     folder: Folder,
-    open_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    open_it: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
     plots: Annotated[
-        Path | None, typer.Option("--plots", metavar="DIR", help="Also write plots (SVG) and tables (Markdown) there.")
+        Path | None, typer.Option("--plots", metavar="DIR", help="Write plots (SVG) and tables (Markdown) there too.")
     ] = None,
 ) -> int:
-    """Write report.html, one self-contained file, into the folder; prints its name."""
+    """Write report.html, one self-contained file, into the folder; print its name."""
     from fullswarm.evaluate.results import commands as results
 
     return results.report(folder, open_it, plots)
@@ -107,7 +111,7 @@ def report(
 @results_app.command()
 @shell_command()
 def index(folder: Folder, as_json: AsJson = False) -> int:
-    """Make the SQLite index anew from the trials' directories. Exit code 1: some cannot be read."""
+    """Rebuild the SQLite index from the trials' directories. Exit code 1: some cannot be read."""
     from fullswarm.evaluate.results import commands as results
 
     return results.index(folder, as_json)

@@ -1,4 +1,4 @@
-"""`fullswarm scenario`: the arenas of the package and those that users bring along."""
+"""`fullswarm scenario`: lists, shows, imports and exports worlds."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import typer
 from fullswarm.cli import completion
 from fullswarm.cli.options import Json, shell_command
 
-scenario_app = typer.Typer(no_args_is_help=True, help="Arenas: list, show, import from other simulators, export.")
+scenario_app = typer.Typer(no_args_is_help=True, help="List, show, import and export worlds.")
 
 Name = Annotated[
     str,
     typer.Argument(
-        metavar="NAME|FILE.toml", help="One of the package, or your own.", autocompletion=completion.scenarios
+        metavar="NAME|FILE.toml", help="A scenario of the package, or a file.", autocompletion=completion.scenarios
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Places random boxes and robots.")]
-Robots = Annotated[int, typer.Option(min=0, max=1000, help="How many stand at their starts.")]
+Robots = Annotated[int, typer.Option(min=0, max=1000, help="Number of robots at their starts.")]
 
 
 @scenario_app.command("list")
@@ -45,14 +45,15 @@ def show(name: Name, seed: Seed = 0, robots: Robots = 4, as_json: Json = False) 
 def import_world(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A world of Gazebo, ARGoS, Stage, Menge or IR-SIM.")],
     form: Annotated[
-        str | None, typer.Option("--format", metavar="sdf|argos|stage|menge|irsim", help="Guessed unless told.")
+        str | None,
+        typer.Option("--format", metavar="sdf|argos|stage|menge|irsim", help="The format (default: from the file)."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.toml", help="Write the scenario here, not to stdout.")
+        Path | None, typer.Option("--out", metavar="FILE.toml", help="Write to this file, not to stdout.")
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """Make a scenario of another simulator's world. Notes say what was left out or approximated."""
+    """Convert another simulator's world to a scenario. Notes name what was omitted or approximated."""
     from fullswarm.evaluate.scenarios import commands as scenario_tasks
 
     return scenario_tasks.import_world(file, form, out, as_json)
@@ -62,13 +63,13 @@ def import_world(
 @shell_command(logs=True)
 def export(
     name: Name,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write; pgm: the .yaml goes beside it.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The file to write; with pgm a .yaml beside it.")],
     form: Annotated[str, typer.Option("--format", metavar="sdf|pgm", help="A Gazebo world, or a ROS map.")] = "sdf",
     robots: Robots = 4,
     seed: Seed = 0,
-    cell: Annotated[float, typer.Option(metavar="METRES", min=0.001, max=10, help="Of the map's cells.")] = 0.05,
+    cell: Annotated[float, typer.Option(metavar="METRES", min=0.001, max=10, help="Size of the map's cells.")] = 0.05,
     driven: Annotated[
-        bool, typer.Option("--driven", help="Robots with wheels and Gazebo's DiffDrive, not plain cylinders.")
+        bool, typer.Option("--driven", help="Write robots with wheels and Gazebo's DiffDrive, not cylinders.")
     ] = False,
 ) -> int:
     """Write a scenario for Gazebo (SDF 1.9), or as a map for ROS (PGM and YAML)."""

@@ -1,14 +1,13 @@
-"""Settings of a swarm: TOML → typed, with every error at once and where it stands.
+"""Settings of a swarm: TOML → typed, with every error at once and its line.
 
-`load_swarm` reads a fleet file. :mod:`~fullswarm.config.models` is the schema; its defaults are what a file need
-not say.
+`load_swarm` reads a fleet file. :mod:`~fullswarm.config.models` is the schema with the defaults.
 
 Files:
 
 ``fleet_file.py``   reads and writes fleet files: all errors at once, each with its file, line and key
 ``models.py``       the schema and its ranges
-``parameter.py``    a parameter of a behaviour: its type, its range, and the check that core and robots make alike
-``toml_errors.py``  says what is wrong in a TOML file and in which line
+``parameter.py``    a parameter of a behaviour: its type, its range, and the check that core and robots share
+``toml_errors.py``  explains what is wrong in a TOML file, and in which line
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class FleetShorthand(Section):
     driver: str = "sim"  # a scheme, or a URL with {id} or {n} in it
 
     def robots(self) -> tuple[RobotConfig, ...]:
-        """Return the robots that the shorthand stands for."""
+        """Return the robots of the shorthand."""
         return tuple(
             RobotConfig(id=f"{self.prefix}{number}", driver=self._url(f"{self.prefix}{number}", number))
             for number in range(1, self.count + 1)
@@ -51,9 +51,9 @@ Check = Callable[[SwarmConfig], Iterable[tuple[str, str, str]]]
 
 
 def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | None = None) -> SwarmConfig:
-    """Read and check a fleet file, then lay `overrides` (``a.b=1``, values as in TOML) over it.
+    """Read and check a fleet file, then apply `overrides` (``a.b=1``, values as in TOML).
 
-    `check` is asked once all else is right; what needs to know the drivers is in :mod:`fullswarm.drivers.fleet_file`.
+    `check` runs once all else is right; the check that needs the drivers is in :mod:`fullswarm.drivers.fleet_file`.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _parse(name: str, text: str) -> Table:
 
 
 class _Document:
-    """A parsed file with its lines, the overrides laid over it and the complaints so far."""
+    """A parsed file with its lines, the overrides applied to it and the problems so far."""
 
     def __init__(self, name: str, data: Table, lines: dict[KeyPath, int]) -> None:
         self._name, self._data, self._lines = name, data, lines
@@ -107,7 +107,7 @@ class _Document:
         self._problems: list[tuple[int, str]] = []  # line, text
 
     def override(self, text: str) -> None:
-        """Lay ``key=value`` over the data; a robot may be named by its id: ``robot.r1.driver=…``."""
+        """Apply ``key=value``; a robot may be named by its id: ``robot.r1.driver=…``."""
         key, equals, raw = text.partition("=")
         parts = [part.strip() for part in key.split(".")]
         label = f"--set {key.strip()}"
@@ -145,45 +145,45 @@ class _Document:
         return path
 
     def check(self, more: Check | None = None) -> SwarmConfig:
-        """Return the settings, or raise all complaints, sorted by line."""
+        """Return the settings, or raise all problems, sorted by line."""
         data = dict(self._data)
         fleet_table = data.pop("fleet", None)
         config = self._validate(SwarmConfig, data, ())
         if config is not None and config.world is not None and data["world"].keys() == {"origin"}:
-            # Real robots have a place on earth, and by that alone no simulated world with its bounds and limits.
+            # An origin alone places real robots on earth; it adds no simulated world with its bounds and limits.
             config = config.model_copy(update={"origin": config.world.origin, "world": None})
         fleet = None if fleet_table is None else self._validate(FleetShorthand, fleet_table, ("fleet",))
         shorthand = () if fleet is None else fleet.robots()
         if fleet and fleet.count > 1 and "://" in fleet.driver and not re.search(r"\{(id|n)\}", fleet.driver):
-            self._complain(("fleet", "driver"), "is the same for every robot: put {id} or {n} into it")
+            self._report(("fleet", "driver"), "is the same for every robot: put {id} or {n} into it")
         self._find_duplicates(data.get("robot"), {each.id: "[fleet]" for each in shorthand})
         if config is not None and (fleet is not None or fleet_table is None):
-            self._find_strangers(config, [each.id for each in (*shorthand, *config.robot)])
+            self._find_unknown_members(config, [each.id for each in (*shorthand, *config.robot)])
         if config is not None:
-            self._find_odd_boxes(config)
+            self._find_wrong_boxes(config)
         if config is not None and not self._problems:
             places: dict[str, KeyPath] = {each.id: ("robot", index) for index, each in enumerate(config.robot)}
             config = config.model_copy(update={"robot": shorthand + config.robot}) if shorthand else config
             for robot, key, what in () if more is None else more(config):
-                self._complain((*places.get(robot, ("fleet",)), key), what)
+                self._report((*places.get(robot, ("fleet",)), key), what)
         if self._problems or config is None:
             lines = dict.fromkeys(text for _, text in sorted(self._problems, key=lambda problem: problem[0]))
             raise ConfigError("\n".join(lines))
         return config
 
-    def _find_odd_boxes(self, config: SwarmConfig) -> None:
-        """Complain of boxes without a size, or without a part in the arena: a slip of the unit or of the order."""
+    def _find_wrong_boxes(self, config: SwarmConfig) -> None:
+        """Report boxes without a size, or wholly outside the arena: a wrong unit or order."""
         world = config.world_or_default
         x_min, y_min, x_max, y_max = world.bounds_m
         for index, (x, y, size_x, size_y, yaw) in enumerate(world.boxes):
             if not (size_x > 0.0 and size_y > 0.0):
-                self._complain(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
+                self._report(("world", "boxes", index), f"has no size ({size_x:g} by {size_y:g} m): {HOW_A_BOX}")
             cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
             reach_x, reach_y = (cos * size_x + sin * size_y) / 2.0, (sin * size_x + cos * size_y) / 2.0
             if x + reach_x <= x_min or x - reach_x >= x_max or y + reach_y <= y_min or y - reach_y >= y_max:
                 arena = ", ".join(f"{each:g}" for each in world.bounds_m)
                 what = f"lies outside the arena, bounds_m = [{arena}]: {HOW_A_BOX}"
-                self._complain(("world", "boxes", index), what)
+                self._report(("world", "boxes", index), what)
 
     def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:
         try:
@@ -192,7 +192,7 @@ class _Document:
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 path, what = explain(details, schema, () if base else ("fleet",))
-                self._complain(base + path, what)
+                self._report(base + path, what)
             return None
 
     def _find_duplicates(self, robots: object, taken: dict[str, str]) -> None:
@@ -201,20 +201,20 @@ class _Document:
             if not isinstance(name, str):
                 continue
             if name in taken:
-                self._complain(("robot", index, "id"), f"'{name}' is already taken by {taken[name]}")
+                self._report(("robot", index, "id"), f"'{name}' is already taken by {taken[name]}")
             else:
                 line = self._lines.get(("robot", index))
                 taken[name] = f"the robot in line {line}" if line else f"robot[{index}]"
 
-    def _find_strangers(self, config: SwarmConfig, robots: list[str]) -> None:
-        """Complain of groups that name robots which the file has not; one without robots leaves them to join."""
+    def _find_unknown_members(self, config: SwarmConfig, robots: list[str]) -> None:
+        """Report groups that name robots missing in the file; a file without robots leaves them to join."""
         for group, members in config.groups.items() if robots else ():
             for index, robot in enumerate(members):
                 if robot not in robots:
                     guess = did_you_mean(robot, robots)
-                    self._complain(("groups", group, index), f"no robot '{robot}' in this file, {guess}")
+                    self._report(("groups", group, index), f"no robot '{robot}' in this file, {guess}")
 
-    def _complain(self, path: KeyPath, what: str) -> None:
+    def _report(self, path: KeyPath, what: str) -> None:
         """Note `what`, at the override that set the value or at the nearest line of the file."""
         key = dotted(path)
         for length in range(len(path), 0, -1):
@@ -241,7 +241,7 @@ def _element(container: object, part: str) -> int | None:
 
 
 def _toml_value(raw: str) -> object:
-    """Read a TOML value; a plain word needs no quotes, which a shell would eat anyway."""
+    """Read a TOML value; a plain word needs no quotes, which a shell would remove."""
     try:
         table = tomllib.loads(f"v = {raw}")
     except tomllib.TOMLDecodeError:

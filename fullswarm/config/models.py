@@ -1,7 +1,4 @@
-"""Settings of a swarm: TOML → typed, with every error at once and where it stands.
-
-`load_swarm` reads a fleet file. The models here are the schema; their defaults are what a file need not say.
-"""
+"""The schema of a fleet file, with its defaults and the ranges that other checks share."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ EXPIRES_S = (0.0, 60.0)
 
 def _robot_id(text: str) -> str:
     if text == TRUTH:
-        raise ValueError(f"'{TRUTH}' cannot name a robot: it is who measures all of them from outside")
+        raise ValueError(f"'{TRUTH}' cannot name a robot: it is the name of the process that measures the true poses")
     return _name(text, "robot")
 
 
@@ -53,7 +50,7 @@ def _bounds(bounds: tuple[float, float, float, float]) -> tuple[float, float, fl
     x_min, y_min, x_max, y_max = bounds
     if not (x_min < x_max and y_min < y_max):
         raise ValueError(
-            f"[{x_min:g}, {y_min:g}, {x_max:g}, {y_max:g}] is no arena: write [x_min, y_min, x_max, y_max]"
+            f"[{x_min:g}, {y_min:g}, {x_max:g}, {y_max:g}] is not an arena: write [x_min, y_min, x_max, y_max]"
         )
     return bounds
 
@@ -62,8 +59,8 @@ def _on_earth(origin: tuple[float, float]) -> tuple[float, float]:
     latitude, longitude = origin
     if not (abs(latitude) <= STEEPEST_DEG and abs(longitude) <= 180.0):
         raise ValueError(
-            f"{latitude:g}, {longitude:g} is no place on earth: latitude (-{STEEPEST_DEG:g} to {STEEPEST_DEG:g}), then "
-            "longitude (-180 to 180), in degrees"
+            f"{latitude:g}, {longitude:g} is not a place on earth: latitude (-{STEEPEST_DEG:g} to {STEEPEST_DEG:g}), "
+            "then longitude (-180 to 180), in degrees"
         )
     return origin
 
@@ -191,9 +188,9 @@ class PerformanceConfig(Section):
 
 
 class NetworkConfig(Section):
-    """How bad the network between the processes is, on purpose: what ``--network`` sets."""
+    """Injected faults of the network between the processes: what ``--network`` sets."""
 
-    conditions: Conditions | None = None  # loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s; None: leave it alone
+    conditions: Conditions | None = None  # loss=20%,delay=100ms±50,partition=r1+r2|*@5s-10s; None: no faults
     seed: int = 0
     since_s: float | None = None  # monotonic clock from which a partition's times count; None: each process's start
 
@@ -239,7 +236,7 @@ class SwarmConfig(Section):
     performance: PerformanceConfig = PerformanceConfig()
     network: NetworkConfig = NetworkConfig()
     robot: tuple[RobotConfig, ...] = ()
-    groups: dict[GroupName, tuple[RobotId, ...]] = {}  # @name stands for these robots wherever robots are named
+    groups: dict[GroupName, tuple[RobotId, ...]] = {}  # @name names these robots wherever robots are named
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -252,7 +249,7 @@ class SwarmConfig(Section):
     def state_cell_m(self) -> float:
         """Size of the cells by which states are published; when the file is silent, cells from 17 robots on.
 
-        All-to-all is cheapest for a few robots; for many, what each hears must not grow with the swarm.
+        All-to-all is cheapest for a few robots; for many, what each receives must not grow with the swarm.
         """
         if self.agent.state_cell_m is not None:
             return self.agent.state_cell_m

@@ -1,4 +1,4 @@
-"""A parameter of a behaviour: its type, its range, and the check that core and robots make alike."""
+"""A parameter of a behaviour: its type, its range, and the check that core and robots share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Kind = Literal["number", "integer", "flag", "word", "point", "points"]
 Raw = bool | int | float | str | list[Any]
 
 HUGE = 10**300
-"""Numbers beyond it (NaN and infinity among them) would not stay finite in a law."""
+"""Numbers beyond it (NaN and infinity among them) would not stay finite in a control law."""
 
 
 class Parameter(Section):
@@ -53,7 +53,7 @@ class Parameter(Section):
         return max(low, -below_huge), min(high, below_huge)
 
     def check(self, name: str, value: object) -> Value:
-        """Return `value` in the parameter's type; ``ValueError`` says what is wrong, with the range."""
+        """Return `value` in the parameter's type; ``ValueError`` names the problem and the range."""
         if self.type == "flag":
             if not isinstance(value, bool):
                 raise ValueError(f"{name} = {value!r} is not a flag: true or false")

@@ -1,7 +1,7 @@
-"""Says what is wrong in a TOML file and in which line: pydantic's errors in plain words, the line of every key.
+"""Explains what is wrong in a TOML file and in which line: pydantic's errors in plain words, the line of every key.
 
 Python's reader and tomlkit both forget the lines of what they read. The scanner here assumes a text that ``tomllib``
-has accepted: it only has to find the parts, not to judge them.
+has accepted: it finds the parts and checks nothing.
 """
 
 from __future__ import annotations

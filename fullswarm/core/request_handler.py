@@ -193,7 +193,7 @@ class RequestHandler:
         now_s = self._scheduler.now_s() + 1e-9
         for state in self._robots.values():
             if now_s >= state.expires_at_s and state.order is not None:
-                self._give_up(state, reason(Code.LAPSED, after_s=f"{state.order.expires_s:g}"))
+                self._give_up(state, reason(Code.NOT_REPEATED, after_s=f"{state.order.expires_s:g}"))
             elif now_s >= state.resend_s and state.present:
                 self._send(state)
 

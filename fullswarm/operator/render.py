@@ -1,4 +1,4 @@
-"""A snapshot of the swarm as a table that people read; it fits 80 columns and says everything in words."""
+"""Draws a snapshot of the swarm as a table of 80 columns; colours only repeat what the text states."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
-"""Width kept free for the holders of the robots."""
+"""Columns left out for the holders of the robots."""
 _HIDDEN = frozenset({"cells", "robots", "elapsed_s"})
-"""Values of a summary that the same line or the table already says in another way."""
+"""Values of a summary that the table or the same line shows in another form."""
 _TRUTH = "truth_"
-"""The same once more as a supervisory process saw it: for results and --json."""
+"""The same values as measured by a supervisory process: for results and --json."""
 _FIRST = ("work", "coverage", "collisions")
 
 
@@ -27,7 +27,7 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
     """Return the swarm as a table: a row per robot, the header above, what concerns all of them below.
 
     Those that need attention come first; with more robots than `max_rows` the rest is counted.
-    Below stand at most `max_lines` lines.
+    At most `max_lines` lines follow the table.
     """
     table = Table(
         title=_title(snapshot),
@@ -64,9 +64,9 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
     """Return what concerns the whole swarm: missing or silent robots, the newest request, summaries."""
     lines = []
     if snapshot.missing:
-        lines.append(f"MISSING, never heard: {_names(snapshot.missing)}")
+        lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
-        lines.append(f"SILENT, heard before: {_names(snapshot.silent)}")
+        lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
     if snapshot.request is not None:
         request = snapshot.request
         reason = f", {request.reason}" if request.reason else ""
@@ -81,7 +81,7 @@ def _title(snapshot: Snapshot) -> str:
     silent = [f"{node.node} SILENT" for node in snapshot.nodes if node.age_s > SILENT_S]
     alive = [node.node for node in snapshot.nodes if node.age_s <= SILENT_S]
     if not any(node.node == "core" for node in snapshot.nodes):
-        silent.insert(0, "NO CORE heard")
+        silent.insert(0, "NO CORE")
     count = len(snapshot.robots)
     robots = f"{count} robot{'' if count == 1 else 's'}"
     parts = [f"swarm {snapshot.swarm}: {robots}", hub, *silent]

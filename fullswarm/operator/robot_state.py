@@ -1,7 +1,7 @@
 """States in a few words what a robot does, whether it needs attention, and what to do about that.
 
-Only a reason with a code gets advice of its own. For all others the driver's own words, which stand beside the advice,
-are all that is known.
+Only a reason with a code gets advice of its own. For all others the driver's own text, which is shown beside the
+advice, is all that is known.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from fullswarm.reasons import DELIBERATE, Code
 
 STANDSTILL_M_S = 0.005
 LOW_BATTERY = 0.2
-UNKNOWN = "Do what its driver says; where that names no cause, the cause is unknown: see the robot's log."
-BARRED = "It is connected, but bars motion: mend what it says, then ask again."
+UNKNOWN = "Follow its driver's message; if that names no cause, see the robot's log."
+PREVENTED = "It is connected, but prevents motion: remove the reported cause, then request again."
 
 _FLOOR = "Put all its wheels on the floor, away from edges."
 _CAUSES: dict[str, str] = {
@@ -26,21 +26,21 @@ _CAUSES: dict[str, str] = {
     Code.MOTORS_OFF: "Release its safety switch.",
 }
 _STOPS: dict[str, str] = _CAUSES | {
-    Code.DRIVER: "Wait a moment; if it stays so, the robot's log says what its driver waits for.",
+    Code.DRIVER: "Wait a moment; if it persists, the robot's log shows what its driver waits for.",
     Code.READING: "No sensor data comes, the cause is unknown: see the robot's log.",
-    Code.HUB: "Bring the hub or its network back; the robot goes on by itself then.",
-    Code.CORE: "See that the core runs and its network is up; the robot goes on by itself then.",
-    Code.STALE: "See that the process which computes this behaviour runs and its network is up.",
+    Code.HUB: "Restart the hub or its network; the robot then continues by itself.",
+    Code.CORE: "Check that the core runs and its network is up; the robot then continues by itself.",
+    Code.STALE: "Check that the process which computes this behaviour runs and its network is up.",
     Code.BATTERY: "Charge it, or drive it there by hand.",
     Code.CLOCK: "Its computer is overloaded or was suspended: close other work there.",
-    Code.POSE: "See that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
+    Code.POSE: "Check that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
     Code.FENCE: "Drive it back by hand, or give it a goal inside the arena.",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class RowState:
-    """What a robot is doing: a word or two, in trouble why, and whether it needs attention."""
+    """What a robot is doing, the reason of a problem, and whether it needs attention."""
 
     word: str
     why: str = ""
@@ -48,7 +48,7 @@ class RowState:
 
     @property
     def text(self) -> str:
-        """Both in one line."""
+        """Return both in one line."""
         return f"{self.word}: {self.why}" if self.why else self.word
 
 
@@ -61,7 +61,7 @@ def row_state(row: RobotRow) -> RowState:
         return RowState("no health report", attention=True)
     if health.fault or health.lifecycle == "FAULT":
         latched = "E-STOP, " if health.estop else ""
-        # A robot that is connected, but bars motion (a charger, a pilot), is stopped, not broken.
+        # A robot that is connected, but prevents motion (a charger, a pilot), is stopped, not faulty.
         word = "FAULT" if health.lifecycle == "FAULT" else "STOPPED"
         return RowState(latched + word, health.fault or "no reason given", attention=True)
     if health.estop:
@@ -85,9 +85,9 @@ def advise(row: RobotRow) -> str:
     """Return what to do about a robot; empty when there is nothing to do."""
     health = row.health
     if row.silent:
-        return "Look whether it has power and network, and whether its agent runs; without its hub it stands by itself."
+        return "Check its power and network, and that its agent runs; without its hub it stops by itself."
     if health is None:
-        return "Only its place is heard: its agent may be starting."
+        return "Only its position is received: its agent may be starting."
     return _of(health)
 
 
@@ -95,9 +95,9 @@ def _of(health: RobotHealth) -> str:
     if health.lifecycle == "FAULT":
         return _CAUSES.get(health.fault_code, UNKNOWN)
     if health.fault:
-        return _CAUSES.get(health.fault_code, BARRED)
+        return _CAUSES.get(health.fault_code, PREVENTED)
     if health.estop:
-        return "Look whether the way is free, then clear the e-stop."
+        return "Check that its surroundings are free, then clear the e-stop."
     if health.stop_reason and (known := _on_stop(health)):
         return known
     if 0.0 <= health.battery < LOW_BATTERY:
@@ -105,14 +105,14 @@ def _of(health: RobotHealth) -> str:
     if health.contacts:
         return "It touches something: drive it back by hand, or move the obstacle."
     if health.pose_note:
-        return "Its pose is doubtful: see that its position source can see it, and that nobody carried it."
+        return "Its pose is uncertain: check that its position source sees it, and that it was not carried."
     if health.filter_note:
         return "The safety filter holds it back: give it more room, or another goal."
     return ""
 
 
 def _on_stop(health: RobotHealth) -> str:
-    """Return what to do about why it stands; empty where one of several causes is not known."""
+    """Return what to do about its stop; empty if one of several causes is not known."""
     if health.stop_code != Code.HAZARD:
         return _STOPS.get(health.stop_code, "")
     found = dict.fromkeys(_CAUSES.get(each, "") for each in health.stop_parameters.get("hazards", "").split())

@@ -1,4 +1,4 @@
-"""A command's connection to a swarm: bus, keys and runtime, with Ctrl-C in order."""
+"""Connects one command to a swarm: bus, keys and runtime, with an orderly Ctrl-C."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NAME = re.compile(r"[^\s,;()]{1,64}\Z")
 
 
 def operator_name(given: str) -> str:
-    """Return the name that an operator chose, if it reads well in ``r1 is held by …``.
+    """Return the name that an operator chose, if it fits into ``r1 is held by …``.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def usual_name() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Which swarm a command talks to, and in whose name; no `hub` means the one on this machine."""
+    """The swarm of a command, and its operator; no `hub` means the one on this machine."""
 
     hub: str | None = None
     swarm: str = "swarm"
@@ -77,12 +77,12 @@ class Session:
         self.runtime.stop()
 
     def run(self, duration_s: float | None = None) -> None:
-        """Serve the bus; Ctrl-C or SIGTERM once ends in order, twice at once.
+        """Serve the bus; the first Ctrl-C or SIGTERM ends in order, the second at once.
 
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C, unless `on_interrupt` says what to do instead.
+            Ctrl-C, unless `on_interrupt` is set.
         """
         interrupted = False
 

@@ -1,4 +1,4 @@
-"""Driving by hand: a stream of short-lived intents, and zero at its end."""
+"""Drives by hand: streams short-lived intents, and zero at the end."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from fullswarm.runtime import Scheduler, Timer
 BEHAVIOUR = "drive"
 RATE_HZ = 20.0
 LEAST_S = 0.02
-"""A moved stick is not sent before the last frame is so old; then at once, not with the next period."""
+"""The least time between frames: a moved stick is sent then, not with the next period."""
 ZERO_FRAMES = 3
 """Zeros sent on release: one may be lost, and the intent expires by itself anyway."""
 REMEMBERED_FRAMES = 20
-"""Frames whose answer may still come; what the core says of older ones no longer matters."""
+"""Frames whose answer may still arrive; answers to older ones are ignored."""
 
 
 class Teleop:
@@ -41,7 +41,7 @@ class Teleop:
         self._operator, self._scheduler, self._on_status = operator, scheduler, on_status
         self._behaviour, self._sticks = BEHAVIOUR, dict[str, float]()
         self._fixed: dict[str, Value] = {}
-        self._told: tuple[str, dict[str, float]] | None = None  # what the newest frame said
+        self._sent: tuple[str, dict[str, float]] | None = None  # behaviour and sticks of the newest frame
         self._recent: deque[PendingRequest] = deque()
         self._sent_s = -math.inf
         self._timer: Timer | None = None
@@ -52,7 +52,7 @@ class Teleop:
         return self._timer is not None
 
     def hold(self, behaviour: str, sticks: Mapping[str, float], fixed: Mapping[str, Value] | None = None) -> None:
-        """Set what is asked for; the first call starts the stream.
+        """Set the intent; the first call starts the stream.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Teleop:
         if self._timer is None:
             self._timer = self._scheduler.every(1.0 / RATE_HZ, self._send)
             self._send()
-        elif (behaviour, self._sticks) != self._told and self._scheduler.now_s() - self._sent_s >= LEAST_S:
+        elif (behaviour, self._sticks) != self._sent and self._scheduler.now_s() - self._sent_s >= LEAST_S:
             self._send()
 
     def release(self, on_done: Callable[[], None] | None = None) -> None:
@@ -79,7 +79,7 @@ class Teleop:
         self._zero(ZERO_FRAMES, on_done)
 
     def _zero(self, left: int, on_done: Callable[[], None] | None) -> None:
-        if self.held:  # taken up again
+        if self.held:  # driving again
             left = 0
         else:
             self._send()
@@ -91,7 +91,7 @@ class Teleop:
     def _send(self) -> None:
         if len(self._recent) >= REMEMBERED_FRAMES:
             self._operator.forget(self._recent.popleft())
-        self._sent_s, self._told = self._scheduler.now_s(), (self._behaviour, dict(self._sticks))
+        self._sent_s, self._sent = self._scheduler.now_s(), (self._behaviour, dict(self._sticks))
         self._recent.append(
             # The next frame replaces this one, so nothing is sent twice.
             self._operator.request(

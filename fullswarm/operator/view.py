@@ -1,4 +1,4 @@
-"""What an operator can see of a swarm: the newest of everything, with its age."""
+"""Collects what a swarm publishes: the newest of everything, with its age."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestSt
 from fullswarm.runtime import Scheduler
 
 SILENT_S = 2.0
-"""Four health reports lost: the robot, its link or its hub is gone."""
+"""Four health reports: the robot, its link or its hub is lost."""
 
 LEASES_S = 3.0
-"""The core says them each second; older ones have expired or will, and which is not known."""
+"""The core reports them each second; older ones may have expired."""
 
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
@@ -73,12 +73,12 @@ class Snapshot:
 
     def only(self, robots: Iterable[str]) -> Snapshot:
         """Return the same of these robots alone; what concerns all of them stays."""
-        wanted = frozenset(robots)
+        chosen = frozenset(robots)
         return replace(
             self,
-            robots=tuple(row for row in self.robots if row.robot in wanted),
-            missing=tuple(robot for robot in self.missing if robot in wanted),
-            leases=tuple(lease for lease in self.leases if lease.robot in wanted),
+            robots=tuple(row for row in self.robots if row.robot in chosen),
+            missing=tuple(robot for robot in self.missing if robot in chosen),
+            leases=tuple(lease for lease in self.leases if lease.robot in chosen),
         )
 
     @property
@@ -105,13 +105,13 @@ class FleetView:
 
     Attributes
     ----------
-    states_heard : messages with states so far; unchanged: nothing has moved on
+    states_received : messages with states so far
     """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, expected: Iterable[str] = ()) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._expected = tuple(expected)
-        self.states_heard = 0
+        self.states_received = 0
         self._health: dict[str, tuple[float, RobotHealth, HealthReport]] = {}
         self._states: dict[str, tuple[float, tuple[float, float, float, float, float]]] = {}
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
@@ -138,19 +138,19 @@ class FleetView:
     def snapshot(self) -> Snapshot:
         """Return the swarm as it is known now."""
         now_s = self._scheduler.now_s()
-        heard = self.robots()
+        received = self.robots()
         addressed = self._request.missing if self._request is not None else ()
         return Snapshot(
             swarm=self._keys.swarm,
             connected=self._bus.connected(),
-            robots=tuple(self._row(robot, now_s) for robot in heard),
+            robots=tuple(self._row(robot, now_s) for robot in received),
             nodes=tuple(
                 NodeRow(node, now_s - arrived_s, beat.active, beat.process)
                 for node, (arrived_s, beat) in sorted(self._nodes.items())
             ),
             summaries=tuple(self._summaries[metric] for metric in sorted(self._summaries)),
             request=self._request,
-            missing=tuple(sorted({*self._expected, *addressed}.difference(heard))),
+            missing=tuple(sorted({*self._expected, *addressed}.difference(received))),
             leases=self._leases[1] if now_s - self._leases[0] <= LEASES_S else (),
         )
 
@@ -182,7 +182,7 @@ class FleetView:
 
     def _on_states(self, states: RobotStates) -> None:
         now_s = self._scheduler.now_s()
-        self.states_heard += 1
+        self.states_received += 1
         kinematics = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.radius_m)
         for robot, *state in zip(states.robots, *kinematics, strict=False):
             x_m, y_m, heading_rad, speed_m_s, radius_m = state

@@ -97,7 +97,7 @@ def test_a_selection_that_nobody_has_heard_starts_nobody(calm: Console, observer
     calm.page.reload()
     calm.until(lambda: len(calm.state["robots"]) == 8, 10.0, "the others are there")
     calm.start("flocking_bc")
-    expect(calm.named("refusal")).to_contain_text("none of them has been heard")
+    expect(calm.named("refusal")).to_contain_text("none of them has reported yet")
     observer.rest(1.0)
     assert observer.all_stand_with(""), "none named must not become all"
 

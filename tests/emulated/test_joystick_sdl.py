@@ -181,7 +181,7 @@ def walk(pads: Pads, pad: VirtualPad) -> Wizard:
             wizard.skip()
         pads.poll()
         now_s += 0.01
-        wizard.look(now_s, pads.raw(pad.id))
+        wizard.update(now_s, pads.raw(pad.id))
     assert wizard.done
     return wizard
 

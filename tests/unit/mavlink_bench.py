@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Limits, Pose, Twist
+from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import StreamParser, decode, decoded_ids
-from fullswarm.drivers.mavlink.protocol import StatusText
+from fullswarm.drivers.mavlink.protocol import Mode, StatusText
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
 from fullswarm.emulators.mavlink.firmware import Firmware
@@ -24,6 +25,9 @@ class Bench:
     """A session on a wire that may be cut."""
 
     READY_S: ClassVar[float]
+    HOLD: ClassVar[int]
+    DRIVEN: ClassVar[int]
+    rover: Firmware | Px4Firmware
 
     def __init__(self, clock: SimClock, body: FreeBody, session: Session) -> None:
         self.clock, self.body, self.session = clock, body, session
@@ -35,6 +39,15 @@ class Bench:
         return self.clock.now_s()
 
     def step(self) -> None:
+        raise NotImplementedError
+
+    def pilot(self, mode: int) -> None:
+        """Change the mode as a pilot does by remote control."""
+        raise NotImplementedError
+
+    @property
+    def setpoint_m_s(self) -> float:
+        """The speed that the newest set-point asks for."""
         raise NotImplementedError
 
     def hear(self, messages: Iterable[Any]) -> None:
@@ -79,6 +92,8 @@ class ArduBench(Bench):
     """With ArduPilot, over a wire that may lose frames."""
 
     READY_S = 60.0
+    HOLD, DRIVEN = Mode.HOLD, Mode.GUIDED
+    rover: Firmware
 
     def __init__(self, boot_s: float = 0.2, loss: float = 0.0, loop_hz: float = 50.0) -> None:
         clock = SimClock(100.0)
@@ -97,6 +112,13 @@ class ArduBench(Bench):
             for message in self._pass(frame, self._up):
                 self.rover.receive(message, self.now_s)
 
+    def pilot(self, mode: int) -> None:
+        self.rover.pilot_mode(mode, self.now_s)
+
+    @property
+    def setpoint_m_s(self) -> float:
+        return self.rover.setpoints[-1].speed_m_s
+
     def _pass(self, frame: bytes, parser: StreamParser) -> list[object]:
         if self.cut or self._random.random() < self._loss:
             return []
@@ -107,6 +129,8 @@ class Px4Bench(Bench):
     """With PX4, which may be deaf."""
 
     READY_S = 10.0
+    HOLD, DRIVEN = px4.HOLD, px4.OFFBOARD
+    rover: Px4Firmware
 
     def __init__(self, **options: Any) -> None:
         clock = SimClock(100.0)
@@ -124,3 +148,10 @@ class Px4Bench(Bench):
         for frame in self.session.tick(self.now_s):
             for message in [] if self.cut or self.deaf else self._up.feed(frame):
                 self.rover.receive(message, self.now_s)
+
+    def pilot(self, mode: int) -> None:
+        self.rover.pilot_mode(mode)
+
+    @property
+    def setpoint_m_s(self) -> float:
+        return self.rover.setpoints[-1].forward_m_s

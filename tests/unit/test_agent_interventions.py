@@ -1,14 +1,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from fullswarm import kernels
 from fullswarm.agent.motion.robot_controller import StopReason
+from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.safety.barrier import Arena
 from fullswarm.agent.safety.filter import BLIND, EXPLAIN
-from fullswarm.agent.telemetry.interventions import EDGE, LEAST_M_S, NOTHING, OBSTACLE, PERIOD_S, ROBOT, blame
+from fullswarm.agent.telemetry.interventions import EDGE, LEAST_M_S, NOTHING, OBSTACLE, PERIOD_S, ROBOT, Blamed, blame
 from fullswarm.messages import Interventions
 from tests.unit.agent_bench import Bench
 from tests.unit.test_safety_silence import go, one_filter, state, table
@@ -129,15 +132,16 @@ ARENA = np.array([0.0, 0.0, 10.0, 10.0])
 
 def blamed(
     change: tuple[float, float], others: list[tuple[float, float]], boxes: np.ndarray = NO_BOXES, at: float = 5.0,
-    run: object = blame,
+    run: Callable[..., None] = blame,
 ) -> tuple[int, int, object]:  # fmt: skip
     places = np.array(others, float).reshape(-1, 2)
     heard = np.full((len(places), 6), 0.1)
     kind, which, gap = np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1)
-    assert callable(run)
+    zeros = np.zeros(len(places))
+    near = Nearby(np.array([0, len(places)]), np.arange(len(places)), places, heard, zeros, zeros, zeros)
     run(
-        np.zeros(1, np.int64), np.array([change]), np.array([[at, 5.0, 0.0]]), np.array([0.1]),
-        np.array([0, len(places)]), np.arange(len(places)), places, heard, boxes, 3.0, ARENA, kind, which, gap,
+        np.zeros(1, np.int64), np.array([change]), np.array([[at, 5.0, 0.0]]), np.array([0.1]), near,
+        Arena(boxes, ARENA), 3.0, Blamed(kind, which, gap),
     )  # fmt: skip
     return int(kind[0]), int(which[0]), float(gap[0])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import osqp
@@ -17,7 +18,7 @@ from fullswarm.agent.behaviours import voronoi_coverage
 from fullswarm.agent.motion.robot_controller import decide
 from fullswarm.agent.neighbours import estimates
 from fullswarm.agent.safety import barrier
-from fullswarm.agent.safety.filter import guard
+from fullswarm.agent.safety.filter import Filtered, Measured, Requested, RobotParams, Tuning, guard
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -59,7 +60,8 @@ def test_projection_equals_osqp(seed: int, count: int) -> None:
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     limits = np.maximum(rng.uniform(-0.3, 1.0, count), 0.0)
     wish = rng.uniform(-1.0, 1.0, 2)
-    x, y = barrier.project(wish[0], wish[1], normals[:, 0], normals[:, 1], limits, count)
+    planes = barrier.HalfPlanes(normals[:, 0], normals[:, 1], limits, np.zeros(count), np.zeros(count))
+    x, y = barrier.project(wish[0], wish[1], planes, count)
     assert (normals @ [x, y] <= limits + 1e-9).all()
     solver = osqp.OSQP()
     solver.setup(
@@ -113,7 +115,7 @@ def test_the_gap_to_a_box_equals_shapelys(seed: int) -> None:
     assert math.hypot(nx, ny) == pytest.approx(1.0)
 
 
-def _guard(seed: int, run: object) -> np.ndarray:
+def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
     rng = np.random.default_rng(seed)
     count = 6
     pose = np.concatenate([rng.uniform(0.5, 4.5, (count, 2)), rng.uniform(-3, 3, (count, 1))], axis=1)
@@ -122,13 +124,15 @@ def _guard(seed: int, run: object) -> np.ndarray:
     start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
     estimates.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
     twists, deviation, zeros = np.zeros((count, 2)), np.zeros((count, 4)), np.zeros(count)
-    assert callable(run)
     run(
-        0.0, 0.02, 0.02, 1.0, 3.0, 3.0, rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), pose,
-        np.zeros((count, 2)), zeros, np.full(count, 2.0), np.full(count, 0.03), start, other, places, heard, zeros,
-        zeros, np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), twists,
-        np.tile([0.17, 0.5, -0.5, 4.0, 2.0, 20.0, 0.0, 0.0], (count, 1)), np.array([0.0, 0.0, 5.0, 5.0]), deviation,
-        np.zeros(count, np.int64), *np.empty((5, barrier.MAX_ROWS)),
+        0.0, 0.02, Tuning(period_s=0.02, reach_m=3.0, speed_gain=1.0, turn_gain_per_s=3.0),
+        Measured(pose, np.zeros((count, 2)), zeros),
+        RobotParams(*(np.full(count, each) for each in (0.17, 0.5, -0.5, 4.0, 2.0, 20.0, 0.0, 0.0))),
+        Requested(rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), np.full(count, 2.0), np.full(count, 0.03)),
+        estimates.Nearby(start, other, places, heard, zeros, zeros, zeros),
+        barrier.Arena(np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0])),
+        Filtered(twists, deviation, np.zeros(count, np.int64)),
+        barrier.HalfPlanes(*np.empty((5, barrier.MAX_ROWS))),
     )  # fmt: skip
     return np.hstack([twists, deviation])
 

@@ -90,19 +90,19 @@ def test_an_older_message_does_not_undo_a_newer_one_but_a_restarted_host_is_hear
     table = Neighbours(("me",), timeout_s=1.0)
     table.hear(states("a", 5, 1.0, a=(2.0, 0.0)), 1.0)
     table.hear(states("a", 4, 0.9, a=(9.0, 0.0)), 1.1)
-    assert table.heard[0, 0] == 2.0
+    assert table.states[0, 0] == 2.0
     table.hear(states("a", 1, 3.0, a=(4.0, 0.0)), 3.0)
-    assert table.heard[0, 0] == 4.0
+    assert table.states[0, 0] == 4.0
 
 
 def test_a_robot_whose_computer_has_booted_is_heard_at_its_new_place() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
     table.hear(states("a", 9000, 900.0, a=(5.0, 0.0)), 10.0)
     table.hear(states("a", 8999, 899.9, a=(6.0, 0.0)), 10.9)
-    assert table.heard[0, 0] == 5.0
+    assert table.states[0, 0] == 5.0
     table.hear(states("a", 1, 12.0, a=(1.0, 0.0)), 40.0)
     table.hear(states("a", 2, 12.1, a=(1.1, 0.0)), 40.1)
-    assert table.heard[0, 0] == 1.1
+    assert table.states[0, 0] == 1.1
 
 
 def test_the_table_grows_with_the_swarm() -> None:
@@ -174,7 +174,7 @@ def test_what_a_stranger_says_wrongly_is_not_heard() -> None:
     table.hear(msgspec.structs.replace(states("b", 1, 0.0, b=(1.0, 0.0), c=(1.0, 1.0)), y_m=(0.0, math.nan)), 0.0)
     table.look(0.0)
     start, other = table.within(np.array([[0.0, 0.0]]), 3.0)
-    assert table.heard[other[: start[-1]], 0].tolist() == [1.0]
+    assert table.states[other[: start[-1]], 0].tolist() == [1.0]
 
 
 def test_a_host_may_say_its_cells_one_after_the_other() -> None:

@@ -183,7 +183,7 @@ def test_the_table_tells_teams_apart() -> None:
     assert found(6) == {"c"}
     assert found(7) == set()
     assert found(0) == {"a", "b", "c", "d"}
-    start, _ = table.around(here, 3.0)
+    start = table.around(here, 3.0).start
     assert start.tolist() == [0, 4]
     table.hear(states("a", 2, 0.1, a=(1.0, 0.0)), 0.1)  # it has ended what it ran
     table.look(0.1)

@@ -410,7 +410,7 @@ def test_loopback_is_open_to_all(host: str) -> None:
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.1.5", "robot7.local", "[::ffff:10.0.0.1]", "127.1"])
 def test_the_network_needs_a_deliberate_word(host: str) -> None:
     endpoint = f"tcp/{host}:7447"
-    with pytest.raises(ConfigError, match="anybody on that network could drive the robots") as caught:
+    with pytest.raises(ConfigError, match="any computer on that network could drive the robots") as caught:
         Hub(endpoint)
     assert "--insecure-network" in caught.value.hint
     Hub(endpoint, insecure_network=True)

@@ -13,13 +13,17 @@ from fullswarm.cli.main import app
 from fullswarm.operator import session
 
 MISTAKES = [
-    ("status", 3, "no hub answers (start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub)"),
+    (
+        "status",
+        3,
+        "no hub answers (start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub)",
+    ),
     ("status --hub localhost:7447", 2, f"is not the address of a hub (write tcp/<host>:<port>, like {DEFAULT_HUB})"),
     ("status --swarm a.b", 2, "'a.b' cannot name a swarm (use letters, digits"),
     ("request flocking --set goal", 2, "--set: 'goal' is not key=value (e.g. --set speed=0.3)"),
     ("request flocking --set goal=[1", 2, "--set goal: '[1' does not end (check brackets and quotes)"),
     ("request flocking --robots r1;r2", 2, "'r1;r2' cannot name a robot (e.g. --robots r1,r2)"),
-    ("stop @scouts", 2, "'@scouts' is a group, and this goes straight to the robots"),
+    ("stop @scouts", 2, "'@scouts' is a group, and this order goes straight to the robots"),
     (
         "up nothere.toml",
         2,
@@ -38,7 +42,7 @@ MISTAKES = [
     ("experiment trial nothere", 2, "nothere: cannot read the trial: No such file or directory (name a trial.toml"),
     ("results list .", 2, "not a results folder: it has no directory 'trials' (fullswarm experiment run NAME --out"),
     ("demo --network loss=2", 2, "'2' is not a share (write 0% to 100%"),
-    ("hub --listen tcp/0.0.0.0:17598", 2, "anybody on that network could drive the robots"),
+    ("hub --listen tcp/0.0.0.0:17598", 2, "any computer on that network could drive the robots"),
     ("fixes --listen 127.0.0.1", 2, "expected HOST:PORT (like 127.0.0.1:9870)"),
     ("init .", 2, "is not empty"),
     ("requst flocking", 2, "Did you mean 'request'"),

@@ -93,8 +93,8 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     ("fields", "said"),
     [
         ({"fault": "/dev/ttyUSB0: not activated", "fault_code": Code.CHARGER}, "Take it off its charger."),
-        ({"fault": "the charger is plugged in"}, robot_state.BARRED),
-        ({"fault": "one that a newer version knows", "fault_code": "flood"}, robot_state.BARRED),
+        ({"fault": "the charger is plugged in"}, robot_state.PREVENTED),
+        ({"fault": "one that a newer version knows", "fault_code": "flood"}, robot_state.PREVENTED),
         ({"fault": "axis 3: WATCHDOG_TIMER_EXPIRED", "lifecycle": "FAULT"}, robot_state.UNKNOWN),
         ({"fault": "the port is in use by pid 7", "lifecycle": "FAULT"}, robot_state.UNKNOWN),
         ({"fault": "no such battery message", "lifecycle": "FAULT"}, robot_state.UNKNOWN),

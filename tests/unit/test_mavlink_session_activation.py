@@ -52,43 +52,6 @@ def test_deactivate_while_arming_ends_disarmed() -> None:
     assert bench.session.lifecycle is Lifecycle.READY
 
 
-def test_a_refused_arm_is_told_in_the_firmware_s_words_and_not_hammered() -> None:
-    bench = ArduBench()
-    bench.ready()
-    bench.rover.refuse_arm = "Throttle (RC3) is not neutral"
-    bench.run(5.0, bench.insist)
-    assert "Arm: Throttle (RC3) is not neutral" in bench.session.fault
-    assert bench.session.lifecycle is Lifecycle.READY
-    assert 2 <= sum(text.startswith("Arm:") for text in bench.texts) <= 6
-    assert not bench.rover.setpoints
-    bench.rover.refuse_arm = ""
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
-    assert bench.session.fault == ""
-
-
-@pytest.mark.parametrize("mode", [Mode.MANUAL, Mode.HOLD, Mode.LOITER])
-def test_a_pilot_is_not_fought_until_he_hands_back(mode: Mode) -> None:
-    bench = ArduBench()
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
-    bench.run(1.0, bench.insist)
-    bench.rover.pilot_mode(mode, bench.now_s)
-    bench.run(0.2, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.READY
-    assert mode.name in bench.session.fault
-    reading = bench.session.reading()
-    assert reading is not None
-    assert reading.hazards & Hazard.ESTOP_BUTTON
-    count = len(bench.rover.setpoints)
-    bench.run(5.0, bench.insist)
-    assert (bench.rover.mode, bench.rover.armed) == (mode, True)
-    assert len(bench.rover.setpoints) == count
-    bench.rover.pilot_mode(Mode.GUIDED, bench.now_s)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
-    after = bench.session.reading()
-    assert after is not None
-    assert not after.hazards & Hazard.ESTOP_BUTTON
-
-
 def test_after_a_take_over_a_new_wish_is_honoured() -> None:
     bench = ArduBench()
     bench.active()

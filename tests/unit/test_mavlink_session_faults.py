@@ -28,19 +28,6 @@ def test_after_a_cut_it_is_ready_within_two_seconds_never_active_and_disarmed_fi
     assert (bench.rover.armed, bench.drive()) == (False, STAND)
 
 
-def test_position_lost_is_a_fault_with_a_stop_and_comes_back_ready() -> None:
-    bench = ArduBench()
-    bench.active()
-    bench.run(1.0, bench.drive)
-    bench.rover.located = False
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 1.2, bench.drive)
-    bench.until(lambda: not bench.rover.armed and bench.rover.mode == Mode.HOLD, 5.0, bench.drive)
-    bench.rover.located = True
-    bench.ready()
-    bench.run(1.0, bench.drive)
-    assert bench.session.lifecycle is Lifecycle.READY
-
-
 def test_attitude_lost_while_driving_is_a_fault_although_heartbeats_go_on() -> None:
     bench = ArduBench()
     bench.active()
@@ -67,23 +54,6 @@ def test_a_link_lost_for_long_stops_the_rover_by_its_own_failsafe_and_comes_back
     bench.cut = False
     bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, each=bench.drive)
     assert (bool(bench.rover.failsafe), bool(bench.rover.armed)) == (False, False)
-
-
-def test_a_restart_is_a_fault_and_the_rates_are_asked_again() -> None:
-    bench = ArduBench()
-    bench.active()
-    bench.run(2.0, bench.drive)
-    before = bench.session.reading()
-    assert before is not None
-    bench.rover.power_on(bench.now_s)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 2.5, bench.drive)
-    bench.ready()
-    stamps = set()
-    bench.run(1.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
-    assert len(stamps) > 15
-    after = bench.session.reading()
-    assert after is not None
-    assert after.odometry.x_m == pytest.approx(before.odometry.x_m, abs=0.3)
 
 
 def beat(bench: ArduBench, kind: int, autopilot: int, mode: int = 0, component: int = 1) -> None:

@@ -240,9 +240,7 @@ def test_a_refusal_is_one_line_with_reason_and_hint(swarm: FakeSwarm) -> None:
     result = run("request", "floking")
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert result.stderr == (
-        "error: floking: no behaviour 'floking' (`fullswarm behaviours` shows what can be asked for)\n"
-    )
+    assert result.stderr == ("error: floking: no behaviour 'floking' (`fullswarm behaviours` lists the behaviours)\n")
 
 
 def test_a_silent_core_is_exit_code_3(swarm: FakeSwarm) -> None:
@@ -259,7 +257,7 @@ def test_no_hub_is_exit_code_3(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.exit_code == 3
     assert result.stderr == (
         "error: tcp/127.0.0.1:9: no hub answers "
-        "(start a swarm with `fullswarm up FLEET.toml`, or say where its hub is with --hub)\n"
+        "(start a swarm with `fullswarm up FLEET.toml`, or give the address of its hub with --hub)\n"
     )
 
 
@@ -343,7 +341,7 @@ def test_ctrl_c_is_how_watching_ends(swarm: FakeSwarm, args: tuple[str, ...]) ->
 def test_status_is_a_table_or_json(swarm: FakeSwarm) -> None:
     result = run("status")
     assert result.exit_code == 0
-    assert result.stdout.startswith("swarm lab: 2 robots, hub connected, NO CORE heard")
+    assert result.stdout.startswith("swarm lab: 2 robots, hub connected, NO CORE")
     assert max(map(len, result.stdout.splitlines())) <= 80
     found = json.loads(run("status", "--json").stdout)
     assert [robot["robot"] for robot in found["robots"]] == ["r1", "r2"]
@@ -352,7 +350,7 @@ def test_status_is_a_table_or_json(swarm: FakeSwarm) -> None:
 def test_some_robots_or_a_group_can_be_looked_at(swarm: FakeSwarm) -> None:
     text = run("status", "--robots", "r2,r7").stdout
     assert [line.split()[0] for line in text.splitlines()[2:3]] == ["r2"]
-    assert "MISSING, never heard: r7" in text
+    assert "MISSING, never reported: r7" in text
     robots = json.loads(run("status", "--robots", "@scouts", "--json").stdout)["robots"]
     assert [robot["robot"] for robot in robots] == ["r1"]
     wrong = run("status", "--robots", "@scout")

@@ -200,8 +200,8 @@ def test_the_table_says_all_of_it_in_80_columns() -> None:
         "                                                        heartbeat is silent",
         "r3    -                -      -      -     -  12.0    0 SILENT for 12 s",
         "r1    flocking_bc   1.00  -2.50     90  0.25   0.1    0 moving",
-        "MISSING, never heard: r4",
-        "SILENT, heard before: r3",
+        "MISSING, never reported: r4",
+        "SILENT, no longer reporting: r3",
         "request ab12: flocking_bc running",
         "coverage: 25.4% of the area, area 101.60 m²",
         "work: total 12.35 m; finished: 60 s are over",
@@ -210,7 +210,7 @@ def test_the_table_says_all_of_it_in_80_columns() -> None:
 
 def test_an_empty_swarm_says_what_is_not_there() -> None:
     text = text_of(Snapshot("lab", connected=False))
-    assert text.splitlines()[0].rstrip() == "swarm lab: 0 robots, HUB LOST, NO CORE heard"
+    assert text.splitlines()[0].rstrip() == "swarm lab: 0 robots, HUB LOST, NO CORE"
 
 
 def test_a_long_table_shows_trouble_first_and_counts_the_rest() -> None:
@@ -276,4 +276,4 @@ def test_what_is_said_twice_is_not_shown_and_a_share_is_named_right() -> None:
 
 def test_trouble_stays_on_a_small_screen() -> None:
     lines = [line.rstrip() for line in text_of(full_snapshot(), max_rows=3, max_lines=2).splitlines()]
-    assert lines[-2:] == ["MISSING, never heard: r4", "SILENT, heard before: r3"]
+    assert lines[-2:] == ["MISSING, never reported: r4", "SILENT, no longer reporting: r3"]

@@ -15,8 +15,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm import kernels
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.safety.barrier import box_gap
-from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, TOO_FAST, SafetyFilter
+from fullswarm.agent.safety.filter import (
+    EXPLAIN,
+    LIMITED,
+    TOO_FAST,
+    Measured,
+    Requested,
+    SafetyFilter,
+    Tuning,
+    robot_params,
+)
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.mavlink.settings import LIMITS as ROVER
 from fullswarm.emulators.mavlink.rover.dynamics import Motors
@@ -24,8 +34,10 @@ from fullswarm.emulators.mavlink.rover.dynamics import Motors
 RADIUS_M, MARGIN_M, PERIOD_S, LOOKS = 0.17, 0.03, 0.02, 10
 BOUNDS = np.array([0.0, 0.0, 6.0, 6.0])
 THINGS = np.array([[2.0, 2.0, 0.5, 0.3, 0.7, 0.0], [4.5, 3.0, 0.4, 0.4, 0.0, 0.0], [3.0, 5.0, 0.0, 0.0, 0.0, 0.3]])
-NOBODY = np.zeros(2, np.int64), np.zeros(1, np.int64)
-NOTHING_HEARD = np.zeros((1, 2)), np.zeros((1, 6)), np.zeros(1), np.zeros(1)
+NO_NEIGHBOURS = Nearby(
+    np.zeros(2, np.int64), np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 6)), np.zeros(1), np.zeros(1),
+    np.zeros(1),
+)  # fmt: skip
 
 PAPER = Limits(4.0, math.pi / 4, 8.0, 20.0)
 CREATE = Limits(0.5, 4.25, 2.0, 20.0)
@@ -55,10 +67,11 @@ class Body:
 
     def __post_init__(self) -> None:
         limits, self.motion, self.twist = self.limits, np.zeros((1, 2)), np.zeros((1, 2))
-        self.filter = SafetyFilter(
-            ("r",), (Description("any", "any", RADIUS_M, limits),), np.array([limits.speed_m_s]),
-            np.array([limits.turn_rad_s]), np.array([True]), PERIOD_S, 3.0, BOUNDS, (1.0, 3.0),
+        robots = robot_params(
+            (Description("any", "any", RADIUS_M, limits),), np.array([limits.speed_m_s]),
+            np.array([limits.turn_rad_s]), np.array([True]),
         )  # fmt: skip
+        self.filter = SafetyFilter(("r",), robots, Tuning(PERIOD_S, 3.0, 1.0, 3.0), BOUNDS)
         self.gain = np.array([min(2.0, limits.accel_m_s2 / limits.speed_m_s)])
         self.tick = 0
         self.verdicts: set[int] = set()
@@ -68,10 +81,9 @@ class Body:
         now_s = self.tick * PERIOD_S
         planar = np.array([wish if twist is None else (math.nan, math.nan)])
         self.twist[0] = twist or (0.0, 0.0)
-        self.filter.apply(
-            now_s, planar, np.array([self.filtered]), self.pose, self.motion, np.array([now_s]), self.gain,
-            np.array([MARGIN_M]), NOBODY, NOTHING_HEARD, THINGS, self.twist,
-        )  # fmt: skip
+        requested = Requested(planar, np.array([self.filtered]), self.gain, np.array([MARGIN_M]))
+        measured = Measured(self.pose, self.motion, np.array([now_s]))
+        self.filter.apply(now_s, requested, measured, NO_NEIGHBOURS, THINGS, self.twist)
         self.tick += 1
         self.verdicts.add(int(self.filter.verdict[0]))
         self._obey()

@@ -46,13 +46,17 @@ def by_osqp(wish: Array, normals: Array, limits: Array) -> Array | None:
     return np.asarray(answer.x, float) if answer.info.status == "solved" else None
 
 
+def planes(normals: np.ndarray, limits: np.ndarray, blur: float = 0.0) -> barrier.HalfPlanes:
+    return barrier.HalfPlanes(normals[:, 0], normals[:, 1], limits, np.full(len(limits), blur), np.zeros(len(limits)))
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from(SHAPES))
 @settings(max_examples=300, deadline=None)
 def test_the_projection_is_osqps_answer(seed: int, count: int, shape: str) -> None:
     rng = np.random.default_rng(seed)
     normals, limits = half_planes(rng, count, shape)
     wish = rng.uniform(-1.0, 1.0, 2)
-    found = np.array(barrier.project(wish[0], wish[1], normals[:, 0], normals[:, 1], limits, count))
+    found = np.array(barrier.project(wish[0], wish[1], planes(normals, limits), count))
     assert (normals @ found <= limits + 1e-9).all()
     assert np.hypot(*found) <= np.hypot(*wish) + 1e-9  # zero is allowed, so no answer is longer than the wish
     reference = by_osqp(wish, normals, limits)
@@ -71,7 +75,7 @@ def test_the_answer_satisfies_the_conditions_of_optimality(seed: int, count: int
     rng = np.random.default_rng(seed)
     normals, limits = half_planes(rng, count, shape)
     wish = rng.uniform(-1.0, 1.0, 2)
-    found = np.array(barrier.project(wish[0], wish[1], normals[:, 0], normals[:, 1], limits, count))
+    found = np.array(barrier.project(wish[0], wish[1], planes(normals, limits), count))
     # The variational inequality: nothing allowed lies further along the rest of the wish.
     rest = wish - found
     for scale in (0.0, 0.3, 1.0):
@@ -83,7 +87,7 @@ def test_the_answer_satisfies_the_conditions_of_optimality(seed: int, count: int
 
 def test_what_is_allowed_is_not_touched() -> None:
     normals, limits = np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.5, 0.5])
-    assert barrier.project(0.3, -0.9, normals[:, 0], normals[:, 1], limits, 2) == (0.3, -0.9)
+    assert barrier.project(0.3, -0.9, planes(normals, limits), 2) == (0.3, -0.9)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from(SHAPES), st.floats(0.0, 2.0))
@@ -93,9 +97,7 @@ def test_standing_is_always_in_the_interval(seed: int, count: int, shape: str, b
     normals, limits = half_planes(rng, count, shape)
     heading = rng.uniform(-math.pi, math.pi)
     ahead = np.array([math.cos(heading), math.sin(heading)])
-    low, high = barrier.interval(
-        ahead[0], ahead[1], -0.5, 0.5, normals[:, 0], normals[:, 1], limits, np.full(count, blur), count
-    )
+    low, high = barrier.interval(ahead[0], ahead[1], -0.5, 0.5, planes(normals, limits, blur), count)
     assert -0.5 <= low <= 0.0 <= high <= 0.5
     for speed in (low, high):
         assert (normals @ ahead * speed + abs(speed) * blur <= limits + 1e-9).all()

@@ -11,7 +11,17 @@ from hypothesis import strategies as st
 
 from fullswarm.agent.neighbours import estimates
 from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
-from fullswarm.agent.safety.filter import BLIND, CROWDED, EXPLAIN, FREE, SafetyFilter
+from fullswarm.agent.safety.filter import (
+    BLIND,
+    CROWDED,
+    EXPLAIN,
+    FREE,
+    Measured,
+    Requested,
+    SafetyFilter,
+    Tuning,
+    robot_params,
+)
 from fullswarm.bus.local import LocalBus
 from fullswarm.drivers.base import NO_OBSTACLES, Description, Limits
 from fullswarm.keys import Keys
@@ -38,10 +48,10 @@ def table() -> Neighbours:
 
 def one_filter() -> SafetyFilter:
     limits = Limits(SPEED, TURN, ACCEL, 20.0)
-    return SafetyFilter(
-        ("me",), (Description("any", "any", 0.17, limits),), np.array([SPEED]), np.array([TURN]), np.array([True]),
-        0.02, 3.0, BOUNDS, (1.0, 3.0),
-    )  # fmt: skip
+    robots = robot_params(
+        (Description("any", "any", 0.17, limits),), np.array([SPEED]), np.array([TURN]), np.array([True])
+    )
+    return SafetyFilter(("me",), robots, Tuning(0.02, 3.0, 1.0, 3.0), BOUNDS)
 
 
 def go(
@@ -52,11 +62,9 @@ def go(
     made, twists = made or one_filter(), np.array([[0.5, 0.0]])
     others.look(now_s)
     near = others.around(HERE, 3.0)
-    made.apply(
-        now_s, np.array([wish]), np.ones(1, bool), np.array([pose]), np.zeros((1, 2)),
-        np.array([now_s if stamp_s is None else stamp_s]), np.array([2.0]), np.array([0.03]), near, others.believed,
-        NO_OBSTACLES, twists,
-    )  # fmt: skip
+    requested = Requested(np.array([wish]), np.ones(1, bool), np.array([2.0]), np.array([0.03]))
+    measured = Measured(np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]))
+    made.apply(now_s, requested, measured, near, NO_OBSTACLES, twists)
     return float(twists[0, 0])
 
 
@@ -93,7 +101,7 @@ def test_a_silent_neighbour_is_gone_for_laws_and_stands_for_the_filter() -> None
     others.hear(state(1.0, 0.0, speed=0.3), 0.0)
     others.look(2.0)
     assert others.within(HERE, 3.0)[0].tolist() == [0, 0]
-    start, other = others.around(HERE, 3.0)
+    start, other, *_ = others.around(HERE, 3.0)
     assert start.tolist() == [0, 1]
     assert others.silent == 1
     row = other[0]

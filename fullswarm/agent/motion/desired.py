@@ -7,14 +7,13 @@ from functools import partial
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from fullswarm.agent.motion.robot_controller import RobotController
-from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
 from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
-from fullswarm.agent.safety.filter import SafetyFilter
+from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter
 from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
@@ -45,12 +44,13 @@ class DesiredMotion:
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
         self._sees_obstacles = senses_obstacles
-        self._alone = self._near = np.zeros(count + 1, np.int64), np.zeros(1, np.int64)
+        self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
+        self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
         self._law_errors: set[str] = set()
         self.law_error = [NONE] * count
 
-    def near(self, now_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def near(self, now_s: float) -> Nearby:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
         if self._near is self._alone and len(self._state.radius):
             self._neighbours.look(now_s)
@@ -74,7 +74,7 @@ class DesiredMotion:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.heard, self._bounds, self._obstacle_map.known,
+                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -86,10 +86,8 @@ class DesiredMotion:
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
-        self._filter.apply(
-            now_s, self._planar, tasks.filtered, pose, reading.twist, reading.stamp_s, tasks.gain_per_s,
-            tasks.margin_m, near, neighbours.believed, obstacles, self._controller.wished,
-        )  # fmt: skip
+        measured = Measured(pose, reading.twist, reading.stamp_s)
+        self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.wished)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
         """Call one law; if it raises or answers something that is not finite, its robots stand and say so.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,28 @@ STRIDE_S = 0.2
 """So long a robot may go unheard while it leaves them: some state messages."""
 
 
+class Nearby(NamedTuple):
+    """Which robots are near each own robot, and where they may be; rows of the arrays of :class:`Neighbours`.
+
+    `start` (n + 1,), `other`: the neighbours of robot i are ``other[start[i]:start[i + 1]]``. `places`, `spread_m`,
+    `blur_m`: see :func:`predict`. `states`: (m, 6) as received, at `arrival_s` (m,).
+    """
+
+    start: Index
+    other: Index
+    places: Array
+    states: Array
+    spread_m: Array
+    blur_m: Array
+    arrival_s: Array
+
+
 class Neighbours:
     """The newest state of every robot heard, as arrays that grow with the swarm.
 
     Attributes
     ----------
-    heard : (m, 6) x, y, heading, speed, turn rate, radius as told
+    states : (m, 6) x, y, heading, speed, turn rate, radius as received
     teams : (m,) of which team each is as told; 0: none
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
@@ -52,7 +69,7 @@ class Neighbours:
         self.names: list[str] = []
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
-        self.heard = np.zeros((0, 6))
+        self.states = np.zeros((0, 6))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
@@ -62,6 +79,7 @@ class Neighbours:
         self.own_frame_host, self.own_frame_s = "", -math.inf
         self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
         self.halt_s = timeout_s
+        self._near: Nearby | None = None
         self._grow(max(16, len(ids)))
 
     def hear(self, states: RobotStates, now_s: float) -> None:
@@ -93,7 +111,7 @@ class Neighbours:
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
             rows, table, teams = rows[finite], table[:, finite], teams[finite]
-        self.heard[rows] = table.T
+        self.states[rows] = table.T
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
@@ -106,13 +124,13 @@ class Neighbours:
         row = self._row_of.get(states.robots[0])
         if row is None:
             row = int(self._rows(states.robots)[0])
-        heard = self.heard
-        heard[row, 0] = x_m
-        heard[row, 1] = y_m
-        heard[row, 2] = heading_rad
-        heard[row, 3] = speed_m_s
-        heard[row, 4] = turn_rad_s
-        heard[row, 5] = radius_m
+        received = self.states
+        received[row, 0] = x_m
+        received[row, 1] = y_m
+        received[row, 2] = heading_rad
+        received[row, 3] = speed_m_s
+        received[row, 4] = turn_rad_s
+        received[row, 5] = radius_m
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
@@ -124,20 +142,23 @@ class Neighbours:
         """Move all heard positions on to the time of the last `look`, on use."""
         self._stale, now_s = False, self._now_s
         self.silent = predict.run(
-            self.heard, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
+            self.states, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
             self.accel_m_s2, self.speed_m_s, self.turn_rad_s, self.predicted, self.places, self.spread_m, self.blur_m,
         )  # fmt: skip
 
-    @property
-    def believed(self) -> tuple[Array, Array, Array, Array]:
-        """What the safety filter must know of those that `around` names: places, states heard, spread, blur."""
-        return self.places, self.heard, self.spread_m, self.blur_m
-
-    def around(self, position: Array, reach_m: float) -> tuple[Index, Index]:
-        """Find what the safety filter must heed: as `within`, but silent robots too, and places that are unsure."""
+    def around(self, position: Array, reach_m: float) -> Nearby:
+        """Find what the safety filter must respect: as `within`, but silent robots too, at uncertain places."""
         if self._stale:
             self._predict()
-        return self._search(position, self.places, reach_m)
+        start, other = self._search(position, self.places, reach_m)
+        near = self._near
+        if near is None or near.start is not start or near.other is not other or near.places is not self.places:
+            self._near = near = self.nearby(start, other)
+        return near
+
+    def nearby(self, start: Index, other: Index) -> Nearby:
+        """Return lists of robots as :class:`Nearby`."""
+        return Nearby(start, other, self.places, self.states, self.spread_m, self.blur_m, self.arrival_s)
 
     def ages_s(self, now_s: float) -> Array:
         """Return how long ago each neighbour was heard, (k,) s."""
@@ -152,7 +173,7 @@ class Neighbours:
         """
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
-            x_m, y_m, _, speed_m_s, _, _ = self.heard[row].tolist()
+            x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
             if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self.speed_m_s)):
                 self.arrival_s[row] = -math.inf
 
@@ -217,9 +238,9 @@ class Neighbours:
         return rows
 
     def _grow(self, count: int) -> None:
-        if count > len(self.heard):
-            more = max(count, 2 * len(self.heard)) - len(self.heard)
-            self.heard = np.vstack([self.heard, np.zeros((more, 6))])
+        if count > len(self.states):
+            more = max(count, 2 * len(self.states)) - len(self.states)
+            self.states = np.vstack([self.states, np.zeros((more, 6))])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])

@@ -19,7 +19,7 @@ from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
-from fullswarm.reasons import NONE, Code, Reason, given, reason, spent
+from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
 from fullswarm.runtime import Scheduler
 
 REMEMBERED_STOPS = 256
@@ -143,7 +143,7 @@ class Inbox:
         if self._controller.estop[row]:
             return reason(Code.ESTOP_LATCHED)
         if request.request_id in epoch.spent:
-            return spent(epoch.spent[request.request_id])
+            return voided(epoch.spent[request.request_id])
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.

@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.state import AgentState
 from fullswarm.kernels import Array, Flags, Index, kernel
 from fullswarm.reasons import NONE, Code, Reason, reason
 
-Near = Callable[[float], tuple[Index, Index]]
+Near = Callable[[float], Nearby]
 """Which robots are in sensing range of each robot at a time in seconds, see ``Neighbours.around``."""
 
 OVERLAP, APART = 0.5, 0.25
@@ -34,28 +34,27 @@ OWN_FRAME_S = 2.0
 
 @kernel
 def overlaps(
-    now_s: float, pose: Array, radius: Array, start: Index, other: Index, places: Array, heard: Array,
-    arrival_s: Array, since_s: Array, whom: Index, overlap: Flags,
-) -> None:  # fmt: skip
+    now_s: float, pose: Array, radius: Array, near: Nearby, since_s: Array, partner: Index, overlap: Flags
+) -> None:
     """Update `overlap` (n,): robots reported where another robot is, for longer than `DWELL_S`.
 
     Parameters
     ----------
     pose, radius : (n, 3), (n,) of the own robots
-    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
-    since_s, whom : (n,) in and out: since when, inf if not, and the row of the neighbour that overlaps most
+    since_s, partner : (n,) in and out: since when, inf if not, and the row of the neighbour that overlaps most
     """
+    start, other, places, states, _, _, arrival_s = near
     for i in range(pose.shape[0]):
         deepest = -math.inf
-        for edge in range(start[i], start[i + 1]):
-            j = other[edge]
+        for pair in range(start[i], start[i + 1]):
+            j = other[pair]
             if now_s - arrival_s[j] <= FRESH_S:
                 apart = math.hypot(pose[i, 0] - places[j, 0], pose[i, 1] - places[j, 1])
-                share = (radius[i] + heard[j, 5] - apart) / max(min(radius[i], heard[j, 5]), 1e-3)
+                share = (radius[i] + states[j, 5] - apart) / max(min(radius[i], states[j, 5]), 1e-3)
                 if share > deepest:  # false for a place that is not known
                     deepest = share
                     if share > APART:
-                        whom[i] = j
+                        partner[i] = j
         if deepest > OVERLAP:
             since_s[i] = min(since_s[i], now_s)
             overlap[i] = overlap[i] or now_s - since_s[i] >= DWELL_S
@@ -81,18 +80,15 @@ class PoseConflicts:
         self.overlap = np.zeros(count, bool)
         self.frame_conflict = False
         self._since_s = np.full(count, math.inf)
-        self._whom = np.zeros(count, np.int64)
+        self._partner = np.zeros(count, np.int64)
 
     def update(self, now_s: float) -> None:
         """Check once; ten times a second is enough."""
-        state, heard = self._state, self._neighbours
-        start, other = self._near(now_s)
-        overlaps.run(
-            now_s, state.pose, state.radius, start, other, heard.places, heard.heard, heard.arrival_s,
-            self._since_s, self._whom, self.overlap,
-        )  # fmt: skip
-        foreign = now_s - heard.own_frame_s <= OWN_FRAME_S
-        newest_s = float(heard.arrival_s[: heard.count].max()) if heard.count else -math.inf
+        state, neighbours = self._state, self._neighbours
+        near = self._near(now_s)
+        overlaps.run(now_s, state.pose, state.radius, near, self._since_s, self._partner, self.overlap)
+        foreign = now_s - neighbours.own_frame_s <= OWN_FRAME_S
+        newest_s = float(neighbours.arrival_s[: neighbours.count].max()) if neighbours.count else -math.inf
         self.frame_conflict = foreign or (self.own_frame and now_s - newest_s <= OWN_FRAME_S)
 
     def reason(self, row: int) -> Reason:
@@ -102,5 +98,5 @@ class PoseConflicts:
                 return reason(Code.FRAME)
             return reason(Code.FOREIGN_FRAME, host=self._neighbours.own_frame_host)
         if self.overlap[row]:
-            return reason(Code.OVERLAP, robot=self._neighbours.names[int(self._whom[row])])
+            return reason(Code.OVERLAP, robot=self._neighbours.names[int(self._partner[row])])
         return NONE

@@ -1,7 +1,7 @@
 """Barrier certificates for unicycles, per robot (paper III.A, its [11]: Wang, Ames, Egerstedt 2017).
 
 For a neighbour j in direction n (unit, from i to j) with a gap g between the footprints, robot i has the half of it
-to itself: ``n·u_i <= γ g / 2``. For a wall or a box it carries the whole: ``n·u_i <= γ g``. The wished velocity is
+to itself: ``n·u_i <= γ g / 2``. For a wall or a box it carries the whole: ``n·u_i <= γ g``. The desired velocity is
 projected onto these half-planes exactly, by an incremental method in the plane: no solver, no tolerance.
 
 A unicycle cannot drive sideways, so projecting is not enough: that is how the paper's robots collided. Here the
@@ -13,13 +13,36 @@ zero before the gap is used up. ``docs/explanation-safety-filter.md`` says what 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.geometry import clamp
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, kernel
 
 MAX_ROWS = 256
 """Half-planes per robot at most. Only things within braking distance count, and discs of one size leave room for
 a few dozen of them there."""
+
+
+class Arena(NamedTuple):
+    """Rounded boxes (k, 6) as in ``Reading.obstacles``; x_min, y_min, x_max, y_max (4,) in m."""
+
+    obstacles: Array
+    bounds_m: Array
+
+
+class HalfPlanes(NamedTuple):
+    """Constraints of one robot, ``normal[k]·u <= limit[k]``, in arrays of `MAX_ROWS`; filled by :func:`half_planes`.
+
+    `limit` >= 0 in m/s; `blur`: by how much the true direction may differ from the normal; `room` >= 0: m that the
+    robot may use up towards there. Inside the clearance it may be at standstill or leave.
+    """
+
+    normal_x: Array
+    normal_y: Array
+    limit: Array
+    blur: Array
+    room: Array
 
 
 @kernel
@@ -62,24 +85,23 @@ def box_gap(x: float, y: float, obstacles: Array, row: int) -> tuple[float, floa
 
 
 @kernel
-def project(
-    wish_x: float, wish_y: float, normal_x: Array, normal_y: Array, limits: Array, count: int
-) -> tuple[float, float]:
-    """Find the velocity nearest to the wish with ``normal[k]·u <= limits[k]`` for all k < count.
+def project(desired_x: float, desired_y: float, planes: HalfPlanes, count: int) -> tuple[float, float]:
+    """Find the velocity nearest to the desired one within the first `count` of `planes`.
 
-    All limits are >= 0, so zero is always allowed and the answer is never faster than the wish. Half-planes are
-    taken one after the other; where the answer so far violates one, the new answer lies on its border: a problem
-    in one dimension, clipped by those before.
+    All limits are >= 0, so zero is always allowed and the answer is never faster than the desired velocity.
+    Half-planes are taken one after the other; where the answer so far violates one, the new answer lies on its border:
+    a problem in one dimension, clipped by those before.
     """
-    x = wish_x
-    y = wish_y
+    normal_x, normal_y, limits, _, _ = planes
+    x = desired_x
+    y = desired_y
     for k in range(count):
         nx = normal_x[k]
         ny = normal_y[k]
         limit = limits[k]
         if nx * x + ny * y <= limit + 1e-12:
             continue
-        along = -ny * wish_x + nx * wish_y
+        along = -ny * desired_x + nx * desired_y
         low = -math.inf
         high = math.inf
         base_x = limit * nx
@@ -108,35 +130,35 @@ def project(
 
 @kernel
 def half_planes(
-    x: float, y: float, reach_m: float, clearance_m: float, unsure_m: float, gain: float, speed_limit: float,
-    start: int, end: int, other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array,
-    bounds_m: Array, normal_x: Array, normal_y: Array, limits: Array, blur: Array, room: Array,
+    i: int, x: float, y: float, clearance_m: float, unsure_m: float, gain: float, speed_limit: float, reach_m: float,
+    near: Nearby, arena: Arena, planes: HalfPlanes,
 ) -> int:  # fmt: skip
-    """Collect one robot's constraints; return how many there are, -1 when the robot must not move at all.
+    """Collect the constraints of robot `i` at (x, y); return how many there are, -1 when it must not move at all.
 
     Those that no velocity within the speed limit can violate are left out: in open space that is nearly all. It must
-    not move where a neighbour is believed at its own place, and where more things are near than can be looked at.
+    not move where a neighbour is estimated to be at its own place, nor where more than `MAX_ROWS` things are near.
 
     Parameters
     ----------
     clearance_m, unsure_m : radius plus margin; how far the robot may be from (x, y)
-    places, spread_m, blur_m : see :func:`fullswarm.agent.neighbours.estimates.predict`
-    normal_x, normal_y, limits : out, ``normal[k]·u <= limits[k]``, limits >= 0
-    blur : out, by how much the true direction may differ from the normal
-    room : out, m that the robot may use up towards there, >= 0: inside the clearance it may stand or leave
+    reach_m : obstacles farther away are not sensed
+    planes : out
     """
+    obstacles, bounds_m = arena
+    start, other, places, states, spread_m, blur_m, _ = near
+    normal_x, normal_y, limits, blur, room = planes
     count = 0
     clearance_m += unsure_m
     binding_m = speed_limit / gain
     twice_m = 2.0 * binding_m
     blur_share = twice_m / clearance_m
-    for edge in range(start, end):
-        row = other[edge]
+    for pair in range(start[i], start[i + 1]):
+        row = other[pair]
         dx = places[row, 0] - x
         dy = places[row, 1] - y
         squared = dx * dx + dy * dy
         far_off = blur_m[row] + unsure_m
-        closest_m = clearance_m + heard[row, 5] + spread_m[row]
+        closest_m = clearance_m + states[row, 5] + spread_m[row]
         reach = closest_m + twice_m + blur_share * far_off
         if squared > reach * reach:
             continue
@@ -189,13 +211,13 @@ def half_planes(
 
 @kernel
 def interval(
-    ahead_x: float, ahead_y: float, low: float, high: float, normal_x: Array, normal_y: Array, limits: Array,
-    blur: Array, count: int,
-) -> tuple[float, float]:  # fmt: skip
+    ahead_x: float, ahead_y: float, low: float, high: float, planes: HalfPlanes, count: int
+) -> tuple[float, float]:
     """Narrow the interval of speeds along (ahead_x, ahead_y) to what the half-planes allow; zero stays in it."""
+    normal_x, normal_y, limits, blur, _ = planes
     for k in range(count):
         slope = normal_x[k] * ahead_x + normal_y[k] * ahead_y
-        # The other may be a little to the side of where it is believed to be: the worse direction counts.
+        # The other may be a little to the side of its estimated position: the worse direction counts.
         ahead = slope + blur[k]
         if ahead > 1e-9:
             most = limits[k] / ahead

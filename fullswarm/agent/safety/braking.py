@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import math
 
+from fullswarm.agent.safety.barrier import HalfPlanes
 from fullswarm.geometry import clamp
-from fullswarm.kernels import Array, kernel
+from fullswarm.kernels import kernel
 
 SLACK_M = 1e-7
 
 
 @kernel
-def towards(now: float, wished: float, step: float) -> float:
-    """Return what `now` becomes on its way to `wished` in steps of `step`; zero is not jumped over."""
-    then = clamp(wished, now - step, now + step)
+def towards(now: float, desired: float, step: float) -> float:
+    """Return what `now` becomes on its way to `desired` in steps of `step`; zero is not jumped over."""
+    then = clamp(desired, now - step, now + step)
     # A value below a quarter of a step is noise of the sensor, not motion.
     if then * now < 0.0 and math.fabs(now) > 0.25 * step:
         return 0.0
@@ -54,9 +55,7 @@ def fastest(angle: float, now: float, most: float, period_s: float) -> float:
 
 
 @kernel
-def free_fan(
-    heading: float, distance: float, normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int
-) -> tuple[float, float]:
+def free_fan(heading: float, distance: float, planes: HalfPlanes, count: int) -> tuple[float, float]:
     """Return by how much the robot may turn to the left and to the right while it goes `distance` and stops.
 
     Parameters
@@ -69,6 +68,7 @@ def free_fan(
     left, right
         rad, >= 0; infinite where nothing is near; both -1 when even straight on there is no room.
     """
+    normal_x, normal_y, _, blur, room = planes
     left = math.inf
     right = math.inf
     for k in range(count):
@@ -94,10 +94,10 @@ def free_fan(
 @kernel
 def fitting_turn(
     heading: float, distance: float, turn: float, turn_now: float, turn_accel: float, period_s: float,
-    normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int,
+    planes: HalfPlanes, count: int,
 ) -> tuple[float, bool]:  # fmt: skip
     """Return the turn rate nearest to `turn` that :func:`free_fan` leaves, and whether there is one at all."""
-    left, right = free_fan(heading, distance, normal_x, normal_y, room, blur, count)
+    left, right = free_fan(heading, distance, planes, count)
     if left < 0.0:
         return turn, False
     fastest_left = math.inf
@@ -114,7 +114,7 @@ def fitting_turn(
 @kernel
 def stoppable(
     heading: float, speed: float, turn: float, speed_now: float, turn_now: float, accel: float, turn_accel: float,
-    period_s: float, normal_x: Array, normal_y: Array, room: Array, blur: Array, count: int,
+    period_s: float, planes: HalfPlanes, count: int,
 ) -> tuple[float, float, bool]:  # fmt: skip
     """Return the speed and turn rate for the next period, and False when not even braking fits into the room.
 
@@ -130,9 +130,7 @@ def stoppable(
     if distance <= 0.0:
         return speed, turn, True
     ahead = heading if then > 0.0 or (then == 0.0 and speed_now > 0.0) else heading + math.pi
-    fitting, fits = fitting_turn(
-        ahead, distance, turn_then, turn_now, turn_accel, period_s, normal_x, normal_y, room, blur, count
-    )  # fmt: skip
+    fitting, fits = fitting_turn(ahead, distance, turn_then, turn_now, turn_accel, period_s, planes, count)
     if fits and fitting == turn_then:
         return speed, turn, True
     then = towards(speed_now, 0.0, step)
@@ -140,9 +138,7 @@ def stoppable(
     if distance <= 0.0:
         return 0.0, turn, True
     ahead = heading if speed_now > 0.0 else heading + math.pi
-    fitting, fits = fitting_turn(
-        ahead, distance, turn_then, turn_now, turn_accel, period_s, normal_x, normal_y, room, blur, count
-    )  # fmt: skip
+    fitting, fits = fitting_turn(ahead, distance, turn_then, turn_now, turn_accel, period_s, planes, count)
     reachable = clamp(fitting, turn_now - turn_step, turn_now + turn_step)
     if fits and math.fabs(reachable - fitting) < 1e-3:
         return 0.0, reachable, True

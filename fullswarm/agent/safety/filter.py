@@ -1,16 +1,17 @@
-"""The filter of n robots from tick to tick: what it lets through, how far that is from the wish, why it brakes."""
+"""Filters the desired motion of n robots: what is let through, how far that is from what was desired, why it brakes."""
 
 from __future__ import annotations
 
 import logging
 import math
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import structlog
 
-from fullswarm.agent.safety.barrier import MAX_ROWS, half_planes, interval, project
+from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_planes, interval, project
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
@@ -23,55 +24,140 @@ EXPLAIN = {
     FREE: "",
     LIMITED: "",
     BLIND: "the filter brakes: the robot's pose or motion is not known",
-    CROWDED: "the filter brakes: a robot is said to be at this one's place, or too much is near to look at",
+    CROWDED: "the filter brakes: a robot is reported at this one's place, or too many things are near",
     TOO_FAST: "the filter brakes: something is so near that the robot cannot stop before its margin",
 }
 LEVEL = {BLIND: logging.WARNING, CROWDED: logging.WARNING, TOO_FAST: logging.INFO}
 LONGEST_S = 0.1
-"""A wish counts for so long at most in the way that the filter has taken."""
+"""A deviation counts for so long at most in its sum over time."""
 QUIET_S = 10.0
 FEW = 5
 
 
+class RobotParams(NamedTuple):
+    """What each robot is and can do, (n,) each; see :func:`robot_params`.
+
+    `overrun_s` and `overrun_m`: how much farther than the accelerations say a stop goes, seconds of the speed and m at
+    most.
+    """
+
+    radius_m: Array
+    top_speed: Array
+    least_speed: Array
+    turn_limit: Array
+    accel: Array
+    turn_accel: Array
+    overrun_s: Array
+    overrun_m: Array
+
+
+class Tuning(NamedTuple):
+    """Settings of the filter and of the unicycle map.
+
+    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed.
+    """
+
+    period_s: float
+    reach_m: float
+    speed_gain: float
+    turn_gain_per_s: float
+
+
+class Requested(NamedTuple):
+    """What the filter is given of each robot's task.
+
+    `velocity`: (n, 2) m/s, world frame, desired; NaN: there is none, the desired motion is the robot's twist.
+    `filtered`: (n,) behind the filter or straight through the paper's map. `gain`, `margin_m`: (n,) γ in 1/s, gap to
+    keep.
+    """
+
+    velocity: Array
+    filtered: Flags
+    gain: Array
+    margin_m: Array
+
+
+class Measured(NamedTuple):
+    """Pose (n, 3), twist (n, 2) in m/s and rad/s, and when they were measured (n,), s."""
+
+    pose: Array
+    twist: Array
+    stamp_s: Array
+
+
+class Filtered(NamedTuple):
+    """What :func:`guard` fills.
+
+    `twist`: (n, 2) m/s and rad/s, in and out. `deviation`: (n, 4) size, sum over time and vector of the change, see
+    :class:`SafetyFilter`; the vector is old where the size is zero. `verdict`: (n,).
+    """
+
+    twist: Array
+    deviation: Array
+    verdict: Index
+
+
+class Given(NamedTuple):
+    """All arrays of :func:`guard` but the measured ones."""
+
+    robots: RobotParams
+    requested: Requested
+    near: Nearby
+    arena: Arena
+    out: Filtered
+    planes: HalfPlanes
+
+
+Arrays = TypeVar("Arrays", bound=NamedTuple)
+
+
+def robot_params(
+    descriptions: Sequence[Description], speed_limit: Array, turn_limit: Array, reverse: Flags
+) -> RobotParams:
+    """Return the parameters of robots whose speed and turn rate are limited to (n,) m/s and rad/s."""
+    limits = [each.limits for each in descriptions]
+    return RobotParams(
+        radius_m=np.array([each.radius_m for each in descriptions]),
+        top_speed=speed_limit,
+        least_speed=np.where(reverse, -speed_limit, 0.0),
+        turn_limit=turn_limit,
+        accel=np.array([each.accel_m_s2 for each in limits]),
+        turn_accel=np.array([each.turn_accel_rad_s2 for each in limits]),
+        overrun_s=np.array([each.overrun_s for each in limits]),
+        overrun_m=np.array([each.overrun_m for each in limits]),
+    )
+
+
 @kernel
 def guard(
-    now_s: float, dt_s: float, period_s: float, speed_gain: float, turn_gain_per_s: float, reach_m: float,
-    wished: Array, filtered: Flags, pose: Array, motion: Array, stamp_s: Array, gain: Array, margin_m: Array,
-    start: Index, other: Index, places: Array, heard: Array, spread_m: Array, blur_m: Array, obstacles: Array,
-    twists: Array, make: Array, bounds_m: Array, deviation: Array, verdict: Index, normal_x: Array, normal_y: Array,
-    limits: Array, blur: Array, room: Array,
+    now_s: float, dt_s: float, tuning: Tuning, measured: Measured, robots: RobotParams, requested: Requested,
+    near: Nearby, arena: Arena, out: Filtered, planes: HalfPlanes,
 ) -> int:  # fmt: skip
-    """Map wished planar velocities to unicycle twists, behind the filter where `filtered` says so.
+    """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
     Parameters
     ----------
-    dt_s, period_s : since the last call; how long the answer is in force
-    reach_m : obstacles farther than this are not sensed
-    wished : (n, 2) m/s, world frame; NaN: no such wish, the robot's twist in `twists` is the wish
-    filtered : (n,) behind the filter or straight through the paper's map
-    pose, motion, stamp_s : (n, 3), (n, 2) m/s and rad/s, (n,): as measured, and when
-    gain, margin_m : (n,) γ in 1/s and the gap to keep
-    start, other, places, heard, spread_m, blur_m : neighbours (see :mod:`fullswarm.agent.neighbours.estimates`)
-    obstacles, bounds_m : (k, 6) rounded boxes; (4,) x_min, y_min, x_max, y_max
-    twists : (n, 2) in and out, m/s and rad/s
-    make : (n, 8) of each robot: radius, greatest and least speed, turn rate, acceleration, turn acceleration, and how
-        much farther than these accelerations say a stop goes: seconds of its speed, and m at most
-    deviation, verdict : (n, 4), (n,) out, see :class:`SafetyFilter`; the vector is old where there is no deviation
-    normal_x, normal_y, limits, blur, room : room for one robot's constraints
+    dt_s : since the last call
+    planes : room for one robot's constraints
 
     Returns
     -------
     int
         How many verdicts became or ceased to be one of those that brake.
     """
+    period_s, reach_m, speed_gain, turn_gain_per_s = tuning
+    radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m = robots
+    velocity, filtered, gain, margin_m = requested
+    pose, motion, stamp_s = measured
+    twists, deviation, verdict = out
     news = 0
-    for i in range(wished.shape[0]):
-        ux = wished[i, 0]
-        uy = wished[i, 1]
+    for i in range(velocity.shape[0]):
+        ux = velocity[i, 0]
+        uy = velocity[i, 1]
         planar = not (math.isnan(ux) or math.isnan(uy))
-        top = make[i, 1]
-        low = make[i, 2]
-        turn_limit = make[i, 3]
+        top = top_speed[i]
+        low = least_speed[i]
+        turn_limit = turn_limits[i]
         if not filtered[i]:
             if planar:
                 size = math.hypot(ux, uy)
@@ -89,7 +175,7 @@ def guard(
         heading = pose[i, 2]
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
-        accel = make[i, 4]
+        accel = accels[i]
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -99,11 +185,10 @@ def guard(
             # Where it has got to since it was measured: it may have sped up or turned, too.
             age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
-            overrun_m = min(make[i, 6] * math.fabs(speed_now), make[i, 7])
+            overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
             count = half_planes(
-                x, y, reach_m, make[i, 0] + margin_m[i] + overrun_m, unsure_m, gain[i], top, start[i],
-                start[i + 1], other, places, heard, spread_m, blur_m, obstacles, bounds_m, normal_x, normal_y, limits,
-                blur, room,
+                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, near, arena,
+                planes,
             )  # fmt: skip
             if count < 0:
                 why = CROWDED
@@ -117,38 +202,38 @@ def guard(
             off = 0.0
             ahead_x = math.cos(heading) if count > 0 else 0.0
             ahead_y = math.sin(heading) if count > 0 else 0.0
-            wish_speed = twists[i, 0]
-            speed = wish_speed
+            desired_speed = twists[i, 0]
+            speed = desired_speed
             turn = twists[i, 1]
             if planar:
                 size = math.hypot(ux, uy)
                 if size > top:
                     ux *= top / size
                     uy *= top / size
-                wish_x = ux
-                wish_y = uy
+                desired_x = ux
+                desired_y = uy
                 if count > 0:
-                    ux, uy = project(ux, uy, normal_x, normal_y, limits, count)
-                    off = math.hypot(ux - wish_x, uy - wish_y)
-                    deviation[i, 2] = ux - wish_x
-                    deviation[i, 3] = uy - wish_y
+                    ux, uy = project(ux, uy, planes, count)
+                    off = math.hypot(ux - desired_x, uy - desired_y)
+                    deviation[i, 2] = ux - desired_x
+                    deviation[i, 3] = uy - desired_y
                 speed, turn = unicycle(ux, uy, heading, speed_gain, turn_gain_per_s)
-                wish_speed = speed
-                if off > 0.0:  # what the unicycle map makes of the wish, without its arctangents
-                    wish_speed = speed_gain * (wish_x * ahead_x + wish_y * ahead_y)
-            wish_speed = clamp(wish_speed, low, top)
+                desired_speed = speed
+                if off > 0.0:  # what the unicycle map makes of the desired velocity, without its arctangents
+                    desired_speed = speed_gain * (desired_x * ahead_x + desired_y * ahead_y)
+            desired_speed = clamp(desired_speed, low, top)
             turn = clamp(turn, -turn_limit, turn_limit)
             if count == 0:
-                speed = wish_speed
+                speed = desired_speed
             else:
-                low, high = interval(ahead_x, ahead_y, low, top, normal_x, normal_y, limits, blur, count)
+                low, high = interval(ahead_x, ahead_y, low, top, planes, count)
                 speed, turn, fits = stoppable(
-                    heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, make[i, 5], period_s,
-                    normal_x, normal_y, room, blur, count,
+                    heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, turn_accels[i], period_s,
+                    planes, count,
                 )  # fmt: skip
                 why = FREE if fits else TOO_FAST
                 step = accel * period_s
-                faster = towards(speed_now, speed, step) - towards(speed_now, wish_speed, step)
+                faster = towards(speed_now, speed, step) - towards(speed_now, desired_speed, step)
                 if math.fabs(faster) > off:
                     off = math.fabs(faster)
                     deviation[i, 2] = faster * ahead_x
@@ -165,73 +250,70 @@ def guard(
     return news
 
 
+def views(arrays: Arrays) -> Arrays:
+    """Return the same tuple with memory views in the place of its arrays.
+
+    Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
+    """
+    return arrays._make(map(memoryview, arrays))
+
+
 class SafetyFilter:
     """The filter of n robots.
 
     Attributes
     ----------
-    deviation_m_s : (n,) how far the velocity let through is from the wished one now: the greater of what the
+    deviation_m_s : (n,) how far the velocity let through is from the desired one now: the greater of what the
         projection changed and what was taken off the speed along the heading
     deviation_m : (n,) the same added up over time since the start
-    change_m_s : (n, 2) which way: let through minus wished, world frame; old where `deviation_m_s` is zero
+    change_m_s : (n, 2) the difference, let through minus desired, world frame; old where `deviation_m_s` is zero
     verdict : (n,) FREE, LIMITED, or why it brakes: a key of `EXPLAIN`
-    seen : the neighbours and obstacles of the last tick, as they were given
+    given : the arrays of the last tick; None before the first one
     reach_m, bounds_m : how far obstacles are sensed; (4,) the arena
     """
 
-    def __init__(
-        self, ids: Sequence[str], descriptions: Sequence[Description], speed_limit: Array, turn_limit: Array,
-        reverse: Flags, period_s: float, reach_m: float, bounds_m: Array, gains: tuple[float, float],
-    ) -> None:  # fmt: skip
-        count = len(descriptions)
-        self._ids = ids
-        self._gains, self._period_s, self.reach_m = gains, period_s, reach_m
+    def __init__(self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array) -> None:
+        count = len(ids)
+        self._ids, self._tuning = ids, tuning
+        self.reach_m, self.bounds_m = tuning.reach_m, bounds_m
         self._last_s = math.inf
-        self._told_s: dict[int, float] = {}
-        self.seen: tuple[tuple[Index, Index], tuple[Array, Array, Array, Array], Array]
+        self._logged_s: dict[int, float] = {}
         deviation = np.zeros((count, 4))
         self.deviation_m_s, self.deviation_m, self.change_m_s = deviation[:, 0], deviation[:, 1], deviation[:, 2:]
         self.verdict = np.zeros(count, np.int64)
-        make = np.column_stack(
-            (
-                [each.radius_m for each in descriptions], speed_limit, np.where(reverse, -speed_limit, 0.0), turn_limit,
-                [each.limits.accel_m_s2 for each in descriptions],
-                [each.limits.turn_accel_rad_s2 for each in descriptions],
-                [each.limits.overrun_s for each in descriptions],
-                [each.limits.overrun_m for each in descriptions],
-            )
-        )  # fmt: skip
-        scratch = np.empty((5, MAX_ROWS))
-        self.bounds_m = bounds_m
-        shared: tuple[Any, ...] = (make, bounds_m, deviation, self.verdict)
-        self._own: tuple[Any, ...] = (*shared, *scratch)
-        # Views give Python's own numbers, and lists do so faster still: a kernel in plain Python takes half the time.
-        self._plain: tuple[Any, ...] = (*(memoryview(each) for each in shared), *scratch.tolist())
-        self._given: tuple[Any, ...] = ()
-        self._views: list[Any] = []
+        scratch = np.empty((len(HalfPlanes._fields), MAX_ROWS))
+        self._robots, self._planes = robots, HalfPlanes(*scratch)
+        # Plain Python reads lists still faster than views.
+        self._robots_viewed, self._planes_listed = views(robots), HalfPlanes._make(scratch.tolist())
+        self._deviation = deviation
+        self.given: Given | None = None
+        self._viewed: Given
 
     def apply(
-        self, now_s: float, wished: Array, filtered: Flags, pose: Array, motion: Array, stamp_s: Array,
-        gain: Array, margin_m: Array, near: tuple[Index, Index], heard: tuple[Array, Array, Array, Array],
-        obstacles: Array, twists: Array,
-    ) -> None:  # fmt: skip
-        """Write the twists of all robots with a wish into `twists` (n, 2); see :func:`guard`.
-
-        Parameters
-        ----------
-        stamp_s : (n,) when `pose` and `motion` were measured
-        near : ``Neighbours.around``
-        heard : ``Neighbours.believed``
-        """
+        self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
+    ) -> None:
+        """Write the twists of all robots with a desired motion into `twist` (n, 2); see :func:`guard`."""
         dt_s = clamp(now_s - self._last_s, 0.0, LONGEST_S)
         self._last_s = now_s
-        self.seen = near, heard, obstacles
-        given: Any = (wished, filtered, pose, motion, stamp_s, gain, margin_m, *near, *heard, obstacles, twists)
-        own, run = self._own, cast(Any, guard.run)
-        if run is guard.plain:
-            given, own = self._viewed(given), self._plain
-        if run(now_s, dt_s, self._period_s, *self._gains, self.reach_m, *given, *own):
-            self._tell(now_s)
+        given = self.given
+        if (
+            given is None or near is not given.near or obstacles is not given.arena.obstacles
+            or requested is not given.requested or twist is not given.out.twist
+        ):  # fmt: skip
+            given = self._take(requested, near, obstacles, twist)
+        if guard.run is guard.plain:
+            given, measured = self._viewed, views(measured)
+        if guard.run(now_s, dt_s, self._tuning, measured, *given):
+            self._log_braking(now_s)
+
+    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> Given:
+        """Keep these arrays and their views; they seldom are others than in the tick before, and views cost time."""
+        arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
+        self.given = Given(self._robots, requested, near, arena, out, self._planes)
+        self._viewed = Given(
+            self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
+        )
+        return self.given
 
     def note(self, row: int) -> str:
         """Return why the filter brakes robot `row`; empty when it does not."""
@@ -246,21 +328,10 @@ class SafetyFilter:
         total: list[float] = self.deviation_m.tolist()
         return now, total, notes
 
-    def _viewed(self, given: tuple[Any, ...]) -> list[Any]:
-        """Return views of the arrays given; most are the same in each tick, and a new view costs more than a look."""
-        if not self._given:
-            self._views = [memoryview(array) for array in given]
-        else:
-            for place, array in enumerate(given):
-                if array is not self._given[place]:
-                    self._views[place] = memoryview(array)
-        self._given = given
-        return self._views
-
-    def _tell(self, now_s: float) -> None:
+    def _log_braking(self, now_s: float) -> None:
         """Log which robots brake and why, each reason once in `QUIET_S`: in a crowd it is often so."""
         for why in np.unique(self.verdict[self.verdict > LIMITED]).tolist():
-            if now_s - self._told_s.get(why, -math.inf) >= QUIET_S:
-                self._told_s[why] = now_s
+            if now_s - self._logged_s.get(why, -math.inf) >= QUIET_S:
+                self._logged_s[why] = now_s
                 rows = np.flatnonzero(self.verdict == why).tolist()
                 log.log(LEVEL[why], EXPLAIN[why], robots=[self._ids[row] for row in rows[:FEW]], count=len(rows))

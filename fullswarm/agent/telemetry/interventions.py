@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.agent.motion.robot_controller import RobotController, StopReason
-from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.orders.tasks import Tasks
-from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.agent.safety.barrier import Arena, box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
 from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
@@ -25,6 +26,14 @@ LEAST_M_S = 0.02
 NOTHING, ROBOT, OBSTACLE, EDGE = range(4)
 
 
+class Blamed(NamedTuple):
+    """NOTHING, ROBOT, OBSTACLE or EDGE; row of the neighbour or -1; m between the bodies: (k,) each."""
+
+    kind: Index
+    which: Index
+    gap: Array
+
+
 @kernel
 def weight(away: float, gap_m: float) -> float:
     """Weigh a thing: how straight the change leads `away` from it (a cosine), and how near it is."""
@@ -33,17 +42,20 @@ def weight(away: float, gap_m: float) -> float:
 
 @kernel
 def blame(
-    rows: Index, change: Array, pose: Array, radius: Array, start: Index, other: Index, places: Array, heard: Array,
-    obstacles: Array, reach_m: float, bounds_m: Array, kind: Index, which: Index, gap: Array,
+    rows: Index, change: Array, pose: Array, radius: Array, near: Nearby, arena: Arena, reach_m: float,
+    blamed: Blamed,
 ) -> None:  # fmt: skip
     """Find for each of `rows` what the filter most likely keeps it clear of.
 
     Parameters
     ----------
-    change : (n, 2) m/s, velocity let through minus wished
-    start, other, places, heard, obstacles, reach_m, bounds_m : as for ``filter.guard``
-    kind, which, gap : (k,) out: NOTHING, ROBOT, OBSTACLE or EDGE; row of the neighbour; m between the bodies
+    change : (n, 2) m/s, velocity let through minus desired
+    arena, reach_m : as for ``barrier.half_planes``
+    blamed : out
     """
+    start, other, places, states, _, _, _ = near
+    obstacles, bounds_m = arena
+    kind, which, gap = blamed
     for k in range(rows.shape[0]):
         i = rows[k]
         x = pose[i, 0]
@@ -54,20 +66,20 @@ def blame(
         best = 0.0
         kind[k] = 0
         which[k] = -1
-        for edge in range(start[i], start[i + 1]):
-            j = other[edge]
+        for pair in range(start[i], start[i + 1]):
+            j = other[pair]
             dx = places[j, 0] - x
             dy = places[j, 1] - y
             distance = math.hypot(dx, dy)
             if not distance > 0.0:  # unknown, or this place
                 continue
-            near = distance - radius[i] - heard[j, 5]
-            worth = weight(-(away_x * dx + away_y * dy) / distance, near)
+            between = distance - radius[i] - states[j, 5]
+            worth = weight(-(away_x * dx + away_y * dy) / distance, between)
             if worth > best:
                 best = worth
                 kind[k] = 1
                 which[k] = j
-                gap[k] = near
+                gap[k] = between
         for row in range(obstacles.shape[0]):
             distance, nx, ny = box_gap(x, y, obstacles, row)
             worth = weight(-(away_x * nx + away_y * ny), distance - radius[i])
@@ -78,13 +90,13 @@ def blame(
                 gap[k] = distance - radius[i]
         for side in range(4):
             sign = -1.0 if side < 2 else 1.0
-            near = sign * (bounds_m[side] - (x if side % 2 == 0 else y)) - radius[i]
-            worth = weight(-sign * (away_x if side % 2 == 0 else away_y), near)
-            if near < reach_m and 1.1 * worth > best:  # walls are obstacles too: that it is the edge says more
+            between = sign * (bounds_m[side] - (x if side % 2 == 0 else y)) - radius[i]
+            worth = weight(-sign * (away_x if side % 2 == 0 else away_y), between)
+            if between < reach_m and 1.1 * worth > best:  # walls are obstacles too: that it is the edge says more
                 best = worth
                 kind[k] = 3
                 which[k] = -1
-                gap[k] = near
+                gap[k] = between
 
 
 class InterventionReporter:
@@ -123,17 +135,14 @@ class InterventionReporter:
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 
     def _reasons(self, rows: Index) -> list[str]:
-        if not len(rows):
+        given = self._filter.given
+        if given is None or not len(rows):
             return []
         used, state, count = self._filter, self._state, len(rows)
-        kind, which, gap = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
-        (start, other), (places, heard, _, _), obstacles = used.seen
-        blame.run(
-            rows, used.change_m_s, state.pose, state.radius, start, other, places, heard, obstacles, used.reach_m,
-            used.bounds_m, kind, which, gap,
-        )  # fmt: skip
+        blamed = Blamed(np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count))
+        blame.run(rows, used.change_m_s, state.pose, state.radius, given.near, given.arena, used.reach_m, blamed)
         verdicts, names = used.verdict[rows].tolist(), self._neighbours.names
-        found = zip(verdicts, kind.tolist(), which.tolist(), gap.tolist(), strict=True)
+        found = zip(verdicts, blamed.kind.tolist(), blamed.which.tolist(), blamed.gap.tolist(), strict=True)
         return [
             EXPLAIN[verdict] if verdict > LIMITED else _words(what, names[row] if row >= 0 else "", gap_m)
             for verdict, what, row, gap_m in found

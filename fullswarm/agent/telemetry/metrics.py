@@ -11,13 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.agent.pose.conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.bus.base import CountingBus
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, kernel
 from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats
 
@@ -33,20 +33,19 @@ ARRIVED, DISTANCE, GAP, ASIDE, ANCHOR_X, ANCHOR_Y, MOVED = range(7)
 
 
 @kernel
-def gauge(
-    now_s: float, dt_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, start: Index, other: Index,
-    places: Array, heard: Array, arrival_s: Array, state: Array,
-) -> None:  # fmt: skip
-    """Look once, `dt_s` after the last look.
+def sample(
+    now_s: float, dt_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, near: Nearby, state: Array
+) -> None:
+    """Take one sample, `dt_s` after the last one.
 
     Parameters
     ----------
     pose, radius : (n, 3), (n,) of the own robots
     goals : (n, 5) goal, its radius, when it was asked for; whether a task is on
-    until_s : (n,) until when each steps aside
-    start, other, places, heard, arrival_s : neighbours, see :class:`~fullswarm.agent.neighbours.estimates.Neighbours`
+    until_s : (n,) until when each sidesteps
     state : (n, 7) in and out
     """
+    start, other, places, states, _, _, arrival_s = near
     for i in range(pose.shape[0]):
         if until_s[i] > now_s:
             state[i, ASIDE] += dt_s
@@ -65,10 +64,10 @@ def gauge(
             state[i, ANCHOR_X] = x
             state[i, ANCHOR_Y] = y
             state[i, MOVED] = now_s
-        for edge in range(start[i], start[i + 1]):
-            j = other[edge]
+        for pair in range(start[i], start[i + 1]):
+            j = other[pair]
             if now_s - arrival_s[j] <= FRESH_S:
-                gap = math.hypot(x - places[j, 0], y - places[j, 1]) - radius[i] - heard[j, 5]
+                gap = math.hypot(x - places[j, 0], y - places[j, 1]) - radius[i] - states[j, 5]
                 if gap < state[i, GAP]:  # false for a place that is not known
                     state[i, GAP] = gap
 
@@ -83,11 +82,11 @@ class MetricSampler:
     """
 
     def __init__(
-        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: AgentState, tasks: Tasks,
-        neighbours: Neighbours, near: Near, deadlocks: Deadlocks,
+        self, ids: tuple[str, ...], arrive_radius_m: float | None, state: AgentState, tasks: Tasks, near: Near,
+        deadlocks: Deadlocks,
     ) -> None:  # fmt: skip
         self._ids, self._arrive_radius_m, self._motion, self._all_tasks = ids, arrive_radius_m, state, tasks
-        self._neighbours, self._near, self._deadlocks = neighbours, near, deadlocks
+        self._near, self._deadlocks = near, deadlocks
         count = len(ids)
         self._looked_s = math.inf
         self._tasks: list[Task | None] = [None] * count
@@ -104,12 +103,9 @@ class MetricSampler:
         self._looked_s = now_s
         if self._tasks != self._all_tasks.of:
             self._follow()
-        start, other = self._near(now_s)
-        neighbours = self._neighbours
-        gauge.run(
-            now_s, dt_s, self._motion.pose, self._motion.radius, self._goals, self._deadlocks.until_s, start, other,
-            neighbours.places, neighbours.heard, neighbours.arrival_s, self._state,
-        )  # fmt: skip
+        robots = self._motion
+        until_s, near = self._deadlocks.until_s, self._near(now_s)
+        sample.run(now_s, dt_s, robots.pose, robots.radius, self._goals, until_s, near, self._state)
 
     def message(
         self,

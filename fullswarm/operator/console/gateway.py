@@ -77,7 +77,7 @@ class Gateway:
             scheduler,
             identity.process,
             on_world=lambda: self._changed.add("world"),
-            on_wanted=lambda _: self._changed.add("goals"),
+            on_orders=lambda _: self._changed.add("goals"),
         )
         self._context = ConsoleContext(
             bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only
@@ -219,7 +219,7 @@ class Gateway:
         return {"t": "state", "at": round(now_s, 3), "robots": fleet.states(self.view.snapshot())}
 
     def _goals_frame(self) -> Made:
-        return {"t": "goals", "robots": self._goals.shown(self._world.wanted())}
+        return {"t": "goals", "robots": self._goals.shown(self._world.orders())}
 
     def _leases_frame(self, session: OperatorSession) -> Made:
         leases = [
@@ -254,8 +254,8 @@ class Gateway:
 
     # ---------------------------------------------------------------- sent at a rate
     def _send_states(self) -> None:
-        if self.view.states_heard != self._states_sent:
-            self._states_sent = self.view.states_heard
+        if self.view.states_received != self._states_sent:
+            self._states_sent = self.view.states_received
             if self._sessions:
                 with self._drawing("state"):
                     self._send(self._states_frame(self._scheduler.now_s()))
@@ -283,7 +283,7 @@ class Gateway:
     def _send_fleet(self) -> None:
         now_s, seen = self._scheduler.now_s(), self.view.snapshot()
         with self._drawing("log"):
-            self._changes.look(seen, now_s)
+            self._changes.update(seen, now_s)
         if self._sessions:
             with self._drawing("fleet"):
                 self._send(fleet.fleet(seen, now_s))

@@ -214,7 +214,7 @@ class ChangeLog:
     _faults: dict[str, str] = field(default_factory=dict)
     _leases: dict[str, str] = field(default_factory=dict)
 
-    def look(self, seen: Snapshot, now_s: float) -> None:
+    def update(self, seen: Snapshot, now_s: float) -> None:
         """Log what has changed of hub, core and robots."""
         if seen.connected != self._hub:
             if self._hub is not None or not seen.connected:
@@ -259,7 +259,7 @@ class ChangeLog:
             if change[0] != change[1]:
                 taken.setdefault(change, []).append(robot)
         for (old, new), robots in taken.items():
-            whom = named(robots)
-            text = f"{new} holds {whom}" + (f", taken from {old}" if old else "") if new else f"{old} releases {whom}"
+            names = named(robots)
+            text = f"{new} holds {names}" + (f", taken from {old}" if old else "") if new else f"{old} releases {names}"
             self.journal.add(now_s, "lease", text, tuple(robots), by=new or old)
         return True

@@ -59,22 +59,22 @@ class Goals:
     """
 
     def __init__(self) -> None:
-        self._asked: OrderedDict[str, BehaviourRequest] = OrderedDict()
+        self._requests: OrderedDict[str, BehaviourRequest] = OrderedDict()
 
     def add(self, request: BehaviourRequest) -> None:
         """Remember a request."""
-        self._asked[request.id] = request
-        while len(self._asked) > REMEMBERED:
-            self._asked.popitem(last=False)
+        self._requests[request.id] = request
+        while len(self._requests) > REMEMBERED:
+            self._requests.popitem(last=False)
 
-    def shown(self, wanted: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    def shown(self, orders: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
         """Return robot → its goal, of those that have one."""
         found = {}
-        for robot, order in wanted.items():
+        for robot, order in orders.items():
             request_id = str(order.get("request_id", ""))
-            asked = self._asked.get(request_id)
+            request = self._requests.get(request_id)
             own = order.get("parameters")
-            parameters = {**(asked.parameters if asked else {}), **(own if isinstance(own, dict) else {})}
+            parameters = {**(request.parameters if request else {}), **(own if isinstance(own, dict) else {})}
             goal = next((point for name in _GOALS if (point := _point(parameters.get(name)))), None)
             target = _point(parameters.get("target"))
             if goal is None and target is None:

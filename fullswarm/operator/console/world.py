@@ -12,7 +12,7 @@ from fullswarm.operator.params import ParamClient, Stored
 from fullswarm.runtime import Scheduler
 
 EVERYTHING = "*"
-BEHAVIOUR, GROUP, WANTED = "behaviour/", "group/", "wanted/"
+BEHAVIOUR, GROUP, ORDER = "behaviour/", "group/", "wanted/"
 BOUNDS, BOXES, SENSING = "world/bounds", "world/boxes", "agent/sensing_radius_m"
 SETTLE_S = 0.2
 """Records that change together are read in one answer."""
@@ -27,7 +27,7 @@ class World:
     ----------
     on_world
         Called when what the page shows of it has changed.
-    on_wanted
+    on_orders
         Called with the robots whose orders have changed.
     """
 
@@ -39,9 +39,9 @@ class World:
         author: str,
         *,
         on_world: Callable[[], None],
-        on_wanted: Callable[[Iterable[str]], None],
+        on_orders: Callable[[Iterable[str]], None],
     ) -> None:
-        self._scheduler, self._on_world, self._on_wanted = scheduler, on_world, on_wanted
+        self._scheduler, self._on_world, self._on_orders = scheduler, on_world, on_orders
         self._params = ParamClient(bus, keys, scheduler, author)
         self._values: dict[str, Stored] = {}
         self._core = ""
@@ -96,12 +96,12 @@ class World:
         robots = value.get("robots") if isinstance(value, dict) else None
         return tuple(map(str, robots)) if isinstance(robots, list | tuple) else None
 
-    def wanted(self) -> dict[str, dict[str, Any]]:
-        """Return robot → what the core wants it to run: `request_id`, `behaviour`, `parameters` and more."""
+    def orders(self) -> dict[str, dict[str, Any]]:
+        """Return robot → its order of the core: `request_id`, `behaviour`, `parameters` and more."""
         return {
-            key.removeprefix(WANTED): value
+            key.removeprefix(ORDER): value
             for key, value in self._values.items()
-            if key.startswith(WANTED) and isinstance(value, dict)
+            if key.startswith(ORDER) and isinstance(value, dict)
         }
 
     def _names(self, prefix: str) -> list[str]:
@@ -141,7 +141,7 @@ class World:
             self._values = {entry.key: entry.value for entry in reply.entries if entry.value is not None}
             self.known = True
             self._on_world()
-            self._on_wanted(self.wanted())
+            self._on_orders(self.orders())
         if self._again:
             self._ask()
 
@@ -160,7 +160,7 @@ class World:
             self._values.pop(key, None)
         else:
             self._values[key] = entry.value
-        if key.startswith(WANTED):
-            self._on_wanted((key.removeprefix(WANTED),))
+        if key.startswith(ORDER):
+            self._on_orders((key.removeprefix(ORDER),))
         elif key.startswith(_SHOWN):
             self._on_world()

@@ -42,7 +42,7 @@ def gamepads(folder: Path = INPUT, listing: Path = LIST) -> tuple[InputDevice, .
 
 
 def problem(found: tuple[InputDevice, ...]) -> str:
-    """Return in words which gamepads this user may not read; empty: none."""
+    """Return as text which gamepads this user may not read; empty: none."""
     barred = [f"{each.name} ({each.path})" for each in found if not each.readable]
     return f"not readable by this user: {', '.join(barred)}" if barred else ""
 
@@ -62,5 +62,5 @@ def _listed(listing: Path) -> list[tuple[str, list[str]]]:
         name = re.search(r'^N: Name="(.*)"$', block, re.MULTILINE)
         handlers = re.search(r"^H: Handlers=(.*)$", block, re.MULTILINE)
         if handlers:
-            found.append((name[1] if name else "a pad without a name", handlers[1].split()))
+            found.append((name[1] if name else "unnamed gamepad", handlers[1].split()))
     return found

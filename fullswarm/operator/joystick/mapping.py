@@ -56,7 +56,7 @@ HELD_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """One line: which axis, button or hat of a kind of pad is which control."""
+    """One line: the axis, button or hat of each control of a model of pads."""
 
     text: str
     guid: str
@@ -182,7 +182,7 @@ class Moved:
 
 
 class Wizard:
-    """Asks for each control in turn and notes which axis, button or hat moves. Call `look` repeatedly until `done`.
+    """Asks for each control in turn and notes which axis, button or hat moves. Call `update` repeatedly until `done`.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ class Wizard:
         if not self.done:
             self._next()
 
-    def look(self, now_s: float, raw: RawState) -> None:
+    def update(self, now_s: float, raw: RawState) -> None:
         """Process the pad's inputs at `now_s`."""
         if self.done:
             return

@@ -21,7 +21,7 @@ FULL = 32767.0
 _NO_WINDOW = {
     "SDL_VIDEODRIVER": "dummy",
     "SDL_JOYSTICK_ALLOW_BACKGROUND_EVENTS": "1",  # a program without a window never has the focus
-    "SDL_NO_SIGNAL_HANDLERS": "1",  # Ctrl-C is ours
+    "SDL_NO_SIGNAL_HANDLERS": "1",  # Ctrl-C is handled by the runtime
 }
 
 
@@ -143,7 +143,7 @@ class Pads:
             return None  # unplugged already, or not readable
         text = ctypes.create_string_buffer(33)
         sdl.SDL_JoystickGetGUIDString(sdl.SDL_JoystickGetGUID(joystick), text, len(text))
-        name = (sdl.SDL_JoystickName(joystick) or b"a pad without a name").decode(errors="replace")
+        name = (sdl.SDL_JoystickName(joystick) or b"unnamed gamepad").decode(errors="replace")
         return _Pad(number, name, text.value.decode(), joystick, controller)
 
     def _close(self, pad: _Pad) -> None:

@@ -144,7 +144,7 @@ export class Bench {
     const commands = (this.commands = new Commands(link, store));
     link.on("message", (message) => store.apply(message));
     commands.on("refused", ({ reason }) => this.refused.push(reason));
-    this.tools = new Tools({ store, selection, commands, tell: (words) => this.told.push(words) });
+    this.tools = new Tools({ store, selection, commands, hint: (words) => this.told.push(words) });
     this.stops = new Stops(store, commands);
     this.driver = new Driver({ link, store, selection, commands });
     this.pad = new Pad(this.driver, selection, () => this.stops.estop());

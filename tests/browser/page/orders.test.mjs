@@ -3,11 +3,11 @@ import { test } from "node:test";
 import { Bench } from "./browser.mjs";
 import { page } from "./page.mjs";
 
-const { UNHEARD } = await page("selection.js");
+const { NOT_REPORTED } = await page("selection.js");
 const LB = 4;
 
 /** Return a bench with two robots, and a group selected of which none is there. */
-async function unheard(ids = ["r7", "r8"]) {
+async function absent(ids = ["r7", "r8"]) {
   const bench = await Bench.with("r1", "r2");
   bench.hear({ t: "world", groups: { spare: ids } });
   bench.selection.set(bench.selection.groups().get("spare"), "spare");
@@ -21,13 +21,13 @@ function start(bench) {
 
 for (const [what, ids] of [["that is switched off", ["r7", "r8"]], ["without robots", []]]) {
   test(`a group ${what} starts nobody, and the page says so`, async () => {
-    const bench = await unheard(ids);
-    assert.match(bench.element("start").textContent, new RegExp(UNHEARD, "i"));
+    const bench = await absent(ids);
+    assert.match(bench.element("start").textContent, new RegExp(NOT_REPORTED, "i"));
     start(bench);
     await bench.clock.pass(100);
     assert.deepEqual(bench.sent("request"), []);
-    assert.match(bench.element("refusal").textContent, new RegExp(UNHEARD));
-    assert.match(bench.element("selection-names").textContent, /not heard/);
+    assert.match(bench.element("refusal").textContent, new RegExp(NOT_REPORTED));
+    assert.match(bench.element("selection-names").textContent, /not reported/);
     assert.equal(bench.element("select-none").disabled, false);
   });
 }
@@ -54,7 +54,7 @@ test("a refusal goes with its cause, and only then", async () => {
 });
 
 test("it gets neither goal nor formation", async () => {
-  const bench = await unheard();
+  const bench = await absent();
   bench.tools.use("goal");
   assert.equal(bench.tools.mode, "select");
   bench.tools.goal([1, 2]);
@@ -65,16 +65,16 @@ test("it gets neither goal nor formation", async () => {
   await bench.clock.pass(100);
   assert.deepEqual(bench.sent("request"), []);
   assert.equal(bench.told.length, 3);
-  assert.ok(bench.told.every((words) => words.includes(UNHEARD)));
+  assert.ok(bench.told.every((words) => words.includes(NOT_REPORTED)));
 });
 
 test("it is not driven", async () => {
-  const bench = await unheard();
+  const bench = await absent();
   bench.plug(0);
   await bench.clock.pass(100);
   bench.press(0, LB);
   await bench.clock.pass(100);
-  assert.equal(bench.driver.words, `not driving: ${UNHEARD}`);
+  assert.equal(bench.driver.words, `not driving: ${NOT_REPORTED}`);
   assert.deepEqual(bench.sent("drive"), []);
 });
 
@@ -90,7 +90,7 @@ test("a formation dragged while nobody is selected goes to nobody", async () => 
 });
 
 test("those of a group that are there get the order, and nobody selected is still the whole swarm", async () => {
-  const bench = await unheard(["r2", "r7"]);
+  const bench = await absent(["r2", "r7"]);
   start(bench);
   bench.selection.clear();
   start(bench);
@@ -99,7 +99,7 @@ test("those of a group that are there get the order, and nobody selected is stil
 });
 
 test("a group of which somebody is heard at last can be started", async () => {
-  const bench = await unheard();
+  const bench = await absent();
   bench.fleet(["r1", "r2", "r8"]);
   assert.equal(bench.element("start").textContent, "Start for 1 robot");
 });

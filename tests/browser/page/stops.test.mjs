@@ -23,7 +23,7 @@ test("all stand: that is good, and the panel goes by itself", async () => {
 test("a robot that is not heard counts, by name, and the panel stays", async () => {
   const bench = await Bench.with("r1", "r2", "r10");
   bench.hear({ t: "stop", standing: ["r1"], moving: [], silent: ["r10", "r2"], done: false });
-  assert.deepEqual(panel(bench), { words: "1 of 3 standing, r2, r10 not heard", mood: "bad", shown: true });
+  assert.deepEqual(panel(bench), { words: "1 of 3 standing, r2, r10 silent", mood: "bad", shown: true });
   await bench.clock.pass(20_000);
   assert.equal(panel(bench).shown, true);
 });
@@ -34,7 +34,7 @@ test("it is never good while somebody is silent or nobody is there, whatever the
     bench.hear({ t: "stop", standing: ["r1"], moving: [], silent: ["r2"], done });
     assert.equal(panel(bench).mood, "bad");
     bench.hear({ t: "stop", standing: [], moving: [], silent: [], done });
-    assert.deepEqual(panel(bench), { words: "0 of 0 standing: no robot has been heard", mood: "bad", shown: true });
+    assert.deepEqual(panel(bench), { words: "0 of 0 standing: no robot has reported", mood: "bad", shown: true });
   }
 });
 

@@ -50,9 +50,9 @@ test("the trail of before a reload is put before the new one", () => {
 
 test("the fastest message tells the server's clock", () => {
   const clock = new ServerClock();
-  for (const [at, delay] of [[1, 0.05], [2, 0.01], [3, 0.2]]) clock.heard(at, at + 500 + delay);
+  for (const [at, delay] of [[1, 0.05], [2, 0.01], [3, 0.2]]) clock.update(at, at + 500 + delay);
   assert.ok(Math.abs(clock.drawn(510) - (10 - 0.01 - DELAY_S)) < 0.002);
-  clock.heard(1, 520); // a new console
+  clock.update(1, 520); // a new console
   assert.ok(Math.abs(clock.drawn(520) - (1 - DELAY_S)) < 1e-9);
 });
 

@@ -1,4 +1,4 @@
-/** What must be seen at once: the state of the link, robots taken over, the question whether to take over. */
+/** Banners over the map: the state of the link, robots taken over, the question whether to take over. */
 
 import { byId, setText } from "./dom.js";
 import { short } from "./fleet.js";
@@ -26,8 +26,8 @@ export class Banners {
     store.on("hello", ({ read_only }) => (byId("read-only").hidden = !read_only));
     commands.on("question", (question) => this.#ask(question));
     store.on("leases", () => this.#stillHeld());
-    commands.on("asked", () => (byId("question").hidden = true));
-    commands.on("refused", ({ behaviour, reason }) => this.tell(`Refused. ${behaviour}: ${reason}`));
+    commands.on("requested", () => (byId("question").hidden = true));
+    commands.on("refused", ({ behaviour, reason }) => this.hint(`Refused. ${behaviour}: ${reason}`));
     byId("question-no").addEventListener("click", () => (byId("question").hidden = true));
     byId("question-yes").addEventListener("click", () => this.#take());
     byId("lost-close").addEventListener("click", () => (byId("lost").hidden = true));
@@ -35,15 +35,15 @@ export class Banners {
   }
 
   #takeOver = /** @type {(() => void) | null} */ (null);
-  #askedAbout = /** @type {string[]} */ ([]);
+  #questioned = /** @type {string[]} */ ([]);
   #lostTimer = 0;
   #toldTimer = 0;
 
   /**
-   * Say something over the map for a few seconds.
+   * Show a text over the map for a few seconds.
    * @param {string} words
    */
-  tell(words) {
+  hint(words) {
     setText(byId("hint"), words);
     byId("hint").hidden = false;
     clearTimeout(this.#toldTimer);
@@ -85,15 +85,15 @@ export class Banners {
     const verb = robots.length === 1 ? "is" : "are";
     setText(byId("question-words"), `${short(robots)} ${verb} held by ${names}: take over?`);
     this.#takeOver = take;
-    this.#askedAbout = robots;
+    this.#questioned = robots;
     byId("question").hidden = false;
   }
 
-  /** Whoever was asked about may have given the robots back meanwhile. */
+  /** The question is void when the holder has released the robots meanwhile. */
   #stillHeld() {
-    if (byId("question").hidden || this.store.heldByOthers(this.#askedAbout).size) return;
+    if (byId("question").hidden || this.store.heldByOthers(this.#questioned).size) return;
     byId("question").hidden = true;
-    this.tell(`${short(this.#askedAbout)} given back: ask again.`);
+    this.hint(`${short(this.#questioned)} released: request again.`);
   }
 
   #take() {

@@ -1,4 +1,4 @@
-/** What the page asks for, in one place: requests and their refusals, leases, stops. */
+/** The page's commands and their answers: requests and refusals, leases, stops. */
 
 import { Emitter } from "./dom.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
@@ -13,9 +13,9 @@ import { assign, closestPair, goalRadius } from "./geometry.js";
  */
 
 /**
- * Emits "refused" (robots: those it concerns, none: all or none of them), "asked", "question", and "unsent": a stop that
+ * Emits "refused" (robots: those it concerns, none: all or none of them), "requested", "question", and "unsent": a stop that
  * the console has not confirmed, and why (see Answer).
- * @extends {Emitter<{refused: Refused, asked: {behaviour: string, robots: string[]}, question: Question,
+ * @extends {Emitter<{refused: Refused, requested: {behaviour: string, robots: string[]}, question: Question,
  *   unsent: Unsent}>}
  */
 export class Commands extends Emitter {
@@ -31,10 +31,10 @@ export class Commands extends Emitter {
     store.on("request", (status) => this.#onStatus(status));
   }
 
-  #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to ask again
+  #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to repeat it
 
   /**
-   * Ask for a behaviour; no robots: the whole swarm.
+   * Request a behaviour; no robots: the whole swarm.
    * @param {string} behaviour
    * @param {string[]} robots
    * @param {Record<string, unknown>} [parameters]
@@ -46,7 +46,7 @@ export class Commands extends Emitter {
     const holders = this.store.heldByOthers(addressed);
     const again = () => this.request(behaviour, robots, parameters, true);
     if (holders.size && !take) return this.emit("question", { holders, take: again });
-    this.emit("asked", { behaviour, robots });
+    this.emit("requested", { behaviour, robots });
     const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, take });
     if (answer.request_id) this.#remember(answer.request_id, again);
     if (!answer.ok) this.#refuse(behaviour, answer, again, robots);
@@ -69,7 +69,7 @@ export class Commands extends Emitter {
   }
 
   /**
-   * Send each robot to the place that suits it; refused here if the places are too close.
+   * Send each robot to a place, by the assignment with the shortest ways; refused here if the places are too close.
    * @param {string[]} robots
    * @param {Point[]} places
    */
@@ -107,7 +107,7 @@ export class Commands extends Emitter {
   }
 
   /**
-   * Clear the e-stop: only behind a deliberate act.
+   * Clear the e-stop; called after a deliberate act only.
    * @param {string[]} [robots]
    */
   async clear(robots = []) {
@@ -117,7 +117,7 @@ export class Commands extends Emitter {
   }
 
   /**
-   * Take or give back robots.
+   * Hold or release robots.
    * @param {string[]} robots
    * @param {boolean} hold
    * @param {boolean} [take]
@@ -154,7 +154,7 @@ export class Commands extends Emitter {
   }
 
   /**
-   * Tell why; if somebody else holds the robots, ask whether to take them over.
+   * Report a refusal; if another operator holds the robots, ask whether to take them over.
    * @param {string} behaviour
    * @param {{reason?: string, code?: string, about?: Record<string, string>}} given
    * @param {(() => void) | undefined} again

@@ -1,7 +1,7 @@
 /** Helpers for elements and events; text is only ever inserted as text. */
 
 /**
- * Return the element with an id; its absence is a mistake of the page.
+ * Return the element with an id; its absence is an error in the page.
  * @param {string} id
  */
 export function byId(id) {
@@ -31,7 +31,7 @@ export function make(tag, { text, testid, on = {}, ...attributes } = {}, ...chil
 }
 
 /**
- * Return what draws on a canvas.
+ * Return the drawing context of a canvas.
  * @param {HTMLCanvasElement} canvas
  * @param {CanvasRenderingContext2DSettings} [settings]
  */
@@ -42,7 +42,7 @@ export function context2d(canvas, settings) {
 }
 
 /**
- * Set a text only if it changed: the browser does no work for what stays.
+ * Set a text only if it changed, which saves the browser work.
  * @param {Element} element
  * @param {string} text
  */
@@ -91,7 +91,7 @@ export function robots(count) {
 }
 
 /**
- * Topics and who listens to them.
+ * Calls the handlers of topics.
  * @template {object} Topics topic → what its handlers are called with
  */
 export class Emitter {

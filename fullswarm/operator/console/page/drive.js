@@ -2,12 +2,12 @@
 
 import { Emitter } from "./dom.js";
 import { short } from "./fleet.js";
-import { UNHEARD } from "./selection.js";
+import { NOT_REPORTED } from "./selection.js";
 
 /** @import { Answer } from "./link.js" */
 
 const RATE_MS = 50;
-const LEAST_MS = 34; // between frames, on average: the console shuts out who sends 60 a second for long
+const LEAST_MS = 34; // between frames, on average: the console closes pages that send 60 a second for long
 const POLL_MS = 20;
 const BEHAVIOUR = "drive_bc";
 export const DEAD_ZONE = 0.12;
@@ -16,7 +16,7 @@ const SLOW_SHARE = 0.5;
 const BUTTON = { estop: 1, deadman: 4, turbo: 5, up: 12, down: 13, left: 14, right: 15 };
 
 /**
- * The stream of frames. Emits "change" with what it does in words.
+ * The stream of frames. Emits "change" with its state in words.
  * @extends {Emitter<{change: string}>}
  */
 export class Driver extends Emitter {
@@ -41,51 +41,51 @@ export class Driver extends Emitter {
 
   #timer = 0;
   #due_ms = 0; // before it only zeros are sent
-  #press = 0; // counts the presses: what is said of an earlier one does not end this one
+  #press = 0; // counts the presses: the answer to an earlier one does not end this one
   #sticks = { linear: 0, angular: 0 };
-  #told = { linear: 0, angular: 0 };
+  #sent = { linear: 0, angular: 0 };
 
   get held() {
     return this.#timer !== 0;
   }
 
-  /** Start driving the selection; false, with the reason in words, if that cannot be. */
+  /** Start driving the selection; false if that is not possible: then `words` has the reason. */
   begin() {
     if (this.held) return true;
     const robots = this.selection.list();
-    if (!this.link.open) return this.#say("not driving: no link");
-    if (this.store.hello?.read_only) return this.#say("not driving: this console is read-only");
-    if (this.selection.unheard) {
-      this.#refused(UNHEARD);
-      return this.#say(`not driving: ${UNHEARD}`);
+    if (!this.link.open) return this.#show("not driving: no link");
+    if (this.store.hello?.read_only) return this.#show("not driving: this console is read-only");
+    if (this.selection.absent) {
+      this.#refused(NOT_REPORTED);
+      return this.#show(`not driving: ${NOT_REPORTED}`);
     }
-    if (robots.length === 0) return this.#say("not driving: select robots");
+    if (robots.length === 0) return this.#show("not driving: select robots");
     const holders = this.store.heldByOthers(robots);
     if (holders.size) {
       this.commands.emit("question", { holders, take: () => this.commands.lease(robots, true, true) });
-      return this.#say(`not driving: held by ${[...new Set(holders.values())].join(", ")}`);
+      return this.#show(`not driving: held by ${[...new Set(holders.values())].join(", ")}`);
     }
     this.robots = robots;
     this.#press += 1;
     this.#send();
-    this.#say(`driving ${short(robots, 4)}`);
+    this.#show(`driving ${short(robots, 4)}`);
     return true;
   }
 
   /**
-   * Set the sticks, -1 to 1; zero is told at once, any other move as soon as the last frame is old enough.
+   * Set the sticks, -1 to 1; zero is sent at once, any other change as soon as the last frame is old enough.
    * @param {{linear: number, angular: number}} given
    */
   set({ linear, angular }) {
     if (!this.held) return;
     this.#sticks = { linear, angular };
-    if (linear === this.#told.linear && angular === this.#told.angular) return;
+    if (linear === this.#sent.linear && angular === this.#sent.angular) return;
     const wait_ms = this.#due_ms - performance.now();
     if (wait_ms <= 0 || (linear === 0 && angular === 0)) this.#send();
     else this.#sendIn(wait_ms);
   }
 
-  /** Let go: the console sends zeros at once. */
+  /** Release the dead-man: the console sends zeros at once. */
   release() {
     this.#end("not driving");
   }
@@ -99,15 +99,15 @@ export class Driver extends Emitter {
     this.robots = [];
     if (!was) return;
     this.link.post({ t: "release" });
-    this.#say(words);
+    this.#show(words);
   }
 
   #send() {
     const press = this.#press;
     this.#due_ms = Math.max(this.#due_ms, performance.now()) + LEAST_MS;
-    this.#told = this.#sticks;
+    this.#sent = this.#sticks;
     const frame = { t: "drive", robots: this.robots, behaviour: BEHAVIOUR, sticks: this.#sticks, fixed: {} };
-    this.link.post(frame, (answer) => press === this.#press && this.#heard(answer));
+    this.link.post(frame, (answer) => press === this.#press && this.#onAnswer(answer));
     this.#sendIn(RATE_MS);
   }
 
@@ -118,17 +118,17 @@ export class Driver extends Emitter {
   }
 
   /**
-   * Who is refused does not drive, whatever the thumb does: it must be pressed anew.
+   * A refusal ends driving: the dead-man must be pressed again.
    * @param {Answer} answer
    */
-  #heard({ ok, lost, reason }) {
+  #onAnswer({ ok, lost, reason }) {
     if (ok || lost || !this.held) return;
     this.#end(`not driving: ${reason}`);
     this.#refused(reason);
   }
 
   /**
-   * Say it where there is room for a long reason, too.
+   * Report it also where there is room for a long reason.
    * @param {string | undefined} reason
    */
   #refused(reason) {
@@ -136,7 +136,7 @@ export class Driver extends Emitter {
   }
 
   /** @param {string} words */
-  #say(words) {
+  #show(words) {
     this.words = words;
     this.emit("change", words);
     return false;
@@ -144,8 +144,8 @@ export class Driver extends Emitter {
 }
 
 /**
- * The browser's gamepad: the first one, as long as it is there. The dead-man must go down anew after everything that
- * ended the driving, also when another pad takes its place. The e-stop counts on every pad, for whoever grabs one.
+ * The browser's gamepad: the first one, while it is connected. The dead-man must be pressed again after everything that
+ * ended the driving, also when another pad replaces it. The e-stop works on every pad.
  * @extends {Emitter<{change: string}>}
  */
 export class Pad extends Emitter {
@@ -173,7 +173,7 @@ export class Pad extends Emitter {
   /** @param {GamepadEvent} event */
   #plugged({ gamepad }) {
     this.#estops.delete(gamepad.index);
-    if (gamepad.index === this.#index) this.#take(null); // another one in its place
+    if (gamepad.index === this.#index) this.#take(null); // another one replaces it
     if (!this.#timer) this.#timer = setInterval(() => this.#poll(), POLL_MS);
     this.#poll();
   }
@@ -188,12 +188,12 @@ export class Pad extends Emitter {
     try {
       return [...navigator.getGamepads()].filter((pad) => !!pad).filter((pad) => pad.connected !== false && pad.buttons.length > 5);
     } catch {
-      return []; // the browser forbids it here
+      return []; // the browser denies access
     }
   }
 
   /**
-   * Is the e-stop of one of them pressed? What is held already when a pad is first seen does not count.
+   * Whether the e-stop of a pad was pressed; one that is held when a pad is connected does not count.
    * @param {Gamepad[]} pads
    */
   #pressesEstop(pads) {
@@ -203,7 +203,7 @@ export class Pad extends Emitter {
   }
 
   /**
-   * Go over to another pad, or to none: what is held down on it does not count.
+   * Change to another pad, or to none: what is held down on it does not count.
    * @param {Gamepad | null} pad
    */
   #take(pad) {
@@ -260,7 +260,7 @@ export class ArrowDrive {
   #drives = false;
 
   /**
-   * A key went down; true if it was meant for driving.
+   * A key went down; true if it is for driving.
    * @param {KeyboardEvent} event
    */
   down(event) {
@@ -326,7 +326,7 @@ export function pressed(before, now) {
 }
 
 /**
- * Turn held arrow keys into sticks.
+ * Convert held arrow keys to sticks.
  * @param {Set<string>} keys
  */
 export function readArrows(keys) {

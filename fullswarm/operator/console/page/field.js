@@ -9,8 +9,8 @@ import { entryText, fromSlider, number, parseEntry, rangeText, toSlider } from "
 let counted = 0;
 
 /**
- * A field: its element, what is entered in it, and where its error stands.
- * @typedef {{element: HTMLElement, entry: () => string | boolean, say: (reason: string) => void,
+ * A field: its element, its entry, and how to show its error.
+ * @typedef {{element: HTMLElement, entry: () => string | boolean, showError: (reason: string) => void,
  *   focus: () => void}} Field
  * @typedef {(onPoint: (point: Point) => boolean, points: Point[]) => void} Pick starts picking on the map
  */
@@ -35,7 +35,7 @@ export function makeField(name, parameter, pick) {
     element,
     entry: control.entry,
     focus: () => control.input.focus(),
-    say: (reason) => {
+    showError: (reason) => {
       error.textContent = reason;
       control.input.setAttribute("aria-invalid", String(Boolean(reason)));
     },

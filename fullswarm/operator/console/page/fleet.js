@@ -1,4 +1,4 @@
-/** The fleet table: who needs attention first; selecting here and on the map is the same. */
+/** The table of robots, those that need attention first, and the group buttons above it. It shares the map's selection. */
 
 import { byId, make, setFlag, setText } from "./dom.js";
 import { OLD_S, seconds } from "./link.js";
@@ -46,7 +46,7 @@ export class FleetTable {
       const row = this.#row(id);
       this.#fill(row, id);
       const high = CALM_PX + row.lines * LINE_PX;
-      row.element.style.transform = `translateY(${top}px)`; // not a layout shift, however they are sorted
+      row.element.style.transform = `translateY(${top}px)`; // not a layout shift
       row.element.style.height = `${high}px`;
       top += high;
     }
@@ -62,7 +62,7 @@ export class FleetTable {
   }
 
   /**
-   * The order for readers and the Tab key follows the eye's, unless the focus is in the table.
+   * The order for screen readers and the Tab key follows the one on the screen, unless the focus is in the table.
    * @param {string[]} ids
    */
   #reorder(ids) {
@@ -80,7 +80,7 @@ export class FleetTable {
   /** @param {string[]} ids */
   #summary(ids) {
     const worried = ids.filter((id) => this.#rank(id) === 0).length;
-    const missing = this.store.missing.length ? ` · never heard: ${this.store.missing.join(", ")}` : "";
+    const missing = this.store.missing.length ? ` · never reported: ${this.store.missing.join(", ")}` : "";
     setText(byId("fleet-summary"), `${ids.length} robots · ${worried || "none"} need${worried === 1 ? "s" : ""} attention${missing}`);
     byId("fleet-empty").hidden = ids.length > 0;
     const mine = [...this.store.leases.values()].filter((lease) => lease.mine).map((lease) => lease.robot);
@@ -157,7 +157,7 @@ export class FleetTable {
     this.#lease(row, id);
   }
 
-  /** While nothing arrives, the ages must grow all the same. */
+  /** Ages grow also while nothing arrives. */
   #ageing() {
     for (const [id, row] of this.#rows) this.#age(row, this.store.info(id));
   }
@@ -180,7 +180,7 @@ export class FleetTable {
     const lease = this.store.leases.get(id);
     setText(row.lease, lease ? (lease.mine ? "you" : lease.operator) : "free");
     setFlag(row.lease, "data-lease", lease ? (lease.mine ? "mine" : "other") : "free");
-    row.lease.title = lease ? `driven by ${lease.operator}${lease.taken_from ? `, taken from ${lease.taken_from}` : ""}` : "nobody holds it";
+    row.lease.title = lease ? `driven by ${lease.operator}${lease.taken_from ? `, taken from ${lease.taken_from}` : ""}` : "not held";
   }
 
   #select() {
@@ -193,7 +193,7 @@ export class FleetTable {
 }
 
 /**
- * Split the state of a robot in trouble: a word for the column, and below it why and what to do.
+ * Split the state of a robot in trouble: a word for the column, and below it the reason and what to do.
  * @param {Partial<Robot>} robot
  * @param {boolean} alert
  */
@@ -256,12 +256,12 @@ export class GroupBar {
   #show() {
     const ids = this.selection.list();
     setText(byId("selection"), `${ids.length} selected`);
-    setText(byId("selection-names"), ids.length ? short(ids, 8) : this.#nobody());
-    /** @type {HTMLButtonElement} */ (byId("select-none")).disabled = ids.length === 0 && !this.selection.unheard;
+    setText(byId("selection-names"), ids.length ? short(ids, 8) : this.#noneSelected());
+    /** @type {HTMLButtonElement} */ (byId("select-none")).disabled = ids.length === 0 && !this.selection.absent;
   }
 
-  #nobody() {
-    const { ids, group, unheard } = this.selection;
-    return unheard ? `${short(ids, 4) || group}: not heard` : "click, lasso, or tick robots";
+  #noneSelected() {
+    const { ids, group, absent } = this.selection;
+    return absent ? `${short(ids, 4) || group}: not reported` : "click, lasso, or tick robots";
   }
 }

@@ -6,7 +6,7 @@
 
 /** @import { Behaviour, Parameter } from "./types.d.ts" */
 
-const WIDE_RANGE = 50; // above this ratio a slider goes by powers
+const WIDE_RANGE = 50; // above this ratio a slider is logarithmic
 
 const fail = (/** @type {string} */ reason) => ({ ok: /** @type {const} */ (false), reason });
 
@@ -26,7 +26,7 @@ export function number(value, digits = 4) {
 }
 
 /**
- * Tell the range of a parameter in words: "0.05 to 5 1/s".
+ * Write the range of a parameter: "0.05 to 5 1/s".
  * @param {Parameter} parameter
  */
 export function rangeText(parameter) {
@@ -112,7 +112,7 @@ export function parseForm(entries, parameters) {
 }
 
 /**
- * Write a value as it stands in a field.
+ * Write a value for a field.
  * @param {unknown} value
  * @returns {string}
  */
@@ -126,7 +126,7 @@ export function entryText(value) {
 const byPowers = (/** @type {Bounds} */ { min, max }) => min > 0 && max / min > WIDE_RANGE;
 
 /**
- * Return where in 0..1000 the slider of a parameter stands for a value.
+ * Return the position in 0..1000 of a parameter's slider for a value.
  * @param {number} value
  * @param {Bounds} bounds
  */
@@ -136,7 +136,7 @@ export function toSlider(value, { min, max }) {
 }
 
 /**
- * Return the value for a slider's place in 0..1000.
+ * Return the value for a slider's position in 0..1000.
  * @param {number} place
  * @param {Bounds & {type: string}} bounds
  */
@@ -150,7 +150,7 @@ export function fromSlider(place, { min, max, type }) {
 const ORDER = ["filtered", "plain", "stick"];
 
 /**
- * Tell the group of a behaviour in the list: behind the filter first, what lapses without a stick last.
+ * Return the group of a behaviour in the list: filtered ones first, those that expire without a stick last.
  * @param {Behaviour} record
  * @returns {"filtered" | "plain" | "stick"}
  */

@@ -1,11 +1,11 @@
 /**
- * Plane geometry of the map: what a lasso holds, places of a formation, who goes where. Metres; no page needed.
+ * Plane geometry of the map: what a lasso contains, places of a formation, assignment of robots. Metres; no page needed.
  */
 
 /** @import { Point } from "./types.d.ts" */
 
 /**
- * Tell whether a point lies within a polygon (even-odd rule).
+ * Return whether a point lies within a polygon (even-odd rule).
  * @param {Point} point
  * @param {Point[]} polygon
  */
@@ -129,7 +129,7 @@ export function closestPair(points) {
 }
 
 /**
- * Hand out targets so that the sum of squared ways is least (Hungarian method, O(n^3), Kuhn 1955).
+ * Assign targets so that the sum of squared distances is least (Hungarian method, O(n^3), Kuhn 1955).
  * @param {Point[]} from
  * @param {Point[]} targets as many as `from`
  * @returns {Point[]} a target for each of `from`
@@ -139,7 +139,7 @@ export function assign(from, targets) {
   const cost = (/** @type {number} */ i, /** @type {number} */ j) => (from[i][0] - targets[j][0]) ** 2 + (from[i][1] - targets[j][1]) ** 2;
   const u = new Float64Array(n + 1);
   const v = new Float64Array(n + 1);
-  const owner = new Int32Array(n + 1).fill(-1); // of each column; column n is the one that is looking
+  const owner = new Int32Array(n + 1).fill(-1); // of each column; column n is the unassigned row's
   const way = new Int32Array(n + 1);
   for (let i = 0; i < n; i += 1) {
     const least = new Float64Array(n + 1).fill(Infinity);

@@ -46,7 +46,7 @@ export class Keyboard {
   }
 
   /**
-   * Space and E. A number has no spaces, so Space stops there, too.
+   * Space and E. A number field needs no spaces, so Space stops there too.
    * @param {KeyboardEvent} event
    */
   #alarm(event) {
@@ -78,7 +78,7 @@ export class Keyboard {
   }
 
   /**
-   * Space belongs to the stop, so Enter ticks boxes.
+   * Space is the stop, so Enter ticks boxes.
    * @param {KeyboardEvent} event
    */
   #enter(event) {
@@ -104,7 +104,7 @@ export class Keyboard {
   }
 }
 
-/** Make the tabs of narrow screens; on wide ones everything is seen at once. */
+/** Make the tabs of narrow screens; wide ones show everything at once. */
 export function tabs() {
   const buttons = /** @type {HTMLElement[]} */ ([...byId("tabs").querySelectorAll("button")]);
   const show = (/** @type {string} */ name) => {

@@ -9,14 +9,14 @@ const ANSWER_S = 4;
 const STALLED_S = 3;
 const URGENT_S = 10;
 const REFUSED = /** @type {Record<number, string>} */ ({
-  4401: "not let in: wrong or missing token",
-  4429: "not let in: too many pages or messages",
+  4401: "Access denied: wrong or missing token",
+  4429: "Access denied: too many pages or messages",
 });
 
 /**
  * @typedef {{ok: boolean, reason?: string, request_id?: string, code?: string, about?: Record<string, string>,
  *   lost?: "unsent" | "broken" | "mute"}} Answer
- *   lost: the console has not said this, but the link: it was not sent, the link broke, no answer came
+ *   lost: this is not an answer of the console, but of the link: it was not sent, the link broke, no answer came
  */
 
 /**
@@ -43,7 +43,7 @@ export class Link extends Emitter {
   #urgent = /** @type {{message: object, until_s: number}[]} */ ([]);
 
   /**
-   * Send a command and wait for its answer. Never throws: no link and no answer are answers too.
+   * Send a command and wait for its answer. Never throws: a lost link and a missing answer are answers too.
    * @returns {Promise<Answer>}
    * @param {object} message
    */
@@ -68,14 +68,14 @@ export class Link extends Emitter {
   }
 
   /**
-   * Send and wait for nothing; null if there is no link. `heard` is called with the answer when it comes.
+   * Send and wait for nothing; null if there is no link. `handler` is called with the answer.
    * @param {object} message
-   * @param {(answer: Answer) => unknown} [heard]
+   * @param {(answer: Answer) => unknown} [handler]
    */
-  post(message, heard) {
+  post(message, handler) {
     if (!this.open || this.#socket?.readyState !== WebSocket.OPEN) return null;
     this.#ref += 1;
-    if (heard) this.#waiting.set(this.#ref, { resolve: heard, timer: 0 });
+    if (handler) this.#waiting.set(this.#ref, { resolve: handler, timer: 0 });
     this.#socket.send(JSON.stringify({ ...message, ref: this.#ref }));
     return this.#ref;
   }
@@ -123,7 +123,7 @@ export class Link extends Emitter {
     this.emit("closed");
   }
 
-  /** A socket that says nothing for long is dead although nobody closed it: start anew. */
+  /** A socket without messages for long is dead although it was not closed: reconnect. */
   #watch() {
     const quiet_s = performance.now() / 1000 - (this.heard_s ?? Infinity);
     if (!this.open || quiet_s < STALLED_S) return;
@@ -165,11 +165,11 @@ export const OLD_S = 1.0;
 /**
  * @typedef {{open: boolean, now_s: number, heard_s: number | null, fleet_s: number | null, hub: boolean,
  *   core_age_s: number | null, refused: string}} LinkFacts
- *   heard_s: arrival of the newest message; fleet_s: of the newest "fleet"; core_age_s: as that one told
+ *   heard_s: arrival of the newest message; fleet_s: of the newest "fleet"; core_age_s: as that one reports
  */
 
 /**
- * Judge the data.
+ * Return how old the data is, and why.
  * @param {LinkFacts} facts
  * @returns {{level: "live" | "old" | "core" | "hub" | "refused" | "start", text: string}}
  */

@@ -1,4 +1,4 @@
-/** Puts the parts of the console together. */
+/** Assembles the page. */
 
 import { Banners } from "./banners.js";
 import { Charts } from "./charts.js";
@@ -29,7 +29,7 @@ const ground = /** @type {HTMLCanvasElement} */ (byId("map-ground"));
 const live = /** @type {HTMLCanvasElement} */ (byId("map"));
 const map = new SwarmMap({ ground, live, store, selection, theme });
 const banners = new Banners({ link, store, commands, map });
-const tools = new Tools({ store, selection, commands, tell: (words) => banners.tell(words) });
+const tools = new Tools({ store, selection, commands, hint: (words) => banners.hint(words) });
 map.tool = tools;
 const toolbar = new Toolbar({ map, tools, commands, store });
 const stops = new Stops(store, commands);
@@ -61,12 +61,12 @@ const showDriving = () => {
 driver.on("change", showDriving);
 pad.on("change", showDriving);
 
-const letGo = () => {
+const releaseDriving = () => {
   arrows.end();
   driver.release();
 };
-document.addEventListener("visibilitychange", () => document.hidden && letGo());
-for (const name of ["blur", "pagehide"]) addEventListener(name, letGo);
+document.addEventListener("visibilitychange", () => document.hidden && releaseDriving());
+for (const name of ["blur", "pagehide"]) addEventListener(name, releaseDriving);
 
 const help = byId("help-panel");
 function toggleHelp(open = help.hidden) {
@@ -95,7 +95,7 @@ setInterval(() => {
 
 new Keyboard({ map, tools, toolbar, theme, selection, stops, arrows, help: () => toggleHelp(), debug, escape });
 
-/** For tests and for the curious: copies, nothing that could be changed. */
+/** For tests: copies, nothing that could be changed. */
 window.fullswarm = Object.freeze({
   get state() {
     const robots = Object.fromEntries(

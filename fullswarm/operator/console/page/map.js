@@ -12,7 +12,7 @@ import { Viewport } from "./viewport.js";
 /** @import { Scene } from "./ground.js" */
 
 const TRAILS_EVERY_MS = 250;
-const TRAILS_SHARE = 15; // with many robots drawn seldomer: at most a fifteenth of the time goes into trails
+const TRAILS_SHARE = 15; // with many robots drawn less often: at most a fifteenth of the time goes into trails
 const LIVELY_MS = 400;
 const KEPT = 240; // frames whose cost is known
 
@@ -47,7 +47,7 @@ export class SwarmMap {
   #sprites = new Sprites();
   #dpr = 1;
   #fitted = false;
-  #fit = ""; // what the last fit showed: until somebody moves the map, it is fitted again to each new size
+  #fit = ""; // what the last fit showed: until the user moves the map, it is fitted again to each new size
   #floorStale = true;
   #groundStale = true;
   #trails_ms = 0;
@@ -120,7 +120,7 @@ export class SwarmMap {
 
   /** @param {number} now_ms */
   #frame(now_ms) {
-    this.theme.look();
+    this.theme.update();
     const began_ms = performance.now();
     const draws = began_ms < this.#lively_ms && this.view.width > 1;
     if (draws) this.#draw(began_ms);

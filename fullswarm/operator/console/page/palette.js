@@ -10,8 +10,8 @@ export const IDLE = { colour: "#9AA3AD", pattern: "plain" };
 /** @typedef {(typeof MAP_COLOURS)["light"]} Colours */
 
 /**
- * Give each law its colour and pattern: those seen most each a colour of their own, then by the order of the names,
- * so that it is the same for everybody who looks.
+ * Give each law its colour and pattern: common ones a colour of their own, the others by the order of their names,
+ * so that all pages show the same.
  */
 export class Looks {
   /** @param {Iterable<string>} names of behaviours */

@@ -3,7 +3,7 @@
 import { byId, make, robots, setText } from "./dom.js";
 import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
-import { UNHEARD } from "./selection.js";
+import { NOT_REPORTED } from "./selection.js";
 
 /** @import { Behaviour, RequestStatus } from "./types.d.ts" */
 
@@ -34,7 +34,7 @@ export class Panel {
     store.on("robots", () => this.#label());
     selection.on("change", () => this.#label());
     commands.on("refused", ({ behaviour, reason, robots }) => this.#refuse(`${behaviour}: ${reason}`, robots));
-    commands.on("asked", () => this.#refuse(""));
+    commands.on("requested", () => this.#refuse(""));
     store.on("request", (status) => status.mine && this.#progress(status));
     for (const topic of /** @type {const} */ (["fleet", "leases"])) store.on(topic, () => this.#stillHindered());
   }
@@ -69,7 +69,7 @@ export class Panel {
 
   #emptyText() {
     if (Object.keys(this.store.behaviours).length) return "No behaviour fits this search.";
-    return "No behaviours yet: the core has not told them. Is it running?";
+    return "No behaviours yet: none received from the core. Is it running?";
   }
 
   /**
@@ -116,20 +116,20 @@ export class Panel {
   #label() {
     const count = this.selection.list().length;
     const all = this.store.ids().length;
-    if (this.selection.unheard) return setText(this.start, `${UNHEARD[0].toUpperCase()}${UNHEARD.slice(1)}`);
+    if (this.selection.absent) return setText(this.start, `${NOT_REPORTED[0].toUpperCase()}${NOT_REPORTED.slice(1)}`);
     return setText(this.start, count ? `Start for ${robots(count)}` : `Start for the whole swarm (${all})`);
   }
 
   /** @param {SubmitEvent} event */
   #submit(event) {
     event.preventDefault();
-    if (this.selection.unheard) return this.#refuse(`not sent: ${UNHEARD}`);
+    if (this.selection.absent) return this.#refuse(`not sent: ${NOT_REPORTED}`);
     const { chosen } = this;
     if (chosen === null) return undefined;
     const { parameters = {} } = this.store.behaviours[chosen];
     const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
     const { values, errors } = parseForm(entries, parameters);
-    for (const [name, field] of Object.entries(this.#fields)) field.say(errors[name] ?? "");
+    for (const [name, field] of Object.entries(this.#fields)) field.showError(errors[name] ?? "");
     const wrong = Object.keys(errors);
     if (wrong.length) {
       this.#refuse(`not sent: ${wrong.map((name) => `${name} ${errors[name]}`).join("; ")}`);
@@ -168,7 +168,7 @@ export class Panel {
     this.#hindered = robots ? this.store.hindrances(robots) : new Set();
   }
 
-  /** Words on a refusal go when something that kept the robots from obeying is gone; the log keeps them. */
+  /** The text of a refusal is removed when its cause may be gone; the log keeps it. */
   #stillHindered() {
     if (!this.refusal.textContent && !this.#partly) return;
     const now = this.store.hindrances(this.#refused);

@@ -111,7 +111,7 @@ function drawRobot(scene, robot, selected) {
 }
 
 /**
- * A light rim, so that a robot stands out from a dark floor.
+ * A light rim, so that a robot is visible on a dark floor.
  * @param {CanvasRenderingContext2D} context
  * @param {Placed} placed
  * @param {string} shape
@@ -218,7 +218,7 @@ function drawLabel(scene, robot, chosen, mixed) {
 }
 
 /**
- * The filter's change of the velocity as an arrow; its reason in words for whom it concerns.
+ * The filter's change of the velocity as an arrow; its reason as text.
  * @param {Scene} scene
  * @param {Placed} robot
  * @param {boolean} withReason

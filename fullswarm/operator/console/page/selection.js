@@ -1,12 +1,12 @@
-/** Which robots are meant: a set of ids that map, table and groups share. */
+/** The selected robots: a set of ids that map, table and groups share. */
 
 import { Emitter } from "./dom.js";
 import { byNumber } from "./store.js";
 
 const KEPT_AS = "selection";
 
-/** Why an order is not sent to a selection of which nobody is there: no names would mean the whole swarm. */
-export const UNHEARD = "none of them has been heard";
+/** Why an order is not sent to a selection of which no robot is present: no names would mean the whole swarm. */
+export const NOT_REPORTED = "none of them has reported yet";
 
 /**
  * Emits "change". Kept over a reload of the tab.
@@ -26,10 +26,10 @@ export class Selection extends Emitter {
     return this.store.ids().filter((id) => this.ids.has(id));
   }
 
-  /** Whether robots are meant, but none of them is there. */
-  get unheard() {
-    const meant = this.ids.size > 0 || (this.group !== undefined && this.group !== "all");
-    return meant && this.list().length === 0;
+  /** Whether robots are selected, but none of them is present. */
+  get absent() {
+    const selected = this.ids.size > 0 || (this.group !== undefined && this.group !== "all");
+    return selected && this.list().length === 0;
   }
 
   /** @param {string} id */
@@ -90,7 +90,7 @@ export class Selection extends Emitter {
     if (name !== undefined) this.set(groups.get(name) ?? [], name);
   }
 
-  /** Return all groups: everybody, those of the fleet file, and one per make if there are several. */
+  /** Return all groups: the whole swarm, those of the fleet file, and one per make if there are several. */
   groups() {
     const ids = this.store.ids();
     const groups = new Map([["all", ids]]);

@@ -1,4 +1,4 @@
-/** Robots and words as small pictures, drawn once and then copied: a hundred robots cost a hundred copies a frame. */
+/** Robots and labels as small pictures, drawn once and then copied at each frame. */
 
 import { context2d } from "./dom.js";
 
@@ -14,14 +14,14 @@ export class Sprites {
     this.#kept.clear();
   }
 
-  /** Return the picture of a robot that looks along x; `radius` in device pixels. */
+  /** Return the picture of a robot that heads along x; `radius` in device pixels. */
   body(/** @type {Body} */ body) {
     const key = `${body.shape}|${body.radius}|${body.colour}|${body.pattern}|${body.edge}|${body.hollow}`;
     return this.#keep(key, () => drawBody(body));
   }
 
   /**
-   * Return the picture of a word with a halo; `size` in device pixels.
+   * Return the picture of a text with a halo; `size` in device pixels.
    * @param {string} words
    * @param {{size: number, ink: string, halo: string, bold?: boolean}} given
    */

@@ -36,12 +36,12 @@ export class Stops {
   }
 
   #hideTimer = 0;
-  #order = /** @type {string | null} */ (null); // the newest heard of
+  #order = /** @type {string | null} */ (null); // the newest one
   #upUntil_ms = 0;
-  #failed = ""; // why the e-stop pressed last has not gone out, until another one is heard of
+  #failed = ""; // why the last e-stop was not sent, until another one is received
 
   stop() {
-    this.#tell("Stop sent to all robots: waiting for receipts", "");
+    this.#showState("Stop sent to all robots: waiting for receipts", "");
     this.commands.stop();
   }
 
@@ -58,7 +58,7 @@ export class Stops {
   /** @param {Unsent} unsent */
   #unsent({ what, lost, reason }) {
     const words = unsentWords(lost, reason);
-    if (what === "stop") return this.#tell(words, "bad");
+    if (what === "stop") return this.#showState(words, "bad");
     this.#failed = words;
     this.#upUntil_ms = performance.now() + SHOWN_MS;
     return setText(byId("estop-title"), words);
@@ -68,7 +68,7 @@ export class Stops {
    * @param {string} words
    * @param {string} mood
    */
-  #tell(words, mood) {
+  #showState(words, mood) {
     const box = byId("stop-panel");
     box.hidden = false;
     box.dataset.mood = mood;
@@ -83,7 +83,7 @@ export class Stops {
   /** @param {Stop} message */
   #showStop(message) {
     const { words, mood } = stopWords(message);
-    this.#tell(words, mood);
+    this.#showState(words, mood);
     if (mood === "good") this.#hideTimer = setTimeout(() => this.#closeStop(), SHOWN_MS);
   }
 
@@ -92,7 +92,7 @@ export class Stops {
   }
 
   /**
-   * A new word on an order keeps the panel up for a while; what was over before this page came does not.
+   * A change of an order keeps the panel open for a while; an order that ended before this page was opened does not.
    * @param {Estop} order
    */
   #onEstop(order) {
@@ -119,7 +119,7 @@ export class Stops {
   }
 
   /**
-   * The panel has a place beside the map, never over it; the page's layout makes that place.
+   * The panel is beside the map, never over it.
    * @param {boolean} up
    */
   #showPanel(up) {
@@ -194,7 +194,7 @@ export class Stops {
 }
 
 /**
- * Say what became of a stop that the console has not confirmed.
+ * Return the text for a stop that the console has not confirmed.
  * @param {string | undefined} lost
  * @param {string | undefined} reason
  */
@@ -203,15 +203,15 @@ export function unsentWords(lost, reason) {
 }
 
 /**
- * Say who stands since a stop; it is good only if all have been heard, and if there are any.
+ * Return the text on a stop; it is good only if all robots report, and if there are any.
  * @param {Stop} stop
  */
 export function stopWords({ standing, moving, silent, done }) {
   const all = standing.length + moving.length + silent.length;
-  if (all === 0) return { words: "0 of 0 standing: no robot has been heard", mood: "bad" };
+  if (all === 0) return { words: "0 of 0 standing: no robot has reported", mood: "bad" };
   const names = (/** @type {string[]} */ ids) => [...ids].sort(byNumber).join(", ");
   let words = `${standing.length} of ${all} standing`;
-  if (silent.length) words += `, ${names(silent)} not heard`;
+  if (silent.length) words += `, ${names(silent)} silent`;
   if (moving.length) words += ` · still moving: ${names(moving)}`;
   if (silent.length) return { words, mood: "bad" };
   return { words, mood: done && !moving.length ? "good" : "" };

@@ -11,7 +11,7 @@ const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
 /**
- * Emits the name of what changed: world, robots (somebody new), states, fleet, filter, goals, charts, coverage,
+ * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
  * obstacles, log, request, estop, stop, leases, lost.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
@@ -45,7 +45,7 @@ export class Store extends Emitter {
     this.leases = /** @type {Map<string, Lease>} */ (new Map());
     this.estop = /** @type {Estop | null} */ (null);
     this.stop = /** @type {Stop | null} */ (null);
-    this.pending = /** @type {Map<string, Point[]> | null} */ (null); // trails, until the first states tell the time
+    this.pending = /** @type {Map<string, Point[]> | null} */ (null); // trails, until the first states give the time
   }
 
   /**
@@ -80,7 +80,7 @@ export class Store extends Emitter {
   }
 
   /**
-   * Return robot → operator for those of `ids` that somebody else holds.
+   * Return robot → operator for those of `ids` that another operator holds.
    * @param {string[]} ids
    */
   heldByOthers(ids) {
@@ -93,7 +93,7 @@ export class Store extends Emitter {
   }
 
   /**
-   * Return what may keep robots (none: all of them) from obeying now, as words that can be compared.
+   * Return what may keep robots (none: all of them) from obeying now, as text that can be compared.
    * @param {string[]} ids
    */
   hindrances(ids) {
@@ -178,7 +178,7 @@ export class Store extends Emitter {
   /** @param {States} states */
   #states({ at, robots }) {
     this.at_s = at;
-    this.clock.heard(at, performance.now() / 1000);
+    this.clock.update(at, performance.now() / 1000);
     if (this.pending) {
       for (const [id, points] of this.pending) this.#track(id).recall(points, at);
       this.pending = null;

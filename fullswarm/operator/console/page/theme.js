@@ -1,4 +1,4 @@
-/** Light or dark: as the system wants, or as the button says. */
+/** Light or dark: as the system, or as chosen by the button. */
 
 import { Emitter, setText } from "./dom.js";
 
@@ -13,7 +13,7 @@ export class Theme extends Emitter {
     this.button = button;
     this.#system = matchMedia("(prefers-color-scheme: dark)");
     this.#chosen = localStorage.getItem("theme");
-    this.#system.addEventListener("change", () => this.look());
+    this.#system.addEventListener("change", () => this.update());
     button.addEventListener("click", () => this.toggle());
     this.#apply();
   }
@@ -22,8 +22,8 @@ export class Theme extends Emitter {
   #chosen;
   #shown = /** @type {boolean | null} */ (null);
 
-  /** Follow the system if it has changed. The map asks at each frame: the system's event does not always come. */
-  look() {
+  /** Follow the system if it has changed. The map calls it at each frame: the system's event does not always come. */
+  update() {
     if (this.dark !== this.#shown) this.#apply();
   }
 

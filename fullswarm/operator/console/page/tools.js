@@ -1,8 +1,8 @@
-/** What a click or a drag on the map means now: select, set a goal, lay a formation, or pick a point for a form. */
+/** The tools of the map, and how they are drawn: select, set a goal, drag a formation, or pick a point for a form. */
 
 import { Emitter } from "./dom.js";
 import { assign, lassoed, places } from "./geometry.js";
-import { UNHEARD } from "./selection.js";
+import { NOT_REPORTED } from "./selection.js";
 
 /** @import { Scene } from "./ground.js" */
 /** @import { Placed } from "./robots.js" */
@@ -23,14 +23,14 @@ const PREVIEWED = 40; // robots; more would make the drag stutter
 export class Tools extends Emitter {
   /**
    * @param {{store: import("./store.js").Store, selection: import("./selection.js").Selection,
-   *   commands: import("./commands.js").Commands, tell: (words: string) => void}} parts
+   *   commands: import("./commands.js").Commands, hint: (words: string) => void}} parts
    */
-  constructor({ store, selection, commands, tell }) {
+  constructor({ store, selection, commands, hint }) {
     super();
     this.store = store;
     this.selection = selection;
     this.commands = commands;
-    this.tell = tell;
+    this.hint = hint;
     this.mode = /** @type {Mode} */ ("select");
     this.shape = /** @type {"ring" | "line" | "grid"} */ ("ring");
     this.lasso = /** @type {Point[]} */ ([]);
@@ -46,7 +46,7 @@ export class Tools extends Emitter {
    * @param {Mode} mode
    */
   use(mode) {
-    if ((mode === "goal" || mode === "formation") && this.#meant().length === 0) return;
+    if ((mode === "goal" || mode === "formation") && this.#addressed().length === 0) return;
     if (this.mode === "pick" && mode !== "pick") this.#pick = null;
     this.mode = mode;
     this.lasso = [];
@@ -86,17 +86,17 @@ export class Tools extends Emitter {
    * @param {Point} point
    */
   goal(point) {
-    const robots = this.#meant();
+    const robots = this.#addressed();
     if (robots.length === 0) return;
     this.commands.goal(robots, point);
     this.use("select");
   }
 
-  /** Return who an order is for; if it is nobody, say why. */
-  #meant() {
+  /** Return the robots that an order is for; if there are none, show why. */
+  #addressed() {
     const robots = this.selection.list();
-    if (this.selection.unheard) this.tell(`Not sent: ${UNHEARD}.`);
-    else if (robots.length === 0) this.tell("Select robots first: click, lasso, or Ctrl+A for all.");
+    if (this.selection.absent) this.hint(`Not sent: ${NOT_REPORTED}.`);
+    else if (robots.length === 0) this.hint("Select robots first: click, lasso, or Ctrl+A for all.");
     return robots;
   }
 
@@ -123,7 +123,7 @@ export class Tools extends Emitter {
       if (extend) this.selection.add(ids);
       else this.selection.set(ids);
     } else if (this.drag) {
-      const robots = this.#meant();
+      const robots = this.#addressed();
       if (robots.length) this.commands.formation(robots, this.places());
       this.use("select");
     }

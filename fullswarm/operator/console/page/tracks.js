@@ -10,7 +10,7 @@ const TRAIL_S = 60;
 const TRAIL_STEP_S = 0.2;
 const TRAIL_STEP_M = 0.03;
 
-/** The server's clock as seen from here: the fastest message tells the offset best. */
+/** The server's clock as seen from here: the fastest message gives the best offset. */
 export class ServerClock {
   constructor() {
     this.offset_s = Infinity;
@@ -21,9 +21,9 @@ export class ServerClock {
    * @param {number} at_s
    * @param {number} now_s
    */
-  heard(at_s, now_s) {
+  update(at_s, now_s) {
     const offset = now_s - at_s;
-    // Creeps up, so that a clock which runs apart is followed; jumps when the server was started anew.
+    // Drifts slowly, so that a clock which runs differently is followed; jumps when the server was restarted.
     if (offset < this.offset_s || offset > this.offset_s + 2) this.offset_s = offset;
     else this.offset_s += (offset - this.offset_s) * 0.002;
   }
