@@ -14,10 +14,11 @@ from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.px4 import HOLD, OFFBOARD
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.bodies import FreeBody
-from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port
+from tests.waiting import until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 

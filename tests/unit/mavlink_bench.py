@@ -113,7 +113,7 @@ class ArduBench(Bench):
                 self.rover.receive(message, self.now_s)
 
     def pilot(self, mode: int) -> None:
-        self.rover.pilot_mode(mode, self.now_s)
+        self.rover.pilot_mode(mode)
 
     @property
     def setpoint_m_s(self) -> float:

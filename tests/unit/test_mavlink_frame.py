@@ -15,8 +15,8 @@ from fullswarm.drivers.mavlink.maps import SphereMap
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
 from fullswarm.emulators.mavlink.firmware import Firmware
+from fullswarm.emulators.mavlink.position import Chart
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
-from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.simulation.bodies import FreeBody
 from tests.unit.mavlink_bench import LIMITS, STEP_S
 

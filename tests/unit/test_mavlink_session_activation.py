@@ -55,7 +55,7 @@ def test_deactivate_while_arming_ends_disarmed() -> None:
 def test_after_a_take_over_a_new_wish_is_honoured() -> None:
     bench = ArduBench()
     bench.active()
-    bench.rover.pilot_mode(Mode.HOLD, bench.now_s)
+    bench.rover.pilot_mode(Mode.HOLD)
     bench.until(lambda: bench.session.lifecycle is Lifecycle.READY)
     bench.run(1.5)
     bench.session.activate(bench.now_s)
@@ -81,7 +81,7 @@ def test_a_rover_left_armed_by_another_run_is_disarmed_before_ready() -> None:
 def test_a_pilot_stays_in_charge_when_nobody_wishes_to_drive_any_more() -> None:
     bench = ArduBench()
     bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, each=bench.insist)
-    bench.rover.pilot_mode(Mode.MANUAL, bench.now_s)
+    bench.rover.pilot_mode(Mode.MANUAL)
     bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, each=bench.insist)
     bench.session.deactivate(bench.now_s)
     bench.run(0.5)

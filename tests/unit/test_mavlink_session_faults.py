@@ -8,7 +8,7 @@ from fullswarm.drivers.base import STAND, Hazard, Lifecycle
 from fullswarm.drivers.guardian_process import Frames
 from fullswarm.drivers.mavlink.codec import Encoder, StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
-from fullswarm.emulators.mavlink.rover import parameters
+from fullswarm.emulators.mavlink import parameters
 from tests.unit.mavlink_bench import STEP_S, ArduBench
 
 

@@ -131,8 +131,8 @@ class MetricSampler:
             "arrived_s": arrived,
             "still_s": still_s.tolist(),
             "gap_m": gap,
-            "draws": self._deadlocks.draws.tolist(),
-            "aside_s": aside,
+            "deadlock_count": self._deadlocks.draws.tolist(),
+            "sidestep_s": aside,
             **{name: column.tolist() for name, column in counted.items()},
         }
         totals = {

@@ -19,16 +19,11 @@ from typing import Any
 
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.emulators.mavlink.rover import inbox, parameters, setpoints
-from fullswarm.emulators.mavlink.rover.channel import Channel, KeyRing
-from fullswarm.emulators.mavlink.rover.chart import Chart
-from fullswarm.emulators.mavlink.rover.dynamics import STAND, Motors
-from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
-from fullswarm.emulators.mavlink.rover.noise import FilterNoise
-from fullswarm.emulators.mavlink.rover.pilot import FULL_M_S, Sticks
-from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
-from fullswarm.emulators.mavlink.rover.setpoints import Limits, Target
-from fullswarm.emulators.mavlink.rover.streams import LOOP_HZ, Streams
+from fullswarm.emulators.mavlink import driving, parameters, requests
+from fullswarm.emulators.mavlink.driving import FULL_M_S, STAND, Limits, Motors, Sticks, Target
+from fullswarm.emulators.mavlink.position import FAILSAFE_S, LOST_S, Chart, FilterNoise, Position
+from fullswarm.emulators.mavlink.requests import SetpointRecord
+from fullswarm.emulators.mavlink.telemetry import LOOP_HZ, Channel, KeyRing, Streams
 from fullswarm.simulation.bodies import Body, BodyState
 
 LOOP_S = 1.0 / LOOP_HZ
@@ -149,19 +144,27 @@ class Firmware:
         return (now_s - self._booted_s) * REAL_BOOT_S / max(self.boot_s, 1e-3)
 
     @property
-    def next_step_s(self) -> float:
+    def next_due_s(self) -> float:
         """When :meth:`tick` has something to do."""
         return self._stepped_s + LOOP_S
 
+    def restarts(self, now_s: float) -> bool:
+        """Return whether the connections end now: it restarts, or its process has ended."""
+        return self.aborted or now_s >= self.reboot_due_s
+
     def tick(self, now_s: float) -> list[bytes]:
-        """Run the main loop up to `now_s`; return what goes out on the first port (others: `channels[n].take()`)."""
+        """Run the main loop up to `now_s`; return what goes out on the first port (others: :meth:`take`)."""
         if now_s >= self.reboot_due_s:
             self.power_on(now_s, again=True)
         self._stepped_s = max(self._stepped_s, now_s - LONGEST_GAP_S)
         while self._stepped_s + LOOP_S <= now_s + 1e-9 and not self.aborted:
             self._stepped_s += LOOP_S
             self._step(self._stepped_s)
-        return self.channels[0].take()
+        return self.take(0)
+
+    def take(self, port: int) -> list[bytes]:
+        """Return the frames that go out on a port, and forget them."""
+        return self.channels[port].take()
 
     def _step(self, now_s: float) -> None:
         self._announce(now_s)
@@ -245,7 +248,7 @@ class Firmware:
             self.target = None
             self.text("target not received last 3secs, stopping")
             return STAND
-        wish = setpoints.steer(target, self.state(), limits)
+        wish = driving.steer(target, self.state(), limits)
         if wish is None:
             self.target = None
             self.tell(dialect().MAVLink_mission_item_reached_message(0))
@@ -296,9 +299,8 @@ class Firmware:
             if channel.streams:
                 channel.streams.heartbeat_now()
 
-    def pilot_mode(self, mode: int, now_s: float) -> None:
+    def pilot_mode(self, mode: int) -> None:
         """Turn the pilot's mode switch."""
-        del now_s
         self._set_mode(mode)
 
     def request_mode(self, mode: int, now_s: float) -> p.Result:
@@ -366,7 +368,7 @@ class Firmware:
             return
         channel = self.channels[port]
         if channel.believes(message, now_s):
-            inbox.take(self, message, channel, now_s)
+            requests.take(self, message, channel, now_s)
 
     def station_alive(self, now_s: float) -> None:
         """Take note of a heartbeat of the controlling station: only those feed the failsafe."""
