@@ -121,7 +121,7 @@ def test_a_failsafe_s_action_that_is_changed_while_driving_stops_the_rover() -> 
     bench.active()
     bench.run(1.0, bench.drive)
     bench.rover.parameters["FS_ACTION"] = 1.0
-    bench.rover.tell(parameters.value_of(bench.rover.parameters, "FS_ACTION"))
+    bench.rover.broadcast(parameters.value_of(bench.rover.parameters, "FS_ACTION"))
     bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 0.2, bench.drive)
     assert "FS_ACTION 1 is RTL" in bench.session.fault
     bench.until(lambda: not bench.rover.armed and bench.rover.mode == Mode.HOLD, 3.0, bench.drive)
