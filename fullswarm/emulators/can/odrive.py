@@ -49,7 +49,7 @@ class ODriveEmulator:
         self.faults = ControllerFaults()
         self.state = AxisState.IDLE
         self.error = self._disarm_reason = 0
-        self.cyclic_motion = True  # sends encoder estimates by itself, not only when asked
+        self.cyclic_motion = True  # sends encoder estimates by itself, not only on request
         self.refuses = False  # never enters closed loop, as an axis that is not calibrated
         self._control, self._input = POSITION_CONTROL, odrive.PASSTHROUGH  # as delivered
         self._set = odrive.SetPosition(0.0)  # input position, velocity and torque

@@ -26,7 +26,7 @@ _BRAKES = (vesc.SetBrake, vesc.SetRelativeBrake, vesc.SetHandbrake, vesc.SetRela
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """What the newest SET command asks for, with relative currents in amperes."""
+    """What the newest SET command requests, with relative currents in amperes."""
 
     message: object = vesc.SetCurrent(0.0)
     amperes: float = 0.0  # motor or brake current
@@ -168,7 +168,7 @@ class VescEmulator:
 
 
 def _amperes(message: object) -> float:
-    """Return the motor or brake current that an order asks for, within the limit; zero for other orders."""
+    """Return the motor or brake current that an order requests, within the limit; zero for other orders."""
     match message:
         case (
             vesc.SetCurrent(current_a=amperes) | vesc.SetBrake(current_a=amperes) | vesc.SetHandbrake(current_a=amperes)

@@ -41,7 +41,7 @@ class _OnLine:
 
     def __init__(self, firmware: Firmware, port: SerialPort) -> None:
         self._firmware, self._port = firmware, port
-        self._arrived = self._said = b""
+        self._arrived = self._out = b""
         self._look_s = 0.0
 
     @property
@@ -54,17 +54,17 @@ class _OnLine:
     def step(self, now_s: float) -> bool:
         firmware, arrived = self._firmware, self._arrived
         if self._port.baud in (None, firmware.baud):
-            said = firmware.receive(arrived, now_s)
-            said += firmware.step(now_s, firmware.generation.budget(firmware.baud))
+            out = firmware.receive(arrived, now_s)
+            out += firmware.step(now_s, firmware.generation.budget(firmware.baud))
         else:  # bits of another length: each side receives noise, which a robot ignores
-            said = (arrived + firmware.step(now_s)).translate(_NOISE)
-        self._arrived, self._said, self._look_s = b"", said, now_s + PERIOD_S
+            out = (arrived + firmware.step(now_s)).translate(_NOISE)
+        self._arrived, self._out, self._look_s = b"", out, now_s + PERIOD_S
         self._port.robot_baud = firmware.baud
         return False
 
     def take(self, _port: int) -> list[bytes]:
-        said, self._said = self._said, b""
-        return [said] if said else []
+        out, self._out = self._out, b""
+        return [out] if out else []
 
     def hung_up(self, _port: int) -> None:
         self._arrived = b""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from fullswarm.drivers.create_oi.protocol import Command, Generation, Op
 
 COAST_S = 0.25
-"""So long a wheel that was told another direction may still roll in its old one."""
+"""How long a wheel with a new commanded direction may still roll in its old one."""
 
 DRIVING_MA, STANDING_MA, CHARGING_MA = -800, -300, 1500
 PRESS_S = 1.0 / 6.0
@@ -29,17 +29,17 @@ _LIGHT_SENSORS = ("left", "front_left", "centre_left", "centre_right", "front_ri
 
 
 class Wheel:
-    """One wheel's encoder. It has one channel: what it counts is up or down by what the motor was told.
+    """One wheel's encoder. It has one channel: what it counts is up or down by the motor's commanded direction.
 
-    Pushed while it stands it counts up, whichever way. A wheel that has just been told otherwise rolls on a little:
-    the motor's electronics know that and keep the old direction while it does.
+    Pushed while it stands it counts up, whichever way. A wheel with a new direction rolls on a little: the motor's
+    electronics keep the old direction while it does.
     """
 
     def __init__(self) -> None:
         self._direction = self._before = 1.0
         self._turned_s = -math.inf
 
-    def told(self, mm_s: int, now_s: float) -> None:
+    def commanded(self, mm_s: int, now_s: float) -> None:
         """Take a set-point; zero counts up."""
         direction = -1.0 if mm_s < 0 else 1.0
         if direction != self._direction:
@@ -53,7 +53,7 @@ class Wheel:
 
 
 class Counters:
-    """Encoders, and distance and angle since they were last asked for.
+    """Encoders, and distance and angle since they were last reported.
 
     Parameters
     ----------
@@ -78,10 +78,10 @@ class Counters:
         self._wheels = Wheel(), Wheel()
         self._distance_mm = self._angle_deg = 0.0
 
-    def told(self, left_mm_s: int, right_mm_s: int, now_s: float) -> None:
+    def commanded(self, left_mm_s: int, right_mm_s: int, now_s: float) -> None:
         """Take the wheels' set-points; what was rolled before must have been counted."""
-        self._wheels[0].told(left_mm_s, now_s)
-        self._wheels[1].told(right_mm_s, now_s)
+        self._wheels[0].commanded(left_mm_s, now_s)
+        self._wheels[1].commanded(right_mm_s, now_s)
 
     def roll(self, left_m: float, right_m: float, now_s: float) -> None:
         """Count what the wheels rolled."""
@@ -101,8 +101,8 @@ class Counters:
             "angle_deg": _saturate(self._angle_deg),
         }
 
-    def asked(self, distance: bool, angle: bool) -> None:
-        """Start those anew that were told; the fraction that was not told is kept, unless the quirk says no."""
+    def reported(self, distance: bool, angle: bool) -> None:
+        """Start those anew that were sent; the fraction that was not sent is kept, unless the quirk loses it."""
         if distance:
             self._distance_mm = math.fmod(self._distance_mm, 1.0)
         if angle:
@@ -110,7 +110,7 @@ class Counters:
 
 
 class Battery:
-    """Charge over time; charges only while it is let, plugged in and not full."""
+    """Charge over time; charges only while it may, plugged in and not full."""
 
     def __init__(self, charge_mah: float = 2200.0, capacity_mah: int = 2696) -> None:
         self.charge_mah, self.capacity_mah = charge_mah, capacity_mah
@@ -168,7 +168,7 @@ class Panel:
     _pressed_until_s: float = -math.inf
 
     def obey(self, command: Command, now_s: float) -> None:
-        """Take a command that reaches it in the present mode; anything else is not its business."""
+        """Take a command that reaches it in the present mode; others are ignored."""
         op, data = command.op, command.data
         if op is Op.SONG:
             self.songs[data[0]] = data[2:]
@@ -229,8 +229,8 @@ class Surroundings:
     dirt: int = 0  # 0 to 255
 
     def values(self, generation: Generation, cliffs: list[bool]) -> dict[str, int]:
-        """Return the packets' values; `cliffs` tells where the floor is gone: left, front left, front right, right."""
-        nothing = 0 if generation.m_per_count is not None else 255  # a Create 1 says 255 for no infrared byte
+        """Return the packets' values; `cliffs`: where the floor is gone: left, front left, front right, right."""
+        nothing = 0 if generation.m_per_count is not None else 255  # a Create 1 sends 255 for no infrared byte
         omni, left, right = self.infrared or (nothing, nothing, nothing)
         if self.virtual_wall and self.infrared is None:
             omni = VIRTUAL_WALL_BYTE if generation.m_per_count is not None else omni

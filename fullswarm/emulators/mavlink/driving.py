@@ -22,7 +22,7 @@ GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
 BODY_FRAMES = frozenset({8, 9})
 THRUST_IGNORED, BODY_YAW_RATE_IGNORED = 64, 4
 OVERFLOW = 1.8e19  # what a 32-bit float cannot square
-NAN_TURN_M_S = 0.31  # measured: with a turn rate that is no number it drives straight on, at most so fast
+NAN_TURN_M_S = 0.31  # measured: with a turn rate that is NaN it drives straight on, at most this fast
 HEADING_GAIN = 2.0
 PIVOT_RAD = math.radians(60.0)
 APPROACH_M_S2, APPROACH_HZ, APPROACH_M_S = 0.35, 0.3, 0.1  # 6 m take 8.3 s
@@ -66,7 +66,7 @@ class Target:
 
 
 def from_local(message: Any, state: BodyState, limits: Limits, chart: Chart) -> Target | None:
-    """Return what SET_POSITION_TARGET_LOCAL_NED asks for; None: silently ignored."""
+    """Return what SET_POSITION_TARGET_LOCAL_NED requests; None: silently ignored."""
     if message.coordinate_frame not in LOCAL_FRAMES:
         return None
     place = None
@@ -76,7 +76,7 @@ def from_local(message: Any, state: BodyState, limits: Limits, chart: Chart) -> 
 
 
 def from_global(message: Any, state: BodyState, limits: Limits, chart: Chart) -> Target | None:
-    """Return what SET_POSITION_TARGET_GLOBAL_INT asks for; None: silently ignored."""
+    """Return what SET_POSITION_TARGET_GLOBAL_INT requests; None: silently ignored."""
     if message.coordinate_frame not in GLOBAL_FRAMES:
         return None
     place = None if message.type_mask & 0b11 else chart.place(message.lat_int / 1e7, message.lon_int / 1e7)
@@ -84,7 +84,7 @@ def from_global(message: Any, state: BodyState, limits: Limits, chart: Chart) ->
 
 
 def from_attitude(message: Any, limits: Limits) -> Target | None:
-    """Return what SET_ATTITUDE_TARGET asks for: thrust is a share of WP_SPEED."""
+    """Return what SET_ATTITUDE_TARGET requests: thrust is a share of WP_SPEED."""
     if message.type_mask & THRUST_IGNORED or not math.isfinite(message.thrust):
         return None
     speed = clamp(message.thrust, -1.0, 1.0) * limits.speed_m_s
@@ -97,7 +97,7 @@ def from_attitude(message: Any, limits: Limits) -> Target | None:
 
 
 def traps(message: Any) -> bool:
-    """Whether the firmware's simulator dies of a floating-point exception; real boards live on."""
+    """Whether the firmware's simulator ends by a floating-point exception; real boards go on."""
     used = [message.yaw_rate] if not message.type_mask & 2048 else []
     if not message.type_mask & 0b11000:
         used += [message.vx, message.vy]
@@ -137,7 +137,7 @@ def _target(message: Any, place: tuple[float, float] | None, state: BodyState, l
     yaw = message.yaw if heading else math.atan2(message.vy, message.vx)
     if not math.isfinite(yaw):
         return Target()
-    # Anchored to the heading at this moment: sent again and again, a vector that points behind turns for ever.
+    # Anchored to the heading at this moment: sent again and again, a vector that points behind never stops turning.
     aim = state.heading_rad - yaw if message.coordinate_frame in BODY_FRAMES else p.heading_from_yaw(yaw)
     return Target(speed, heading_rad=wrap(aim))
 
@@ -170,7 +170,7 @@ class Sticks:
 
     def __init__(self) -> None:
         self.steering_us = self.throttle_us = CENTRE_US
-        self._heard_s = -math.inf
+        self._received_s = -math.inf
 
     def manual_control(self, message: Any, now_s: float) -> None:
         """Take MANUAL_CONTROL: y steers, z is the throttle, each -1000 to 1000."""
@@ -178,7 +178,7 @@ class Sticks:
             self.steering_us = CENTRE_US + clamp(message.y, -1000, 1000) / 2.0
         if message.z != ABSENT:
             self.throttle_us = CENTRE_US + clamp(message.z, -1000, 1000) / 2.0
-        self._heard_s = now_s
+        self._received_s = now_s
 
     def override(self, message: Any, now_s: float) -> None:
         """Take RC_CHANNELS_OVERRIDE: channels 1 and 3."""
@@ -186,11 +186,11 @@ class Sticks:
             self.steering_us = message.chan1_raw or CENTRE_US
         if message.chan3_raw != NOT_GIVEN:
             self.throttle_us = message.chan3_raw or CENTRE_US
-        self._heard_s = now_s
+        self._received_s = now_s
 
     def step(self, now_s: float, timeout_s: float) -> None:
-        """Let go of the sticks when nobody has moved them for `timeout_s`."""
-        if now_s - self._heard_s > timeout_s:
+        """Centre the sticks when no message has moved them for `timeout_s`."""
+        if now_s - self._received_s > timeout_s:
             self.steering_us = self.throttle_us = CENTRE_US
 
     @property
@@ -204,11 +204,11 @@ class Sticks:
         return clamp((self.steering_us - CENTRE_US) / SPAN_US, -1.0, 1.0)
 
     def nudge(self, speed_m_s: float, cruise_m_s: float, cruise_throttle: float) -> float:
-        """Return what becomes of GUIDED's speed: a throttle that asks for more in the same direction wins."""
-        wish = self.throttle * cruise_m_s / max(cruise_throttle, 0.05)
-        if wish > 0.0 and speed_m_s >= 0.0:
-            return max(wish, speed_m_s)
-        return min(wish, speed_m_s) if wish < 0.0 and speed_m_s < 0.0 else speed_m_s
+        """Return the speed in GUIDED: a throttle that commands more in the same direction overrides it."""
+        throttle_m_s = self.throttle * cruise_m_s / max(cruise_throttle, 0.05)
+        if throttle_m_s > 0.0 and speed_m_s >= 0.0:
+            return max(throttle_m_s, speed_m_s)
+        return min(throttle_m_s, speed_m_s) if throttle_m_s < 0.0 and speed_m_s < 0.0 else speed_m_s
 
 
 # ---------------------------------------------------------------- motors
@@ -244,7 +244,7 @@ class Motors:
         self.turn_rad_s += clamp(turn - self.turn_rad_s, -step, step)
 
     def push(self, speed_m_s: float, turn_rad_s: float, dt_s: float) -> None:
-        """Give way to a throttle without a speed controller; zero: the motors drag (HOLD, sticks centred)."""
+        """Follow a throttle without a speed controller; zero: the motors drag (HOLD, sticks centred)."""
         self._forget()
         self._decay(speed_m_s, turn_rad_s, 0.28 + 0.14 * abs(self.speed_m_s), dt_s)
 

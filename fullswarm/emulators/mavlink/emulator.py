@@ -82,7 +82,7 @@ class _MavlinkEmulator(Emulator):
         self.do(lambda: self.firmware.pilot_mode(mode))
 
     def reboot(self) -> None:
-        """Restart the autopilot (revives one that died, too); connections drop, the ports stay."""
+        """Restart the autopilot (also one that has ended); connections drop, the ports stay."""
 
         def restart() -> None:
             self.drop()
@@ -108,7 +108,7 @@ class RoverEmulator(_MavlinkEmulator):
     Parameters
     ----------
     address, more
-        Its ports; the first one believes unsigned frames even when signing is set up.
+        Its ports; the first one accepts unsigned frames even when signing is set up.
     body
         What it drives, and where it starts; alone on an endless floor by default.
     system
@@ -118,7 +118,7 @@ class RoverEmulator(_MavlinkEmulator):
     seed
         Of its position filter's noise.
     traps_floats
-        Die of NaN in a set-point, as the firmware's own simulator does.
+        End by NaN in a set-point, as the firmware's own simulator does.
     origin
         Latitude and longitude of the body's (0, 0).
 
@@ -163,7 +163,7 @@ class RoverEmulator(_MavlinkEmulator):
         return self.do(lambda: list(self.firmware.setpoints))
 
     def press_estop(self, on: bool = True) -> None:
-        """Press the motor safety switch, or release it: no power for the motors, whatever mode and arming say."""
+        """Press the motor safety switch, or release it: no power for the motors, whatever mode and arming are."""
         self.firmware.safety = on
 
     def set_gps(self, on: bool) -> None:

@@ -1,7 +1,8 @@
-"""What an emulated autopilot knows of its position: its map, its filter's errors, and what measures it.
+"""What an emulated autopilot has of its position: its map, its filter's errors, and what measures it.
 
-A rover measures its position by GPS, or takes poses that others measure (ODOMETRY). These count only with VISO_TYPE=1,
-EK3_SRC1_POSXY=6 and an origin (SET_GPS_GLOBAL_ORIGIN), and only in the one pair of frames that the firmware takes.
+A rover measures its position by GPS, or takes poses that are measured from outside (ODOMETRY). These count only with
+VISO_TYPE=1, EK3_SRC1_POSXY=6 and an origin (SET_GPS_GLOBAL_ORIGIN), and only in the one pair of frames that the
+firmware takes.
 
 The errors were recorded against the simulator's truth (83 s): velocity 0.02 m/s per axis, up to 0.05 m/s at rest, half
 gone after 5 s; position 0.02 m per axis (0.03 north and 0.05 east over longer runs), moving by less than 0.012 m/s at
@@ -36,7 +37,7 @@ LOCAL_FRD, BODY_FRD = 20, 12
 BY_GPS, BY_OTHERS = 3.0, 6.0
 FIX_PERIOD_S = 0.2
 SILENT_S = 4.0
-"""A receiver that says nothing keeps its last fix for so long; only the time of that fix stands still."""
+"""A silent receiver keeps its last fix for so long; only the time of that fix stands still."""
 NO_RECEIVER, NO_FIX, FIXED = 0, 1, 6
 
 
@@ -51,7 +52,7 @@ class Chart:
     map
         How the autopilot makes metres of degrees.
     origin
-        Where its map begins; None: not yet known, or poses from outside say it.
+        Where its map begins; None: not yet known, or given by poses from outside.
     """
 
     world: Degrees = SITL_ORIGIN_DEG
@@ -63,7 +64,7 @@ class Chart:
         return TangentPlane(*self.world, ALTITUDE_M)
 
     def begin(self, x_m: float, y_m: float) -> None:
-        """Begin the map at a place of the world, as exactly as it can be told (1e-7 degrees)."""
+        """Begin the map at a place of the world, as exactly as messages carry it (1e-7 degrees)."""
         latitude, longitude = self.degrees(x_m, y_m)
         self.origin = round(latitude, 7), round(longitude, 7)
 
@@ -97,7 +98,7 @@ class FilterNoise:
     seed
         Two rovers with the same seed err alike.
     scale
-        0: a filter that knows the truth.
+        0: a filter without errors.
     """
 
     def __init__(self, seed: int, scale: float = 1.0) -> None:
@@ -128,7 +129,7 @@ class FilterNoise:
             self._error_m_s[axis] = steady_m_s + self._drift_m_s[axis] + gauss(0.0, JITTER_M_S)
 
     def seen(self, truth: BodyState) -> BodyState:
-        """Return what the filter believes; of the velocity's error only the part along the heading is kept."""
+        """Return what the filter estimates; of the velocity's error only the part along the heading is kept."""
         if self.scale == 0.0:
             return truth
         (east_m, north_m), (east_m_s, north_m_s) = self._offset_m, self._error_m_s
@@ -161,7 +162,7 @@ class Position:
     origin: bool = False
     given: tuple[float, float] | None = None  # latitude and longitude that a station has set
     _fed_s: float = -math.inf
-    _shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # from the truth to what it is told
+    _shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # from the truth to the poses from outside
 
     def restart(self, now_s: float) -> None:
         """Forget the origin and the poses from outside; GPS is taken to be fine until now."""
@@ -175,7 +176,7 @@ class Position:
         return self.parameters.get("EK3_SRC1_POSXY") != BY_OTHERS
 
     def step(self, now_s: float) -> None:
-        """Let GPS, if there is any, say where the rover is."""
+        """Let GPS, if there is any, measure the position."""
         if not self.receiving:
             return
         if now_s - self.fix_s >= FIX_PERIOD_S - 1e-6:
@@ -197,7 +198,7 @@ class Position:
         return FIXED if now_s - self.fix_s < SILENT_S else NO_RECEIVER
 
     def silent_s(self, now_s: float) -> float:
-        """Return how long nothing has been heard of where the rover is."""
+        """Return for how long nothing has measured the position."""
         return now_s - self._fed_s
 
     def known(self, now_s: float) -> bool:
@@ -224,8 +225,8 @@ class Position:
         self._shift = (east - truth.x_m, north - truth.y_m, turned)
         self._fed_s = now_s
 
-    def believed(self, truth: BodyState) -> BodyState:
-        """Return where the rover believes to be."""
+    def measured(self, truth: BodyState) -> BodyState:
+        """Return the position that the filter takes from its sources."""
         x, y, turned = self._shift
         if self._shift == (0.0, 0.0, 0.0):
             return truth

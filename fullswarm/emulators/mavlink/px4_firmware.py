@@ -1,8 +1,8 @@
 """PX4 on a differential rover as its wire shows it. No I/O, no clock of its own.
 
 From PX4's sources and guides, not measured: see ``px4.py`` for what it makes of set-points. Faithful where drivers
-get hurt: no OFFBOARD without set-points, out of it 1.0 s after the last one, a heartbeat of 1 Hz whoever asks for
-more, integers bytewise in parameters, a zero velocity that turns it to the north.
+get hurt: no OFFBOARD without set-points, out of it 1.0 s after the last one, a heartbeat of 1 Hz whatever is
+requested, integers bytewise in parameters, a zero velocity that turns it to the north.
 
 Left out: missions, positions as set-points, radio input, magnetic interference.
 """
@@ -79,7 +79,7 @@ class Px4Firmware:
     refuse_arm
         Text with which arming is refused; empty: it is not.
     gps
-        Whether it has GPS; without, it knows its position only from ODOMETRY.
+        Whether it has GPS; without, its position comes only from ODOMETRY.
     seed
         Of its position filter's noise, which is that of ArduRover here.
     """
@@ -158,7 +158,7 @@ class Px4Firmware:
             if now_s >= due_s:
                 interval_s = self._interval_s[number]
                 self._due_s[number] = max(due_s, now_s - interval_s) + interval_s
-                self.tell(number, now_s)
+                self.send(number, now_s)
         return self.take(0)
 
     def take(self, port: int) -> list[bytes]:
@@ -188,12 +188,12 @@ class Px4Firmware:
         self.body.drive(self._speed, self._turn)
 
     def _begin_map(self, now_s: float) -> None:
-        """Set the map's origin where the rover stands, and say so."""
+        """Set the map's origin where the rover stands, and send it."""
         truth = self.body.state()
         self.chart.begin(truth.x_m, truth.y_m)
         latitude, longitude = self.chart.origin or self.chart.world
         self.origin = round(latitude * 1e7), round(longitude * 1e7), round(ALTITUDE_M * 1e3)
-        self.tell(p.MESSAGE_ORIGIN, now_s)
+        self.send(p.MESSAGE_ORIGIN, now_s)
 
     @property
     def _by_vision(self) -> bool:
@@ -312,10 +312,10 @@ class Px4Firmware:
 
     def command_request(self, values: list[float], now_s: float) -> p.Result:
         """Run REQUEST_MESSAGE."""
-        return p.Result.ACCEPTED if self.tell(int(values[0]), now_s) else p.Result.FAILED
+        return p.Result.ACCEPTED if self.send(int(values[0]), now_s) else p.Result.FAILED
 
     def on_parameter_read(self, message: Any, now_s: float) -> None:
-        """Answer for a known name; an unknown one is met with silence."""
+        """Answer for a known name; an unknown one has no answer."""
         del now_s
         if message.param_id in self.parameters:
             self._send_parameter(message.param_id)
@@ -360,7 +360,7 @@ class Px4Firmware:
             self._target = math.hypot(forward, right), p.heading_from_yaw(yaw)
 
     def on_odometry(self, message: Any, now_s: float) -> None:
-        """Take an external pose, in the one pair of frames that both autopilots know."""
+        """Take an external pose, in the one pair of frames that both autopilots accept."""
         self.fixes.append(message)
         if (message.frame_id, message.child_frame_id) == (p.FRAME_LOCAL_FRD, p.FRAME_BODY_FRD):
             self._fix_s = now_s
@@ -369,21 +369,21 @@ class Px4Firmware:
         """Take an origin, once."""
         if self.origin is None:
             self.origin = message.latitude, message.longitude, message.altitude
-        self.tell(p.MESSAGE_ORIGIN, now_s)
+        self.send(p.MESSAGE_ORIGIN, now_s)
 
     # ------------------------------------------------------------ what goes out
     def _send(self, message: Any) -> None:
         self._out.append(self._encoder.pack(message))
 
-    def tell(self, number: int, now_s: float) -> bool:
-        """Send a message as it is now; tell whether there was anything to tell."""
+    def send(self, number: int, now_s: float) -> bool:
+        """Send a message as it is now; return whether there was one."""
         message = MAKERS[number](self, now_s) if number in MAKERS else None
         if message is not None:
             self._send(message)
         return message is not None
 
     def state(self) -> BodyState:
-        """Return where it believes to be."""
+        """Return the state that its filter estimates."""
         return self._stuck or self.noise.seen(self.body.state())
 
     def fix(self, now_s: float) -> tuple[int, int]:

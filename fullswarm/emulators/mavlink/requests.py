@@ -77,7 +77,7 @@ class Rover(Protocol):
         ...
 
     def reboot_soon(self, now_s: float) -> None:
-        """Restart after the links had time to say so."""
+        """Restart after the links had time to send the answer."""
         ...
 
     def abort(self) -> None:
@@ -90,7 +90,7 @@ class Rover(Protocol):
         ...
 
     def state(self) -> BodyState:
-        """Return where the rover believes the body to be."""
+        """Return the state that the filter estimates."""
         ...
 
     def boot_ms(self, now_s: float) -> int:
@@ -98,10 +98,10 @@ class Rover(Protocol):
         ...
 
     def station_alive(self, now_s: float) -> None:
-        """Take note of a heartbeat of the controlling station."""
+        """Note a heartbeat of the controlling station."""
         ...
 
-    def tell(self, message: Any) -> None:
+    def broadcast(self, message: Any) -> None:
         """Send a message on all ports."""
         ...
 
@@ -266,7 +266,7 @@ _COMMANDS: dict[int, Callable[[Rover, Call], p.Result]] = {
 
 # ---------------------------------------------------------------- messages
 def take(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
-    """Act on a message that came in by a port; one that the rover does not know is dropped."""
+    """Act on a message that came in by a port; an unknown one is dropped."""
     handler = _HANDLERS.get(message.get_type())
     if handler is not None:
         handler(rover, message, channel, now_s)
@@ -347,14 +347,14 @@ def _aim(rover: Rover, target: driving.Target | None, now_s: float) -> None:
 
 
 def _sticks(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
-    """Take a pilot's sticks, the controlling station's only."""
+    """Take a pilot's sticks, from the controlling station only."""
     if _from_station(rover, message):
         whole = message.get_type() == "MANUAL_CONTROL"
         (rover.sticks.manual_control if whole else rover.sticks.override)(message, now_s)
 
 
 def _pose(rover: Rover, message: Any, _: Channel, now_s: float) -> None:
-    """Take a pose that somebody else measured."""
+    """Take a pose that was measured from outside."""
     take = rover.position.odometry if message.get_type() == "ODOMETRY" else rover.position.vision
     take(message, rover.body.state(), now_s)
 
@@ -365,7 +365,7 @@ def _origin(rover: Rover, message: Any, channel: Channel, now_s: float) -> None:
         rover.position.given = message.latitude / 1e7, message.longitude / 1e7
     rover.position.origin = True
     for message in channel.streams.make(49, now_s) if channel.streams else []:
-        rover.tell(message)
+        rover.broadcast(message)
 
 
 def _signing(rover: Rover, message: Any, _: Channel, now_s: float) -> None:

@@ -21,7 +21,7 @@ from fullswarm.simulation.bodies import BodyState
 GRAVITY_MG, GRAVITY_M_S2 = 1000, 9.80665
 TRACK_M = 0.3  # between the wheels, for the servo outputs alone
 FULL_V, EMPTY_V, CURRENT_CA = 12.6, 10.5, 250
-SENSORS = 0x5161FC2F  # present, as the firmware's simulator says
+SENSORS = 0x5161FC2F  # present, as in the firmware's simulator
 MOTOR_OUTPUTS = 0x8000
 MANUAL_MODES = frozenset({p.Mode.MANUAL, p.Mode.ACRO, p.Mode.STEERING, p.Mode.SIMPLE, p.Mode.INITIALISING})
 AUTOPILOT_MODES = frozenset(
@@ -40,11 +40,11 @@ LEGACY = {  # REQUEST_DATA_STREAM's groups: (messages, parameter)
 }  # fmt: skip
 TICKS_S = 100_000  # of a signature's timestamp: 10 µs
 SIGNED = 0x01
-TRUSTED = 0  # the first port (USB) believes unsigned frames too
+TRUSTED = 0  # the first port (USB) accepts unsigned frames too
 
 
 class Subject(Protocol):
-    """What the messages tell of."""
+    """What the messages report."""
 
     mode: int
     armed: bool
@@ -68,7 +68,7 @@ class Subject(Protocol):
         ...
 
     def state(self) -> BodyState:
-        """Return where the body was when the sensors last said anything new."""
+        """Return the state that the filter estimates."""
         ...
 
     def truth(self) -> BodyState:
@@ -258,7 +258,7 @@ def _gps(subject: Subject, now_s: float) -> Any:
 
 
 def _ekf(subject: Subject, now_s: float) -> Any:
-    """Tell the filter's state: its test ratios rise while nothing aids it, and its flags stay good for 7 s."""
+    """Return the filter's state: its test ratios rise while nothing aids it, and its flags stay good for 7 s."""
     flags, variance = BLIND, 1.0
     if subject.positioned(now_s):
         flags, variance = LOCATED, max(CALM, min(1.0, (subject.unaided_s(now_s) / FAILSAFE_S) ** 2))
@@ -317,7 +317,7 @@ def _nothing(_: Subject, __: float) -> Any:
     return None
 
 
-# Sent once a second to whoever is connected.
+# Sent once a second on each port.
 BY_DEFAULT: dict[int, Maker] = {
     0: _heartbeat, 1: _sys_status, 2: _time, 24: _gps, 27: _raw_imu, 30: _attitude, 32: _local_position,
     33: _global_position, 34: _rc_scaled, 36: _servos, 62: _navigation, 65: _rc, 74: _vfr_hud, 116: _scaled_imu2,
@@ -332,7 +332,7 @@ BY_DEFAULT: dict[int, Maker] = {
         0, 0, _yaw(subject.state()), ALTITUDE_M, *_degrees(subject, subject.state())),
     241: lambda subject, now_s: dialect().MAVLink_vibration_message(1000 * subject.boot_ms(now_s), 0, 0, 0, 0, 0, 0),
 }  # fmt: skip
-# Sent when asked for; the firmware grants the last five and has nothing to say in them.
+# Sent on request; the firmware grants the last five and never sends them.
 ASKED_FOR: dict[int, Maker] = {
     31: _attitude_quaternion, 49: _origin, 105: _highres_imu, 108: _sim_state, 242: _home,
     245: lambda _, __: dialect().MAVLink_extended_sys_state_message(0, 1),
@@ -378,7 +378,7 @@ class Streams:
         return round(stream.interval_s * 1e6) if math.isfinite(stream.interval_s) else -1
 
     def set_group(self, group: int, rate_hz: float, now_s: float) -> list[str]:
-        """Serve REQUEST_DATA_STREAM; return the parameters (without their port) that it writes."""
+        """Apply REQUEST_DATA_STREAM; return the parameters (without their port) that it writes."""
         groups = [LEGACY[group]] if group in LEGACY else list(LEGACY.values()) if group == 0 else []
         for messages, _ in groups:
             for message in messages:
@@ -386,7 +386,7 @@ class Streams:
         return [name for _, name in groups]
 
     def heartbeat_now(self) -> None:
-        """A mode change is told at once; arming is not."""
+        """Send a mode change at once; arming is not."""
         self._streams[p.MESSAGE_HEARTBEAT].due_s = -math.inf
 
     def due(self, now_s: float) -> list[Any]:
@@ -400,7 +400,7 @@ class Streams:
         return messages
 
     def make(self, number: int, now_s: float) -> list[Any]:
-        """Return the message `number` as it is now; empty if it is unknown or there is nothing to tell."""
+        """Return the message `number` as it is now; empty if it is unknown or there is none now."""
         maker = MAKERS.get(number)
         message = maker(self._subject, now_s) if maker else None
         return [] if message is None else [message]
@@ -427,14 +427,14 @@ class KeyRing:
         self._verifier.signing.timestamp, self._moved_s = timestamp, now_s
 
     def next_timestamp(self, now_s: float) -> int:
-        """Return the timestamp of an outgoing frame; it goes on with the clock, and jumps ahead with others' frames."""
+        """Return the timestamp of an outgoing frame; it follows the clock, and jumps ahead with received frames."""
         signing = self._verifier.signing
         passed_s, self._moved_s = max(0.0, now_s - self._moved_s), now_s
         signing.timestamp += 1 + int(passed_s * TICKS_S)
         return int(signing.timestamp)
 
-    def believes(self, message: Any, now_s: float) -> bool:
-        """Whether a frame bears a right signature that is not older than what was heard."""
+    def accepts(self, message: Any, now_s: float) -> bool:
+        """Whether a frame bears a right signature that is not older than those received."""
         frame = message.get_msgbuf()
         if frame[0] != 0xFD or not frame[2] & SIGNED:
             return False
@@ -467,11 +467,11 @@ class Channel:
         """Put console text between the frames."""
         self._out.append(text)
 
-    def believes(self, message: Any, now_s: float) -> bool:
+    def accepts(self, message: Any, now_s: float) -> bool:
         """Whether what arrived here is acted upon."""
         if self._keys.key is None:
             return True
-        return self._keys.believes(message, now_s) or self.number == TRUSTED
+        return self._keys.accepts(message, now_s) or self.number == TRUSTED
 
     def take(self) -> list[bytes]:
         """Return what goes out, and forget it."""
