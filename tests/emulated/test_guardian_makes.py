@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,9 +27,9 @@ from fullswarm.drivers.create_oi.protocol import Mode as OiMode
 from fullswarm.drivers.guardian import SILENCE_S
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.link import TcpPort, UdpPort
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.signing import EPOCH_S, TICKS_S
+from fullswarm.drivers.ports import TcpPort, UdpPort
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.vesc import VescEmulator
@@ -239,14 +239,14 @@ def test_a_link_thread_that_is_paused_just_before_it_reads_sees_its_guardian_s_s
     pauses = [2.0]
 
     def slow(port: type[UdpPort] | type[TcpPort]) -> None:
-        receive = port.receive
+        read = port.read
 
-        def paused(self: Any) -> bytes:
+        def paused(self: Any) -> Sequence[bytes]:
             if pauses and begun.is_set():
                 PAUSE.wait(pauses.pop())
-            return bytes(receive(self))
+            return read(self)
 
-        monkeypatch.setattr(port, "receive", paused)
+        monkeypatch.setattr(port, "read", paused)
 
     begun = threading.Event()
     slow(UdpPort)

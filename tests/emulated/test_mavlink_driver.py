@@ -232,9 +232,9 @@ def test_an_e_stop_while_an_arm_is_to_be_tried_again_ends_disarmed() -> None:
 
 def test_open_says_what_is_wrong() -> None:
     port = free_port()
-    with pytest.raises(DriverError, match="nobody listens there"):
+    with pytest.raises(DriverError, match="no program listens there"):
         MavlinkDriver(f"mavlink+tcp://127.0.0.1:{port}").open()
-    with pytest.raises(DriverError, match="plugged in"):
+    with pytest.raises(DriverError, match="plug the robot in"):
         MavlinkDriver("mavlink+serial:///dev/no-such-rover").open()
     driver = MavlinkDriver("mavlink+tcp://127.0.0.1:1")
     assert driver.state is Lifecycle.CLOSED

@@ -115,7 +115,7 @@ def test_another_key_is_told_from_a_dead_line(tmp_path: Path) -> None:
     options = f"sign_key={key_file(tmp_path)}&sign_state={tmp_path / 'state'}"
     with pair(f"udp://127.0.0.1:{free_port()}", options, Signing(OTHER, Timestamps(None))) as (driver, _):
         until(lambda: driver.state is Lifecycle.FAULT)
-        assert "it is heard, but it signs with another key than ours" in driver.fault
+        assert "it is received, but it signs with another key than ours" in driver.fault
         assert driver.read() is None
 
 

@@ -73,7 +73,7 @@ def on_bench(bench: Bench, body: Body) -> Emulator:
 
 def _other_end(url: str) -> str:
     """Return the vehicle's end of the link that a driver's URL names."""
-    from fullswarm.drivers.mavlink.link import parse_url
+    from fullswarm.drivers.mavlink.settings import parse_url
 
     address, _ = parse_url(url)
     if address.device:
