@@ -38,7 +38,7 @@ from fullswarm.runtime import LoopStats, Scheduler
 
 log = structlog.get_logger()
 
-LOOK_PERIOD_S, TELL_PERIOD_S = 0.1, 2.0
+SENSE_PERIOD_S, SHARE_PERIOD_S = 0.1, 2.0
 LEAST_SPARE_M = 0.03
 """By so much a position may always become less certain before motion is barred, however small the filter's margin."""
 FOLLOW_PERIOD_S = 0.5
@@ -107,8 +107,8 @@ class AgentNode:
             self.neighbours,
         )  # fmt: skip
         self.deadlocks = Deadlocks(fleet.ids)
-        self.obstacle_map, self._tell_s = ObstacleMap(count, map_of(config)), -math.inf
-        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
+        self.obstacle_map, self._share_at_s = ObstacleMap(count, map_of(config)), -math.inf
+        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True)
         self._cell_m = config.state_cell_m
         self._state_subscriptions = StateSubscriptions(bus, self._keys, self._cell_m, self._on_states)
         self._estimator = estimator_for(config, fleet, start)
@@ -134,7 +134,7 @@ class AgentNode:
             bus, self._keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.reflexes,
             self.pose_conflicts, self.standstill, self.wake,
         )  # fmt: skip
-        self._drivers = DriverWatch(fleet, self.controller, self.inbox.spend, self.pose_conflicts.reason)
+        self._drivers = DriverWatch(fleet, self.controller, self.inbox.void, self.pose_conflicts.reason)
         self.fixes = Fixes(
             bus, self._keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
         )  # fmt: skip
@@ -143,7 +143,7 @@ class AgentNode:
             self.standstill, self.fixes, self.pose_conflicts, self.desired, self.inbox,
         )  # fmt: skip
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
-        self.uncounted = 0
+        self.failed_measurements = 0
         self._sequence, self._dirty = 0, False
         fleet.open()
         self._timers = [
@@ -152,8 +152,8 @@ class AgentNode:
             scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
             scheduler.every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
-            scheduler.every(interventions.PERIOD_S, self.interventions.tell),
-            scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
+            scheduler.every(interventions.PERIOD_S, self.interventions.publish),
+            scheduler.every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 
     # ------------------------------------------------------------------ what is known of the robots now
@@ -196,8 +196,8 @@ class AgentNode:
         state.reading = reading = self._fleet.read()
         state.pose = self._estimate(reading, now_s - self._last_tick_s)
         state.twist = reading.twist
-        self.standstill.look(reading)
-        self.reflexes.look(reading, state.pose)
+        self.standstill.update(reading)
+        self.reflexes.update(reading, state.pose)
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
@@ -205,16 +205,16 @@ class AgentNode:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
             self.calculators.update(now_s, state.pose, contacts, period_s, reading.odometry, reading.twist)
         except Exception as error:
-            self._uncounted(error)
+            self._measurement_failed(error)
         self.inbox.watch_estops(now_s)
         self._last_tick_s = now_s
         if self._dirty:
             self.publish_health()
 
-    def _uncounted(self, error: Exception) -> None:
+    def _measurement_failed(self, error: Exception) -> None:
         """Note that a measurement failed. Whatever it was told, it must not end the process that drives the robot."""
-        self.uncounted += 1
-        if self.uncounted == 1:
+        self.failed_measurements += 1
+        if self.failed_measurements == 1:
             log.error("a measurement failed; the robots are not concerned", exc_info=error)
 
     def _estimate(self, reading: FleetReading, dt_s: float) -> Array:
@@ -222,7 +222,7 @@ class AgentNode:
         try:
             return self._estimator.update(reading, dt_s)
         except (ArithmeticError, ValueError) as error:  # numpy's LinAlgError is a ValueError
-            if not self.reflexes.no_pose.all():
+            if not self.reflexes.pose_unknown.all():
                 log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
             return np.full((len(self._fleet.ids), 3), math.nan)
 
@@ -233,19 +233,19 @@ class AgentNode:
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
-        self.reflexes.watch_fence(self._state.pose, self._state.twist, self.controller.wished, self._accel)
+        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired, self._accel)
         tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
             now_s, dt_s,
-            Task(tasks.active, tasks.survives_core, tasks.lapses_s),
+            Task(tasks.active, tasks.survives_core, tasks.expires_at_s),
             Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
             Sensed(read_since_s, reading.stamp_s, reading.hazards),
             Doubt(
-                battery_low=reflexes.flat, clock_jumped=reflexes.slept, pose_unknown=reflexes.no_pose,
-                pose_uncertain=reflexes.unsure, overlap=conflicts.overlap, frame_conflict=conflicts.frame_conflict,
-                floor=reflexes.floor, ceiling=reflexes.ceiling,
+                battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
+                pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
+                frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
             ),
         )  # fmt: skip
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
@@ -255,14 +255,14 @@ class AgentNode:
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
-        self.neighbours.hear(states, self._scheduler.now_s())
+        self.neighbours.receive(states, self._scheduler.now_s())
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
-    def _look_around(self) -> None:
+    def _sense_obstacles(self) -> None:
         """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
         reading = self._state.reading
         if reading is None:
@@ -270,21 +270,21 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         try:
-            self.metrics.look(now_s)
+            self.metrics.sample(now_s)
         except Exception as error:
-            self._uncounted(error)
+            self._measurement_failed(error)
         if not len(reading.obstacles):
             return
-        new = self.obstacle_map.look(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
-        if new or now_s >= self._tell_s:
-            self._tell_s = now_s + TELL_PERIOD_S
+        new = self.obstacle_map.add_sensed(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
+        if new or now_s >= self._share_at_s:
+            self._share_at_s = now_s + SHARE_PERIOD_S
             rows = tuple(tuple(row) for row in self.obstacle_map.seen().tolist())
             host = self._identity.host
             self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
 
-    def _told(self, seen: SeenObstacles) -> None:
+    def _on_obstacles(self, seen: SeenObstacles) -> None:
         if seen.host != self._identity.host:
-            self.obstacle_map.tell(np.array(seen.rows, float).reshape(-1, 6))
+            self.obstacle_map.add_shared(np.array(seen.rows, float).reshape(-1, 6))
 
     def _publish_states(self) -> None:
         if self._state.reading is None:
@@ -309,13 +309,13 @@ class AgentNode:
         try:
             self._publish_measurements(whole=whole)
         except Exception as error:
-            self._uncounted(error)
+            self._measurement_failed(error)
 
     def _publish_measurements(self, *, whole: bool) -> None:
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
-            self.metrics.look(now_s)
+            self.metrics.sample(now_s)
             counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)

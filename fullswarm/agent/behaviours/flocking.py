@@ -20,22 +20,22 @@ from fullswarm.kernels import Array, Index, kernel
 
 def velocity(view: View, params: Params) -> Array:
     """Return cruise, separation, alignment and cohesion added up, (n, 2) m/s."""
-    wished = np.empty((len(view.position), 2))
+    desired = np.empty((len(view.position), 2))
     steer.run(
         view.heading, view.start, view.offset, view.distance, view.neighbour_heading, params.repulsion_radius_m,
         params.alignment_radius_m, params.attraction_radius_m, params.separation, params.alignment,
-        params.cohesion, params.cruise_m_s, wished,
+        params.cohesion, params.cruise_m_s, desired,
     )  # fmt: skip
-    return wished
+    return desired
 
 
 @kernel
 def steer(
     heading: Array, start: Index, offset: Array, distance: Array, neighbour_heading: Array, repulsion_radius_m: Array,
     alignment_radius_m: Array, attraction_radius_m: Array, separation: Array, alignment: Array, cohesion: Array,
-    cruise_m_s: Array, wished: Array,
+    cruise_m_s: Array, desired: Array,
 ) -> None:  # fmt: skip
-    """Fill `wished` (n, 2), m/s. Neighbours as in the view; parameters are columns (n, 1)."""
+    """Fill `desired` (n, 2), m/s. Neighbours as in the view; parameters are columns (n, 1)."""
     for i in range(heading.shape[0]):
         push_x = 0.0
         push_y = 0.0
@@ -66,5 +66,5 @@ def steer(
         pull = cohesion[i, 0] / max(1, start[i + 1] - start[i])
         push = separation[i, 0]
         cruise = cruise_m_s[i, 0]
-        wished[i, 0] = cruise * (along_x / length + push * push_x + pull * pull_x)
-        wished[i, 1] = cruise * (along_y / length + push * push_y + pull * pull_y)
+        desired[i, 0] = cruise * (along_x / length + push * push_x + pull * pull_x)
+        desired[i, 1] = cruise * (along_y / length + push * push_y + pull * pull_y)

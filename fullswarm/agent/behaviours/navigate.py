@@ -34,10 +34,10 @@ _fields: OrderedDict[tuple[object, ...], Field] = OrderedDict()
 
 def velocity(view: View, params: Params) -> Array:
     """Return velocities towards the next waypoints, ``K`` times the way that is left at most, (n, 2) m/s."""
-    wished = np.zeros_like(view.position)
+    desired = np.zeros_like(view.position)
     near = view.distance < CROWD_M
-    crowd = np.bincount(view.of[near], minlength=len(wished)).tolist()
-    for row in range(len(wished)):
+    crowd = np.bincount(view.of[near], minlength=len(desired)).tolist()
+    for row in range(len(desired)):
         x, y = view.position[row].tolist()
         goal_x, goal_y = params.goal[row].tolist()
         left_m = math.hypot(goal_x - x, goal_y - y)
@@ -52,8 +52,8 @@ def velocity(view: View, params: Params) -> Array:
         if ahead_m > 1e-9:
             speed = float(params.gain[row, 0]) * left_m / ahead_m
             vx, vy = speed * (to_x - x), speed * (to_y - y)
-            wished[row] = bend.run(x, y, vx, vy, float(view.radius[row]), view.known(row, str(params.map)))
-    return wished
+            desired[row] = bend.run(x, y, vx, vy, float(view.radius[row]), view.known(row, str(params.map)))
+    return desired
 
 
 @kernel

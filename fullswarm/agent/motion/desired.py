@@ -47,13 +47,13 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
-        self._law_errors: set[str] = set()
+        self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
     def near(self, now_s: float) -> Nearby:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
         if self._near is self._alone and len(self._state.radius):
-            self._neighbours.look(now_s)
+            self._neighbours.set_time(now_s)
             position = np.ascontiguousarray(self._state.pose[:, :2])
             return self._neighbours.around(position, self._config.sensing_radius_m)
         return self._near
@@ -66,7 +66,7 @@ class DesiredMotion:
             return
         pose, neighbours = self._state.pose, self._neighbours
         position = np.ascontiguousarray(pose[:, :2])
-        neighbours.look(now_s)
+        neighbours.set_time(now_s)
 
         self._planar.fill(math.nan)
         planar = False
@@ -87,7 +87,7 @@ class DesiredMotion:
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         measured = Measured(pose, reading.twist, reading.stamp_s)
-        self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.wished)
+        self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
         """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
@@ -98,16 +98,16 @@ class DesiredMotion:
             It wishes planar velocities, which have yet to be mapped to twists.
         """
         try:
-            wished = group.call(view, group.params)
+            desired = group.call(view, group.params)
             # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else np.add.reduce(wished, None)):
+            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
             self._law_failed(group, error)
             return False
         controller = self._controller
         rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
-        (self._planar if group.planar else controller.wished)[rows] = wished
+        (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
         return group.planar
@@ -117,6 +117,6 @@ class DesiredMotion:
         self._controller.law_failed[group.rows] = True
         for row in group.rows:
             self.law_error[row] = why
-        if why.text not in self._law_errors:
-            self._law_errors.add(why.text)
+        if why.text not in self._logged_errors:
+            self._logged_errors.add(why.text)
             log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)

@@ -47,7 +47,7 @@ class Neighbours:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     teams : (m,) of which team each is as told; 0: none
     arrival_s : (m,) when, on this machine's clock
-    predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
+    predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :func:`predict`. A robot that
         fell silent stays in them until it is heard again or is out of earshot
     silent : how many of those there are
@@ -82,7 +82,7 @@ class Neighbours:
         self._near: Nearby | None = None
         self._grow(max(16, len(ids)))
 
-    def hear(self, states: RobotStates, now_s: float) -> None:
+    def receive(self, states: RobotStates, now_s: float) -> None:
         """Take in the states of one host.
 
         Ignored: a message older than the last from that host, one whose columns do not fit together, and on board
@@ -102,7 +102,7 @@ class Neighbours:
         if states.own_frame:
             self.own_frame_host, self.own_frame_s = states.host, now_s
         if len(states.robots) == 1:
-            self._hear_one(states, now_s)
+            self._receive_one(states, now_s)
             return
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
@@ -115,7 +115,7 @@ class Neighbours:
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
-    def _hear_one(self, states: RobotStates, now_s: float) -> None:
+    def _receive_one(self, states: RobotStates, now_s: float) -> None:
         """Do the same for a host with one robot, number by number: what an agent does a hundred times a second."""
         x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
         speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
@@ -134,12 +134,12 @@ class Neighbours:
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
-    def look(self, now_s: float) -> None:
+    def set_time(self, now_s: float) -> None:
         """Say that `within` is about `now_s` from here on."""
         self._now_s, self._stale = now_s, True
 
     def _predict(self) -> None:
-        """Move all heard positions on to the time of the last `look`, on use."""
+        """Move all heard positions on to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
         self.silent = predict.run(
             self.states, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
@@ -178,7 +178,7 @@ class Neighbours:
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
-        """Find the robots within `reach_m` of each own robot at the time of the last `look`, and of its team.
+        """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
 
         Parameters
         ----------
@@ -263,8 +263,8 @@ def _fits(states: RobotStates) -> bool:
 class StateSubscriptions:
     """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
 
-    def __init__(self, bus: Bus, keys: Keys, cell_m: float, hear: Callable[[RobotStates], None]) -> None:
-        self._bus, self._keys, self._cell_m, self._hear = bus, keys, cell_m, hear
+    def __init__(self, bus: Bus, keys: Keys, cell_m: float, receive: Callable[[RobotStates], None]) -> None:
+        self._bus, self._keys, self._cell_m, self._receive = bus, keys, cell_m, receive
         self._cells: dict[str, Subscription] = {}
 
     def follow(self, position: Array, reach_m: float) -> None:
@@ -274,7 +274,7 @@ class StateSubscriptions:
         """
         wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
-            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._hear, latest=True)
+            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._receive, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
 
@@ -473,7 +473,7 @@ def cell_pairs(
 
 @kernel
 def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None:
-    """Drop from the edge list robots that are not of a robot's own team.
+    """Drop from the pair list robots that are not of a robot's own team.
 
     Parameters
     ----------
@@ -486,8 +486,8 @@ def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None
         first = start[i]
         start[i] = kept
         mine = own_team[i]
-        for edge in range(first, start[i + 1]):
-            row = other[edge]
+        for pair in range(first, start[i + 1]):
+            row = other[pair]
             if mine == 0 or teams[row] == mine:
                 other[kept] = row
                 kept += 1

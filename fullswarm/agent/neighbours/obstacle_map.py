@@ -46,7 +46,7 @@ class ObstacleMap:
         self._last: Array | None = None
         self._known: dict[tuple[str, int], Array] = {}
 
-    def look(self, position: Array, obstacles: Array, reach_m: float) -> int:
+    def add_sensed(self, position: Array, obstacles: Array, reach_m: float) -> int:
         """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
         if obstacles is not self._last:
             self._last = obstacles
@@ -61,7 +61,7 @@ class ObstacleMap:
         """Return what these robots have seen themselves, (k, 6)."""
         return self._rows[: len(self._index)][self._seen[:, : len(self._index)].any(axis=0)]
 
-    def tell(self, obstacles: Array) -> None:
+    def add_shared(self, obstacles: Array) -> None:
         """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
         before = len(self._index)
         sound = np.isfinite(obstacles).all(axis=1) & (obstacles[:, 2:4] >= 0.0).all(axis=1) & (obstacles[:, 5] >= 0.0)

@@ -142,14 +142,14 @@ class Inbox:
         epoch.see(request.request_id)
         if self._controller.estop[row]:
             return reason(Code.ESTOP_LATCHED)
-        if request.request_id in epoch.spent:
-            return voided(epoch.spent[request.request_id])
+        if request.request_id in epoch.voided:
+            return voided(epoch.voided[request.request_id])
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
             seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
             return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
-        if self._reflexes.flat[row] and request.expires_s <= 0.0:
+        if self._reflexes.battery_low[row] and request.expires_s <= 0.0:
             return reason(Code.BATTERY)
         conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
@@ -172,12 +172,12 @@ class Inbox:
             return now_s
         return now_s - self._delays[row].delay_s(request.core, request.stamp_s, now_s)
 
-    def spend(self, row: int, why: Reason) -> None:
+    def void(self, row: int, why: Reason) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
         task = self._tasks.of[row]
         if task is None:
             return
-        self._epochs[row].spent.note(task.request.request_id, why)
+        self._epochs[row].voided.note(task.request.request_id, why)
         self.ended[row] = why
         self._drop(row)
 
@@ -240,7 +240,7 @@ class Inbox:
         """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
         unheard = not self.core_alive(self._scheduler.now_s())
         self._epochs[row].halt(order_id if unheard else "", why)
-        self.spend(row, why)
+        self.void(row, why)
         self._drop(row)
 
     def watch_estops(self, now_s: float) -> None:
@@ -314,7 +314,7 @@ class CoreEpoch:
         self._core = ""
         self._replaced = Memory()
         self._seen = Memory()
-        self.spent = Memory()
+        self.voided = Memory()
         self.halted = ""
 
     def replaced(self, core: str, now_s: float) -> bool:
@@ -346,5 +346,5 @@ class CoreEpoch:
         `order_id` is empty when a core was there to hear of it.
         """
         for request_id in self._seen:
-            self.spent.note(request_id, why)
+            self.voided.note(request_id, why)
         self.halted = self.halted or order_id

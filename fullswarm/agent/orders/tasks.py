@@ -61,7 +61,7 @@ class Task:
         return CENTRALISED if self.request.centralised else self.request.law
 
     @property
-    def lapses_s(self) -> float:
+    def expires_at_s(self) -> float:
         """When an intent runs out; never for a lasting request."""
         return self.arrived_s + self.request.expires_s if self.request.expires_s > 0 else math.inf
 
@@ -90,7 +90,7 @@ class Tasks:
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
     team : (n,) which robots its law counts as neighbours; 0: all that are sensed
-    lapses_s : (n,) when it ends by itself; inf
+    expires_at_s : (n,) when it ends by itself; inf
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """
 
@@ -106,7 +106,7 @@ class Tasks:
     team: Index = field(init=False)
     margin_m: Array = field(init=False)
     gain_per_s: Array = field(init=False)
-    lapses_s: Array = field(init=False)
+    expires_at_s: Array = field(init=False)
     any_filtered: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
 
@@ -119,7 +119,7 @@ class Tasks:
         self.team = np.zeros(self.count, np.int64)
         self.margin_m = np.full(self.count, self.usual_margin_m)
         self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
-        self.lapses_s = np.full(self.count, math.inf)
+        self.expires_at_s = np.full(self.count, math.inf)
 
     def enable(self, row: int, task: Task) -> None:
         """Give robot `row` a task in place of the one it has.
@@ -135,7 +135,7 @@ class Tasks:
         if not alike and task.law != CENTRALISED:
             registry.law_module(task.law)
         self.of[row] = task
-        self.lapses_s[row] = task.lapses_s
+        self.expires_at_s[row] = task.expires_at_s
         self.team[row] = request.team
         if request.filtered:
             self.lasting[row] = request.expires_s <= 0.0
@@ -164,7 +164,7 @@ class Tasks:
         """Take robot `row`'s task away."""
         self.of[row] = None
         self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
-        self.lapses_s[row] = math.inf
+        self.expires_at_s[row] = math.inf
         self.team[row] = 0
         self._groups = None
 

@@ -109,15 +109,15 @@ class InterventionReporter:
         self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
         self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours
         self._key = keys.intervention(host)
-        self._told = False
+        self._published = False
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the filter changes now; called each `PERIOD_S`."""
         held = self._tasks.any_filtered and self._filter.deviation_m_s.max(initial=0.0) > LEAST_M_S
         rows = self._rows() if held else np.zeros(0, np.int64)
-        if not self._told and not len(rows):
+        if not self._published and not len(rows):
             return
-        self._told = len(rows) > 0
+        self._published = len(rows) > 0
         change = np.nan_to_num(self._filter.change_m_s[rows])
         message = Interventions(
             host=self._host,

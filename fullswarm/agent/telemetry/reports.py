@@ -167,7 +167,7 @@ class Reports:
         reasons, estops = self._controller.reason.tolist(), self._controller.estop.tolist()
         collisions = self._calculators.collisions.tolist()
         deviation_m_s, deviation_m, filter_note = self._filter.report(self._tasks.filtered)
-        standing = self._standstill.standing.tolist()
+        standing = self._standstill.at_standstill.tolist()
         for row, robot in enumerate(fleet.ids):
             task, description = self._tasks.of[row], fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
