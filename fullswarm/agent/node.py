@@ -15,7 +15,7 @@ from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
-from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, map_of
+from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -24,7 +24,8 @@ from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
 from fullswarm.agent.state import AgentState, Identity
-from fullswarm.agent.telemetry import interventions
+from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
+from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.bus.base import Bus, CountingBus
@@ -32,13 +33,13 @@ from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, RobotStates, SeenObstacles
+from fullswarm.messages import HealthReport, RobotStates
 from fullswarm.perf.calculators import Calculators
-from fullswarm.runtime import LoopStats, Scheduler
+from fullswarm.runtime import LoopStats, Scheduler, Timer
 
 log = structlog.get_logger()
 
-SENSE_PERIOD_S, SHARE_PERIOD_S = 0.1, 2.0
+SENSE_PERIOD_S = 0.1
 LEAST_SPARE_M = 0.03
 """By so much a position may always become less certain before motion is barred, however small the filter's margin."""
 FOLLOW_PERIOD_S = 0.5
@@ -68,50 +69,44 @@ class AgentNode:
         self._bus = bus = CountingBus(bus)
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
-        self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
-        count = len(fleet.ids)
+        self._keys = keys = Keys(config.swarm)
+        self._identity, self._loop = identity, loop
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
+        self.reflexes = _reflexes(config, fleet, thresholds or _thresholds(settings))
+        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
+        self._state = state = AgentState(
+            radius=np.array([each.radius_m for each in fleet.descriptions]),
+            pose=start.copy(),
+            estop=self.controller.estop,
+            stop_reason=self.controller.reason,
+            battery_low=self.reflexes.battery_low,
+            at_standstill=self.standstill.at_standstill,
+            standstill_since_s=self.standstill.since_s,
+        )
         self._accel = accel = np.array([each.accel_m_s2 for each in limits])
-        # The filter keeps its margin for what it does not know: a position may become less certain by so much.
-        spare_m = max(settings.safety_margin_m, LEAST_SPARE_M)
-        sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
-        self.reflexes = Reflexes(count, config.bounds_m, thresholds or _thresholds(settings), sigma_limit_m)
-        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
-        fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self._state = state = AgentState(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
-        self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
-        self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
-        # The limits of other robots are not on the wire: they are taken for robots like this one.
-        self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
-        self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
-        # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
-        self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
-        self.filter = SafetyFilter(
-            fleet.ids,
-            robot_params(
-                fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit, self.controller.reverse
-            ),
-            Tuning(
-                period_s=1.0 / settings.control_rate_hz,
-                reach_m=settings.sensing_radius_m,
-                speed_gain=settings.speed_gain,
-                turn_gain_per_s=settings.turn_gain_per_s,
-            ),
-            np.array(config.bounds_m),
-        )
-        self.interventions = interventions.InterventionReporter(
-            bus, self._keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.controller,
-            self.neighbours,
+        self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
+        self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self.obstacle_map = ObstacleMap(len(limits), map_of(config))
+        self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
+        self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
+        self.desired = DesiredMotion(
+            settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
+            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller,
         )  # fmt: skip
-        self.deadlocks = Deadlocks(fleet.ids)
-        self.obstacle_map, self._share_at_s = ObstacleMap(count, map_of(config)), -math.inf
-        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True)
-        self._cell_m = config.state_cell_m
-        self._state_subscriptions = StateSubscriptions(bus, self._keys, self._cell_m, self._on_states)
+        own_frame = any(each.own_frame for each in fleet.descriptions)
+        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
+        self.inbox = Inbox(
+            bus, keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.pose_conflicts, self.wake
+        )
+        self._drivers = DriverWatch(
+            fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
+        )
         self._estimator = estimator_for(config, fleet, start)
+        self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -119,41 +114,33 @@ class AgentNode:
             state.radius,
             np.array([each.speed_m_s for each in limits]),
         )
-        senses_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
-        self.desired = DesiredMotion(
-            settings, config.bounds_m, senses_obstacles, state, self.tasks, self.neighbours, self.obstacle_map,
-            self.deadlocks, self.filter, self.controller,
-        )  # fmt: skip
-        own_frame = any(each.own_frame for each in fleet.descriptions)
-        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.metrics = MetricSampler(
-            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.desired.near, self.deadlocks,
-        )  # fmt: skip
-        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
-        self.inbox = Inbox(
-            bus, self._keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.reflexes,
-            self.pose_conflicts, self.standstill, self.wake,
-        )  # fmt: skip
-        self._drivers = DriverWatch(fleet, self.controller, self.inbox.void, self.pose_conflicts.reason)
-        self.fixes = Fixes(
-            bus, self._keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
-        )  # fmt: skip
+            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.desired.near, self.deadlocks
+        )
+        self.interventions = InterventionReporter(
+            bus, keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.neighbours.names
+        )
         self._reports = Reports(
-            identity, fleet, state, self.tasks, self.controller, self._drivers, self.filter, self.calculators,
-            self.standstill, self.fixes, self.pose_conflicts, self.desired, self.inbox,
+            identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
+            law_error=self.desired.law_error, ended=self.inbox.ended,
         )  # fmt: skip
+        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
+        self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
         self.failed_measurements = 0
-        self._sequence, self._dirty = 0, False
         fleet.open()
-        self._timers = [
-            scheduler.every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
-            scheduler.every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
-            scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
-            scheduler.every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
-            scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
-            scheduler.every(interventions.PERIOD_S, self.interventions.publish),
-            scheduler.every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
+        self._timers = self._start_timers()
+
+    def _start_timers(self) -> list[Timer]:
+        every, settings = self._scheduler.every, self._config
+        return [
+            every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
+            every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
+            every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
+            every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
+            every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+            every(INTERVENTION_PERIOD_S, self.interventions.publish),
+            every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 
     # ------------------------------------------------------------------ what is known of the robots now
@@ -249,7 +236,7 @@ class AgentNode:
             ),
         )  # fmt: skip
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
-        if self.controller.changed or not self._drivers.ready[0]:
+        if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
 
@@ -273,18 +260,9 @@ class AgentNode:
             self.metrics.sample(now_s)
         except Exception as error:
             self._measurement_failed(error)
-        if not len(reading.obstacles):
-            return
-        new = self.obstacle_map.add_sensed(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
-        if new or now_s >= self._share_at_s:
-            self._share_at_s = now_s + SHARE_PERIOD_S
-            rows = tuple(tuple(row) for row in self.obstacle_map.seen().tolist())
-            host = self._identity.host
-            self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
-
-    def _on_obstacles(self, seen: SeenObstacles) -> None:
-        if seen.host != self._identity.host:
-            self.obstacle_map.add_shared(np.array(seen.rows, float).reshape(-1, 6))
+        self._obstacle_sharing.add_sensed(
+            now_s, self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m
+        )
 
     def _publish_states(self) -> None:
         if self._state.reading is None:
@@ -338,7 +316,7 @@ class AgentNode:
     @property
     def driver_ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which drivers were READY or ACTIVE at the last tick, (n,)."""
-        return self._drivers.ready
+        return self._state.driver_ready
 
     def close(self) -> None:
         """Stop all wheels, tell the last of the story, close the drivers."""
@@ -349,7 +327,7 @@ class AgentNode:
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
         self._state_subscriptions.close()
-        self._subscription.close()
+        self._obstacle_sharing.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
@@ -357,3 +335,32 @@ class AgentNode:
 
 def _thresholds(settings: AgentConfig) -> Thresholds:
     return Thresholds(settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s)
+
+
+def _reflexes(config: SwarmConfig, fleet: Fleet, thresholds: Thresholds) -> Reflexes:
+    # The filter keeps its margin for what it does not know: a position may become less certain by so much.
+    spare_m = max(config.agent.safety_margin_m, LEAST_SPARE_M)
+    sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
+    return Reflexes(len(fleet.ids), config.bounds_m, thresholds, sigma_limit_m)
+
+
+def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
+    found = Neighbours(fleet.ids, settings.neighbour_timeout_s)
+    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    found.accel_m_s2, found.turn_rad_s = float(accel.max()), float(controller.turn_limit.max())
+    found.speed_m_s = float(controller.speed_limit.max())
+    # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
+    found.halt_s = settings.core_silence_s + settings.command_ttl_s
+    return found
+
+
+def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> SafetyFilter:
+    settings = config.agent
+    tuning = Tuning(
+        period_s=1.0 / settings.control_rate_hz,
+        reach_m=settings.sensing_radius_m,
+        speed_gain=settings.speed_gain,
+        turn_gain_per_s=settings.turn_gain_per_s,
+    )
+    robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
+    return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.motion.robot_controller import RobotController, StopReason, explain_hazards
+from fullswarm.agent.motion.robot_controller import StopReason, explain_hazards
+from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import Description, Fleet, FleetReading, Hazard, Lifecycle
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array, Flags, kernel
@@ -245,12 +246,13 @@ class DriverWatch:
     def __init__(
         self,
         fleet: Fleet,
-        controller: RobotController,
+        state: AgentState,
+        drive_on: Flags,
         end_task: Callable[[int, Reason], None],
         conflict_of: Callable[[int], Reason],
     ) -> None:
-        self._fleet, self._controller, self._end_task, self._conflict_of = fleet, controller, end_task, conflict_of
-        self.ready = np.zeros(len(fleet.ids), bool)
+        self._fleet, self._robots, self._drive_on = fleet, state, drive_on
+        self._end_task, self._conflict_of = end_task, conflict_of
         self._state = Lifecycle.CLOSED
         self._been_ready = self._engaged = False
 
@@ -259,16 +261,16 @@ class DriverWatch:
         fleet = self._fleet
         if len(fleet.ids) == 1:
             state = fleet.lifecycle(0)
-            self.ready[0] = state in (Lifecycle.READY, Lifecycle.ACTIVE)
+            self._robots.driver_ready[0] = state in (Lifecycle.READY, Lifecycle.ACTIVE)
             self._been_ready |= state in (Lifecycle.READY, Lifecycle.ACTIVE)
             self._watch_engaged(state)
         else:
-            self.ready[:] = True
-        return self.ready
+            self._robots.driver_ready[:] = True
+        return self._robots.driver_ready
 
     def _watch_engaged(self, state: Lifecycle) -> None:
         """End the task if the driver fell from ACTIVE to READY although the task goes on: a passing fault."""
-        desired = bool(self._controller.drive_on[0])
+        desired = bool(self._drive_on[0])
         if self._engaged and desired and state is Lifecycle.READY:
             fault = given(self._fleet.fault(0), self._fleet.fault_code(0))
             self._end_task(0, fault or reason(Code.DRIVER_STOPPED))
@@ -279,7 +281,7 @@ class DriverWatch:
 
     def end_unsafe_tasks(self, hazards: NDArray[np.uint8]) -> None:
         """End the tasks of robots that are stopped for a reason of `ENDING`; `hazards` (n,) of the newest reading."""
-        reasons = self._controller.reason
+        reasons = self._robots.stop_reason
         for row in np.flatnonzero(np.isin(reasons, ENDING)).tolist():
             if reasons[row] in (StopReason.OVERLAP, StopReason.FRAME):
                 self._end_task(row, self._conflict_of(row))

@@ -13,11 +13,10 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from fullswarm.agent.motion.reflexes import Standstill
-from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Fleet
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt
 
@@ -74,11 +73,11 @@ class EStops:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: AgentState,
-        controller: RobotController, standstill: Standstill, wake: Callable[[], None],
+        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: AgentState, speed_limit_m_s: Array,
+        wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._bus, self._keys, self._fleet, self._state = bus, keys, fleet, state
-        self._controller, self._standstill, self._wake = controller, standstill, wake
+        self._speed_limit_m_s, self._wake = speed_limit_m_s, wake
         self._commanded_s = TICKS / control_rate_hz
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
@@ -90,7 +89,7 @@ class EStops:
         self._folder = folder
         for row, robot in enumerate(self._fleet.ids):
             if folder.holds(robot):
-                self._controller.estop[row] = True
+                self._state.estop[row] = True
 
     def repeats(self, order: EStop) -> bool:
         """Tell whether the order was carried out before; then confirm it again where it still holds."""
@@ -110,10 +109,10 @@ class EStops:
         self._orders[key] = {}
         while len(self._orders) > REMEMBERED:
             self._drop(self._orders.popitem(last=False)[0])
-        changed = [row for row in rows if self._controller.estop[row] != order.engaged]
+        changed = [row for row in rows if self._state.estop[row] != order.engaged]
         for row in changed:
             self._overrule(row)
-            self._controller.estop[row] = order.engaged
+            self._state.estop[row] = order.engaged
         for row in rows if order.engaged else ():
             place, stamp_s = self._place(row)
             wander_m = self._fleet.descriptions[row].standstill.wander_m
@@ -127,9 +126,9 @@ class EStops:
         """Follow the robots that still move; confirm again at standstill, with the distance."""
         for (row, key), robot in list(self._decelerating.items()):
             place, stamp_s = self._place(row)
-            robot.follow(place, stamp_s, float(self._controller.speed_limit[row]))
+            robot.follow(place, stamp_s, float(self._speed_limit_m_s[row]))
             # An old reading proves nothing: a robot without a driver is latched, but its standstill is unverified.
-            measured = bool(robot.since_s <= self._standstill.since_s[row] < math.inf)
+            measured = bool(robot.since_s <= self._state.standstill_since_s[row] < math.inf)
             at_standstill = measured and stamp_s > robot.since_s + self._commanded_s
             late = now_s - robot.since_s > SETTLE_TIMEOUT_S
             if at_standstill:

@@ -7,7 +7,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.motion.reflexes import Reflexes, Standstill
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.orders.estops import EStops
 from fullswarm.agent.orders.tasks import Task, Tasks
@@ -43,12 +42,11 @@ class Inbox:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: AgentState,
-        tasks: Tasks, controller: RobotController, reflexes: Reflexes, conflicts: PoseConflicts,
-        standstill: Standstill, wake: Callable[[], None],
+        tasks: Tasks, controller: RobotController, conflicts: PoseConflicts, wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._bus, self._keys, self._scheduler, self._config = bus, keys, scheduler, config
         self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
-        self._reflexes, self._conflicts, self._wake = reflexes, conflicts, wake
+        self._conflicts, self._wake = conflicts, wake
         ids = fleet.ids
         self.ended = [NONE] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
@@ -59,7 +57,7 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._delays = [MessageDelay() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller, standstill, wake)
+        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
         whose = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
             bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
@@ -140,7 +138,7 @@ class Inbox:
             self._drop(row)
             return NONE
         epoch.see(request.request_id)
-        if self._controller.estop[row]:
+        if self._state.estop[row]:
             return reason(Code.ESTOP_LATCHED)
         if request.request_id in epoch.voided:
             return voided(epoch.voided[request.request_id])
@@ -149,7 +147,7 @@ class Inbox:
             # Accepted, it would drive off out of the hands that put it back on safe ground.
             seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
             return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
-        if self._reflexes.battery_low[row] and request.expires_s <= 0.0:
+        if self._state.battery_low[row] and request.expires_s <= 0.0:
             return reason(Code.BATTERY)
         conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
@@ -231,7 +229,7 @@ class Inbox:
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
             # not be started by it. Releasing a robot that is not latched stops nothing.
-            if order.engaged or self._controller.estop[row]:
+            if order.engaged or self._state.estop[row]:
                 code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
                 self._halt(row, order.id or "estop", reason(code, by=order.source or "an operator"))
         self.estops.carry_out(order, rows, self._scheduler.now_s())

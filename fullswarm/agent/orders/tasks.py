@@ -153,7 +153,7 @@ class Tasks:
     def _renew(self, row: int, request: ControlRequest) -> bool:
         """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
         for group in self._groups or ():
-            place = 0 if self.count == 1 else int(np.searchsorted(group.rows, row))
+            place = int(np.searchsorted(group.rows, row))
             if place < len(group.rows) and group.rows[place] == row:
                 same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
                 # By the class: a parameter may be called "update".

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fullswarm.agent.motion.robot_controller import RobotController, StopReason
-from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
+from fullswarm.agent.motion.robot_controller import StopReason
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.safety.barrier import Arena, box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
@@ -104,10 +104,10 @@ class InterventionReporter:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: AgentState,
-        tasks: Tasks, safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
+        tasks: Tasks, safety: SafetyFilter, neighbour_names: Sequence[str],
     ) -> None:  # fmt: skip
         self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
-        self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours
+        self._tasks, self._filter, self._neighbour_names = tasks, safety, neighbour_names
         self._key = keys.intervention(host)
         self._published = False
 
@@ -131,7 +131,7 @@ class InterventionReporter:
 
     def _rows(self) -> Index:
         """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
-        moving = self._controller.reason == StopReason.MOVING
+        moving = self._state.stop_reason == StopReason.MOVING
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 
     def _reasons(self, rows: Index) -> list[str]:
@@ -141,7 +141,7 @@ class InterventionReporter:
         used, state, count = self._filter, self._state, len(rows)
         blamed = Blamed(np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count))
         blame.run(rows, used.change_m_s, state.pose, state.radius, given.near, given.arena, used.reach_m, blamed)
-        verdicts, names = used.verdict[rows].tolist(), self._neighbours.names
+        verdicts, names = used.verdict[rows].tolist(), self._neighbour_names
         found = zip(verdicts, blamed.kind.tolist(), blamed.which.tolist(), blamed.gap.tolist(), strict=True)
         return [
             EXPLAIN[verdict] if verdict > LIMITED else _words(what, names[row] if row >= 0 else "", gap_m)
