@@ -50,7 +50,7 @@ class Cost:
 
 
 def one(command: list[str], folder: Path) -> Cost:
-    """Start a process that says READY, look at it, end it."""
+    """Start a process that prints READY, measure it, end it."""
     address = str(folder / f"notify-{time.monotonic_ns()}")
     environment = {
         **os.environ, "NOTIFY_SOCKET": address, "FULLSWARM_HEALTH": str(folder / "health.json"),

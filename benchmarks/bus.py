@@ -71,7 +71,7 @@ def free_endpoint() -> str:
 
 @contextmanager
 def process(*command: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a Python process that says "ready"; kill it at the end."""
+    """Run a Python process that prints "ready"; kill it at the end."""
     with subprocess.Popen(
         [sys.executable, *command],
         stdin=subprocess.PIPE,
@@ -131,16 +131,16 @@ def exit_time_s() -> float:
 
 
 def back_time_s() -> float:
-    """Return the time from a new hub that says it is ready to the first message through it."""
+    """Return the time from a new hub that is ready to the first message through it."""
     endpoint, mailbox = free_endpoint(), Mailbox()
-    heard: list[Heartbeat] = []
+    received: list[Heartbeat] = []
     talker, listener = ZenohBus(Mailbox(), hub=endpoint), ZenohBus(mailbox, hub=endpoint)
-    listener.subscribe("bench/x", Heartbeat, heard.append)
+    listener.subscribe("bench/x", Heartbeat, received.append)
 
     def talk() -> float:
         start_s = time.perf_counter()
-        heard.clear()
-        while not heard:
+        received.clear()
+        while not received:
             talker.publish("bench/x", Heartbeat(node="bench", process="p", sequence=1))
             mailbox.deliver_one(0.002)
             if time.perf_counter() - start_s > 30.0:

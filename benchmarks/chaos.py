@@ -1,10 +1,10 @@
-"""A live swarm under faults: what was asked happens once, in order, and nothing else does.
+"""A live swarm under faults: each request is carried out once, in order, and nothing else happens.
 
 ``python -m benchmarks.chaos [--robots 16] [--seconds 300] [--every 5] [--seed 1]``. Hub, core, centralised behaviours
 and one agent per robot are processes of a supervisor, as `fullswarm up` starts them; three operator processes (two of
-one person) ask for one thing after the other; every `--every` seconds something is killed, paused or cut off. A judge
-that shares no code with the core counts; the world lives here, where its bodies can be watched. Exit code 1: something
-was not as it has to be; the folder with all logs and events stays then.
+one person) send request after request; every `--every` seconds something is killed, paused or cut off. A judge that
+shares no code with the core counts; the simulated world runs here, where its bodies can be observed. Exit code 1: a
+check failed; the folder with all logs and events is then kept.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 import msgspec
 
 from benchmarks.chaos_faults import Fault, conditions, plan
-from benchmarks.chaos_judge import Ask, Doing, Down, Ran, Record, Told
+from benchmarks.chaos_judge import Ask, Doing, Down, Published, Ran, Record
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import SwarmConfig
@@ -48,6 +48,7 @@ from fullswarm.messages import (
     StopRequest,
 )
 from fullswarm.operator.client import Operator
+from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime
 
 OPERATORS = (("ann", "ann-shell"), ("ann", "ann-pad"), ("bob", "bob-shell"))
@@ -56,10 +57,10 @@ FRESH_S = 1.2
 SETTLE_S = 12.0
 FORGET_S = 30.0
 BACK_S = 5.0
-"""A killed agent is READY and runs what was last asked of its robot within this time."""
+"""A killed agent is READY and runs the last request to its robot within this time."""
 MOVES_M_S, MOVES_RAD_S = 0.03, 0.1
-STANDS = ("the hub", "heartbeat", "fresh command", "driver", "stood still", "told nothing")
-"""Words of the reasons for which a robot stands that come of a fault; at the edge of the arena it stands by right."""
+STANDS = frozenset({Code.HUB, Code.CORE, Code.STALE, Code.DRIVER, Code.DRIVER_FAILED, Code.CLOCK, Code.READING})
+"""Reasons for standing that come from a fault; at the edge of the arena a robot stands by right."""
 
 
 @dataclass(slots=True)
@@ -80,7 +81,7 @@ class Seen:
     t: float = -math.inf
     process: str = ""
     health: RobotHealth | None = None
-    wanted: str = ""  # the request it shall run, as the core accepted it last; empty: none
+    wanted: str = ""  # the request it is to run, as the core accepted it last; empty: none
 
 
 @dataclass
@@ -122,7 +123,7 @@ class Chaos:
         self.me = Operator(self.bus, self.keys, self.runtime, "chaos", name="eve", clock=clock_id())
         self.seen = {name: Seen() for name in names}
         self.beats: dict[str, tuple[float, str]] = {}
-        self.last: dict[str, BehaviourRequest] = {}  # by the process that asked
+        self.last: dict[str, BehaviourRequest] = {}  # by the requesting process
         self.down: dict[str, float] = {}
         self.up_s: dict[str, float] = {}
         self.people: dict[str, subprocess.Popen[bytes]] = {}
@@ -132,7 +133,7 @@ class Chaos:
         self.dead_processes: dict[str, float] = {}
         for key, kind, handler in (
             (self.keys.behaviour_request, BehaviourRequest, self._requested),
-            (self.keys.behaviour_status, RequestStatus, self._told),
+            (self.keys.behaviour_status, RequestStatus, self._status),
             (self.keys.stop, StopRequest, self._stopped),
             (self.keys.estop, EStop, self._note),
             (self.keys.estop_receipt(), EStopReceipt, self._receipt),
@@ -162,17 +163,17 @@ class Chaos:
 
     def _stopped(self, stop: StopRequest) -> None:
         robots, person = stop.robots or self.config.robots, stop.source.partition("-")[0]
-        # A robot tells a new core of a stop that still holds: "<id>@<robot>" was asked for when <id> was.
+        # A robot reports a stop that is still in force to a new core: "<id>@<robot>" has the time of <id>.
         first = self.record.asks.get(stop.id.partition("@")[0])
         asked_s = first.t if first is not None else self.runtime.now_s()
         self.record.asks.setdefault(stop.id, Ask(asked_s, person, stop.id, "", robots))
         self._note(stop)
 
-    def _told(self, status: RequestStatus) -> None:
+    def _status(self, status: RequestStatus) -> None:
         now_s = self.runtime.now_s()
-        told = Told(now_s, status.request_id, status.phase, status.robots, status.running, status.refused_by)
+        published = Published(now_s, status.request_id, status.phase, status.robots, status.running, status.refused_by)
         known = status.request_id in self.accepted
-        self.record.told.append(told)
+        self.record.published.append(published)
         self._note(status)
         idle = status.behaviour == "stop"
         if not known and status.phase not in ("refused", "superseded", "ended"):
@@ -218,7 +219,7 @@ class Chaos:
         self.beats[beat.node] = self.runtime.now_s(), beat.process
 
     def _look(self) -> None:
-        """Ten times a second: which bodies move, and who is well again."""
+        """Check, ten times a second, which bodies move and which robots have recovered."""
         now_s, world = self.runtime.now_s(), self.world.world
         for row, robot in enumerate(self.config.robots):
             speed_m_s, turn_rad_s = abs(world.twist[row]).tolist()
@@ -289,23 +290,23 @@ class Chaos:
         self.watches.append(Watch(fault, self.runtime.now_s(), robots, partial(self._well_again, name)))
 
     def _well_again(self, name: str, robot: str) -> bool:
-        """Tell whether a robot is well, as it has said itself since `name` is back."""
+        """Tell whether a robot has recovered, by its own report since `name` is back."""
         since_s = self.up_s.get(name, -math.inf)
         return name not in self.down and self.seen[robot].t >= since_s and self._well(robot)
 
     def _well(self, robot: str) -> bool:
-        """Tell whether a robot does what was last asked of it, heard just now from a core and an agent that live."""
+        """Tell whether a robot carries out its last request, by fresh messages of its agent and the core."""
         seen, now_s = self.seen[robot], self.runtime.now_s()
         core_s = self.beats.get("core", (-math.inf, ""))[0]
         if robot in self.down or seen.health is None or now_s - seen.t > FRESH_S or now_s - core_s > FRESH_S:
             return False
         health = seen.health
-        if health.lifecycle not in ("READY", "ACTIVE") or any(word in health.stop_reason for word in STANDS):
+        if health.lifecycle not in ("READY", "ACTIVE") or health.stop_code in STANDS:
             return False
         return health.estop or (health.request_id if health.behaviour else "") == seen.wanted
 
     def _send_late(self, fault: Fault) -> None:
-        """Hold a request of somebody up for so long that he has asked for other things."""
+        """Delay a request of an operator until after that operator's later ones."""
         if not self.last:
             return
         like = self.last[sorted(self.last)[fault.number % len(self.last)]]
@@ -364,7 +365,7 @@ class Chaos:
 
     def _read_asked(self) -> None:
         """Take over what the operators wrote down themselves."""
-        told = {each.id for each in self.record.told}
+        answered = {each.id for each in self.record.published}
         for line in (self.folder / "asked.jsonl").read_text(encoding="utf-8").splitlines():
             try:
                 entry = json.loads(line)
@@ -376,7 +377,7 @@ class Chaos:
                 self.record.asks[ask.id] = ask
                 if entry["process"] in self.dead_processes:
                     self.record.killed[ask.id] = self.dead_processes[entry["process"]]
-            elif entry.get("phase") == "superseded" and entry["id"] not in told:
+            elif entry.get("phase") == "superseded" and entry["id"] not in answered:
                 self.record.called_off.add(entry["id"])
 
     # ------------------------------------------------------------------ the run
@@ -457,9 +458,9 @@ def report(chaos: Chaos) -> bool:
           f"{len(accepted)} accepted, {len(record.ran)} executions")  # fmt: skip
     counts = {
         "uncommanded motions": verdict.uncommanded, "doubled": verdict.doubled, "older after newer": verdict.older,
-        "lost": verdict.lost, "not doing what was last asked": verdict.wrong,
+        "lost": verdict.lost, "not running the last request": verdict.wrong,
     }  # fmt: skip
-    print(f"\n{'fault':22}{'count':>6}{'p50 s':>8}{'max s':>8}{'not back':>10}   (until all robots do what was asked)")
+    print(f"\n{'fault':22}{'count':>6}{'p50 s':>8}{'max s':>8}{'not back':>10}   (until all run their requests)")
     slow = []
     for kind in dict.fromkeys(each.kind for each in chaos.faults):
         took = sorted(each.took_s for each in chaos.watches if each.fault.kind == kind)
@@ -502,7 +503,7 @@ def main() -> int:
         if well:
             shutil.rmtree(chaos.folder, ignore_errors=True)
         else:
-            print(f"logs, and all that was seen as events.jsonl and asked.jsonl: {chaos.folder}")
+            print(f"logs, and all events as events.jsonl and asked.jsonl: {chaos.folder}")
     return 0 if well else 1
 
 

@@ -10,7 +10,7 @@ DECK = (
     "agent killed", "agent killed", "agent killed", "agent paused", "agent paused", "core killed", "core paused",
     "centralised killed", "hub killed", "hub paused", "robots cut off", "operator killed", "e-stop", "late request",
 )  # fmt: skip
-"""One round; shuffled anew for each."""
+"""One round; shuffled again for each."""
 FIRST_S = 3.0
 
 

@@ -1,4 +1,4 @@
-"""Judges a swarm under faults from what was asked, what the robots say and how their bodies move.
+"""Judges a swarm under faults by its requests, the reports of the robots and the motion of their bodies.
 
 It shares no code with the core. Times are seconds of this machine's monotonic clock. Pure: events in, a verdict out.
 """
@@ -11,23 +11,23 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 AGENT_DEAD_S = 1.5
-"""So long after its agent's end a body may move: the world's own watchdog takes 0.3 s, and it has to brake."""
+"""A body may move this long after its agent's end: the world's own watchdog takes 0.3 s, then it brakes."""
 LINK_DEAD_S = 2.5
-"""The same after the hub or the core fell silent: the robots notice after 1 s."""
+"""The same after the hub or the core fell silent: the robots detect that after 1 s."""
 STOPPED_S = 1.5
 """And after it confirmed a stop."""
 RACE_S = 0.5
-"""Of two things that come within this time either may be first: a robot hears of a new core before the judge does."""
+"""Two events within this time count in either order: a robot may receive a new core's message before the judge."""
 LOST_S = 10.0
-"""A request that was accepted is executed within this time, not counting faults of those on its way."""
-MEND_S = 5.0
-"""A fault counts for so much longer than it lasted."""
+"""A request that was accepted is executed within this time, not counting faults of the processes between."""
+RECOVER_S = 5.0
+"""A fault counts this much longer than it lasted."""
 IDLE = ("", "stop")
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Something that an operator asked of robots; an empty behaviour: stop or e-stop."""
+    """A request of an operator; an empty behaviour: stop or e-stop."""
 
     t: float
     operator: str
@@ -55,7 +55,7 @@ class Ran:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Published:
     """A status of a request, as the core published it."""
 
     t: float
@@ -104,28 +104,31 @@ class Verdict:
 
 @dataclass(slots=True)
 class Record:
-    """All that was seen. `moved` are moments at which a body moved, ten a second; `quiet_s` when the last was asked."""
+    """All observations. `moved` are moments at which a body moved, sampled at 10 Hz."""
 
     asks: dict[str, Ask] = field(default_factory=dict)
     ran: list[Ran] = field(default_factory=list)
-    told: list[Told] = field(default_factory=list)
+    published: list[Published] = field(default_factory=list)
     seen: set[tuple[str, str]] = field(default_factory=set)  # (robot, request) that a report named
     moved: list[tuple[float, str]] = field(default_factory=list)
     standing: list[tuple[float, str, str]] = field(default_factory=list)  # (when, robot, stop) confirmed
     downs: list[Down] = field(default_factory=list)
     killed: dict[str, float] = field(default_factory=dict)  # operator's request that died with its process → when
-    late: dict[str, float] = field(default_factory=dict)  # request that was held up on purpose → when it was let go
+    late: dict[str, float] = field(default_factory=dict)  # request that was delayed on purpose → when it was sent
     called_off: set[str] = field(default_factory=set)  # by the operator, before the core had them
     doing: dict[str, Doing] = field(default_factory=dict)
     end_s: float = 0.0
 
     def accepted(self) -> dict[str, tuple[float, tuple[str, ...]]]:
-        """Return when the core first said that it has a request, and for which robots."""
-        refused = {(each.id, robot) for each in self.told for robot in each.refused_by}
+        """Return when the core first published an accepted request, and for which robots."""
+        refused = {(each.id, robot) for each in self.published for robot in each.refused_by}
         first: dict[str, tuple[float, tuple[str, ...]]] = {}
-        for told in self.told:
-            if told.phase not in ("refused", "superseded", "ended") and told.id not in first:
-                first[told.id] = told.t, tuple(robot for robot in told.robots if (told.id, robot) not in refused)
+        for status in self.published:
+            if status.phase not in ("refused", "superseded", "ended") and status.id not in first:
+                first[status.id] = (
+                    status.t,
+                    tuple(robot for robot in status.robots if (status.id, robot) not in refused),
+                )
         return first
 
     def judge(self) -> Verdict:
@@ -146,7 +149,7 @@ class Record:
     def _doubled(self) -> list[str]:
         numbers: dict[tuple[str, str, str, str], set[tuple[str, int]]] = defaultdict(set)
         for ran in self.ran:
-            # A new core enables a centralised request anew, for its commands bear its own numbers.
+            # A new core enables a centralised request again, because its commands have its own numbers.
             core = ran.core if ran.centralised else ""
             numbers[ran.robot, ran.id, ran.agent, core].add((ran.core, ran.sequence))
         return [f"{key[0]} executed {key[1]} {len(each)} times" for key, each in numbers.items() if len(each) > 1]
@@ -180,7 +183,7 @@ class Record:
                 stands[robot].append((confirmed_s + STOPPED_S, stop.t, stop_id))
         incidents: dict[tuple[str, str], list[float]] = defaultdict(list)
         for t, robot in self.moved:
-            why = self._dead(t, robot) or _unasked(t, asked[robot], stands[robot])
+            why = self._dead(t, robot) or _unrequested(t, asked[robot], stands[robot])
             if why:
                 incidents[robot, why].append(t)
         return [f"{robot} moved at {times[0]:.2f} ({len(times)} samples) although {why}"
@@ -203,10 +206,10 @@ class Record:
         return ""
 
     def _trouble_s(self, robot: str, from_s: float, to_s: float) -> float:
-        """Return for how long somebody on the way to `robot` was down, and a while after, between two moments."""
+        """Return how long, between two moments, a process between operator and `robot` was down or recovering."""
         names = (robot, "hub", "core", f"link of {robot}", f"e-stop of {robot}")
-        spans = sorted((max(each.from_s, from_s), min(each.to_s + MEND_S, to_s)) for each in self.downs
-                       if each.name in names and each.from_s < to_s and each.to_s + MEND_S > from_s)  # fmt: skip
+        spans = sorted((max(each.from_s, from_s), min(each.to_s + RECOVER_S, to_s)) for each in self.downs
+                       if each.name in names and each.from_s < to_s and each.to_s + RECOVER_S > from_s)  # fmt: skip
         total_s, end_s = 0.0, from_s
         for begin_s, until_s in spans:
             total_s += max(0.0, until_s - max(begin_s, end_s))
@@ -226,8 +229,8 @@ class Record:
         return found
 
     def _unanswered(self) -> list[str]:
-        answered = {each.id for each in self.told} | set(self.killed) | set(self.late) | self.called_off
-        return [f"nobody answered {ask.behaviour} {ask.id}, asked at {ask.t:.2f}" for ask in self.asks.values()
+        answered = {each.id for each in self.published} | set(self.killed) | set(self.late) | self.called_off
+        return [f"no status for {ask.behaviour} {ask.id}, requested at {ask.t:.2f}" for ask in self.asks.values()
                 if ask.behaviour and ask.id not in answered
                 and self.end_s - ask.t - self._trouble_s("", ask.t, self.end_s) > LOST_S]  # fmt: skip
 
@@ -244,15 +247,15 @@ class Record:
             elif does != wanted:
                 asked = f"{last.behaviour or 'stop'} {last.id}" if last else "nothing"
                 does = f"{doing.behaviour} {doing.request_id}" if doing.behaviour else f"nothing ({doing.note})"
-                found.append(f"{robot} does {does}, was last asked for {asked}")
+                found.append(f"{robot} runs {does}, its last request is {asked}")
         return found
 
 
-def _unasked(t: float, asked: list[float], stands: list[tuple[float, float, str]]) -> str:
-    """Return why a robot may not move at `t`; empty: something was asked of it since the last stop in force."""
+def _unrequested(t: float, asked: list[float], stands: list[tuple[float, float, str]]) -> str:
+    """Return why a robot may not move at `t`; empty: it has a request since the last stop in force."""
     number = bisect_left(stands, (t,)) - 1
     since_s, stop = (stands[number][1], stands[number][2]) if number >= 0 else (-math.inf, "")
     newest = bisect_right(asked, t) - 1
     if newest >= 0 and asked[newest] >= since_s - RACE_S:
         return ""
-    return f"nothing was asked of it since {stop}" if stop else "nothing had been asked of it"
+    return f"no request since {stop}" if stop else "no request before"

@@ -1,7 +1,7 @@
 """One operator of the chaos benchmark: ``python -m benchmarks.chaos_operator FLEET.toml NAME PROCESS SEED LOG``.
 
-It asks for one thing after the other, of some robots, now and then several at once, until SIGTERM. What it asked for,
-and when, stands in LOG, a JSON document per line: the judge must not depend on what came through.
+It sends request after request to some robots, now and then several at once, until SIGTERM. LOG holds each request with
+its time, a JSON document per line: the judge must not depend on what was delivered.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ChaosOperator:
             self._write(t=asked_s, stop=robots)
             return
         behaviour, parameters = self._any(len(robots))
-        asked = self._operator.request(behaviour, robots, parameters, on_status=self._told)
+        asked = self._operator.request(behaviour, robots, parameters, on_status=self._status)
         request = asked.request
         self._write(t=request.stamp_s, id=request.id, behaviour=behaviour, robots=robots)
 
@@ -76,7 +76,7 @@ class ChaosOperator:
         x_low, y_low, x_high, y_high = self._bounds
         return self._chance.uniform(x_low + 1, x_high - 1), self._chance.uniform(y_low + 1, y_high - 1)
 
-    def _told(self, status: RequestStatus) -> None:
+    def _status(self, status: RequestStatus) -> None:
         self._write(t=self.runtime.now_s(), id=status.request_id, phase=status.phase, reason=status.reason)
 
     def _write(self, **line: object) -> None:

@@ -39,11 +39,11 @@ class Samples:
     confirmed_s: list[float] = field(default_factory=list)
     rolled_m: list[float] = field(default_factory=list)
     worst_s: list[float] = field(default_factory=list)  # of each round
-    incomplete: int = 0  # rounds in which somebody did not confirm
+    incomplete: int = 0  # rounds in which a robot did not confirm
 
 
 class Bench:
-    """A live swarm and an operator who looks at it."""
+    """A live swarm and an operator that observes it."""
 
     def __init__(self, robots: int) -> None:
         self.config = on_free_ports(
@@ -83,7 +83,7 @@ class Bench:
         return core and sum(is_(what, row) for row in rows) == len(self.config.robot)
 
     def order(self, engaged: bool) -> EStopOrder:
-        """Press or release and wait for everybody."""
+        """Press or release and wait for all robots."""
         receipts: list[EStopReceipt] = []
         order = self.operator.estop(
             engaged,

@@ -35,15 +35,15 @@ control period 0.02 s; `reading_timeout_s = 0.3`. The world is looked at each 5 
 FOOT = """
 ## What cannot be had
 
-- **Create, cable pulled**: it has no watchdog and nobody can tell it anything. It rolls on until the cable is back
+- **Create, cable pulled**: it has no watchdog and no command reaches it. It moves on until the cable is back
   (then its first words are zero). Only its own bumper, cliff and wheel-drop reflexes stop it before.
 - **Create, computer without power, or agent and guardian killed together**: the same. One of them alone is covered;
   a guardian that is killed is replaced within about half a second, which the robot drives on.
 - **Cable pulled, computer without power, or agent and guardian killed together, other makes**: only the device's own
   time-out is left ({devices}). No software on board makes that shorter.
-- **A rover whose agent is killed** is told HOLD: its motors are off, and it rolls out.
+- **A rover whose agent is killed** receives HOLD: its motors are off, and it coasts to a standstill.
 - **A rover** brakes by its firmware's own acceleration limit, so it stands late although its set-point is zero.
-- **A low battery** is seen when the robot tells it: {battery}.
+- **A low battery** is detected when the robot reports it: {battery}.
 - Sensors that a make does not have (—) trigger nothing.
 - A **core heartbeat** that is silent counts as lost after `core_silence_s`, 1 s as configured.
 - An **e-stop** takes the bus's way, not a period.
@@ -125,10 +125,10 @@ def main(arguments: list[str] | None = None) -> int:
     measured = measure()
     text = table(measured)
     devices = ", ".join(f"{BACKENDS[robot]} {wait_s:g} s" for robot, wait_s in DEVICE_S.items() if wait_s < math.inf)
-    told = ", ".join(f"{BACKENDS[robot]} each {period_s:g} s" for robot, period_s in BATTERY_S.items())
+    reported = ", ".join(f"{BACKENDS[robot]} each {period_s:g} s" for robot, period_s in BATTERY_S.items())
     sys.stdout.write(text)
     if write:
-        DOCS.write_text(f"{HEAD}{text}{FOOT.format(devices=devices, battery=told)}", encoding="utf-8")
+        DOCS.write_text(f"{HEAD}{text}{FOOT.format(devices=devices, battery=reported)}", encoding="utf-8")
     missed = [each for each in measured if each.zero_s > each.bound_s + 0.05]
     sys.stderr.writelines(f"missed: {each}\n" for each in missed)
     return 1 if missed else 0

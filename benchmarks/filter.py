@@ -43,7 +43,7 @@ LIMITS = Limits(SPEED, 4.25, 2.0, 20.0)
 BOUNDS = np.array([0.0, 0.0, 20.0, 20.0])
 BATCH = 1000
 SAME = 2e-3
-"""m/s: answers that differ by more are counted as wrong; OSQP is asked for 1e-4."""
+"""m/s: answers that differ by more are counted as wrong; OSQP's tolerance is 1e-4."""
 SOLVER: dict[str, Any] = {"verbose": False, "eps_abs": 1e-4, "eps_rel": 1e-4, "adaptive_rho_interval": 50}
 TARGET = {"plain_us": 60.0, "batch_us": 2.0, "cvxopt": 20.0, "joint": 1.5}
 
@@ -81,11 +81,11 @@ class Joint:
 
 @dataclass(slots=True)
 class Scene:
-    """A robot, its neighbours (m, 2), its wish; the rows of its problem, none left out."""
+    """A robot, its neighbours (m, 2), its desired velocity; the rows of its problem, none left out."""
 
     pose: Array
     others: Array
-    wish: Array
+    desired: Array
     normals: Array = field(init=False)
     limits: Array = field(init=False)
 
@@ -107,8 +107,8 @@ def scenes(count: int, neighbours: int) -> list[Scene]:
         pose = np.array([*rng.uniform(3.0, 17.0, 2), rng.uniform(-math.pi, math.pi)])
         angle, far = rng.uniform(-math.pi, math.pi, neighbours), 0.37 + rng.uniform(0.0, 1.0, neighbours) ** 2 * 2.0
         others = pose[:2] + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        wish = rng.uniform(-1.0, 1.0, 2)
-        made.append(Scene(pose, others, wish * min(1.0, SPEED / float(np.linalg.norm(wish)))))
+        desired = rng.uniform(-1.0, 1.0, 2)
+        made.append(Scene(pose, others, desired * min(1.0, SPEED / float(np.linalg.norm(desired)))))
     return made
 
 
@@ -130,7 +130,10 @@ class Ours:
         start, other = np.arange(count + 1) * each, np.arange(count * each)
         self.near = Nearby(start, other, places, states, spread_m, blur_m, arrival_s)
         self.requested = Requested(
-            np.array([one.wish for one in some]), np.ones(count, bool), np.full(count, GAIN), np.full(count, MARGIN_M)
+            np.array([one.desired for one in some]),
+            np.ones(count, bool),
+            np.full(count, GAIN),
+            np.full(count, MARGIN_M),
         )
         self.measured = Measured(np.array([one.pose for one in some]), np.zeros((count, 2)), np.zeros(count))
         self.twists = np.zeros((count, 2))
@@ -151,7 +154,7 @@ def fresh(scene: Scene) -> Any:
     solver = osqp.OSQP()
     below = np.full(len(scene.limits), -np.inf)
     normals = sparse.csc_matrix(scene.normals)
-    solver.setup(sparse.eye(2, format="csc"), -scene.wish, normals, below, scene.limits, **SOLVER)
+    solver.setup(sparse.eye(2, format="csc"), -scene.desired, normals, below, scene.limits, **SOLVER)
     return solver, solver.solve(raise_error=False)
 
 
@@ -161,7 +164,7 @@ def by_cvxopt(scene: Scene) -> Callable[[], Any] | None:
     cvxopt: Any = importlib.import_module("cvxopt")
     importlib.import_module("cvxopt.solvers")
     cvxopt.solvers.options["show_progress"] = False
-    matrices = [cvxopt.matrix(each) for each in (np.eye(2), -scene.wish, scene.normals, scene.limits)]
+    matrices = [cvxopt.matrix(each) for each in (np.eye(2), -scene.desired, scene.normals, scene.limits)]
     return lambda: cvxopt.solvers.qp(*matrices)
 
 
@@ -183,7 +186,7 @@ def single(neighbours: int, count: int) -> Single:
         data = sparse.csc_matrix(scene.normals).data
 
         def update(solver: Any = solver, scene: Scene = scene, data: Array = data) -> None:
-            solver.update(q=-scene.wish, u=scene.limits, Ax=data)
+            solver.update(q=-scene.desired, u=scene.limits, Ax=data)
             solver.solve(raise_error=False)
 
         timed(update, warm)
@@ -192,7 +195,7 @@ def single(neighbours: int, count: int) -> Single:
             timed(other, interior)
         nx, ny = scene.normals.T.tolist()
         limits = scene.limits.tolist()
-        x, y = scene.wish.tolist()
+        x, y = scene.desired.tolist()
         planes = barrier.HalfPlanes._make((nx, ny, limits, [], []))
         found = timed(partial(barrier.project, x, y, planes, len(limits)), solve)
         solved = answer.info.status == "solved"
@@ -215,9 +218,9 @@ def compiled(neighbours: int, robots: int) -> float:
 
 
 class Watched:
-    """OSQP as the joint filter uses it; keeps what it was last asked, for a bare solver to do the same."""
+    """OSQP as the joint filter uses it; keeps its last update, for a bare solver to repeat it."""
 
-    asked: dict[str, Array] | None = None
+    last: dict[str, Array] | None = None
     matrices: tuple[Any, ...] = ()
 
     def __init__(self) -> None:
@@ -225,7 +228,7 @@ class Watched:
 
     def setup(self, *matrices: Any, **settings: Any) -> None:
         """Note the matrices."""
-        Watched.matrices, Watched.asked = tuple(each.copy() for each in matrices), None
+        Watched.matrices, Watched.last = tuple(each.copy() for each in matrices), None
         self._solver.setup(*matrices, **settings)
 
     def warm_start(self, **start: Any) -> None:
@@ -234,7 +237,7 @@ class Watched:
 
     def update(self, **data: Array) -> None:
         """Note the vectors; copies, as the solver overwrites what it is given."""
-        Watched.asked = {name: each.copy() for name, each in data.items()}
+        Watched.last = {name: each.copy() for name, each in data.items()}
         self._solver.update(**data)
 
     def solve(self, **options: Any) -> Any:
@@ -243,42 +246,42 @@ class Watched:
 
 
 def trace(robots: int, ticks: int) -> list[tuple[Array, Array]]:
-    """Return positions and wishes of robots that crowd towards the middle, at the paper's density."""
+    """Return positions and desired velocities of robots that crowd towards the middle, at the paper's density."""
     rng = np.random.default_rng(robots)
     side_m = 20.0 * math.sqrt(robots / 32)
     positions, joint = rng.uniform(0.5, side_m - 0.5, (robots, 2)), JointFilter()
     arena = Arena(np.zeros(2), np.full(2, side_m), SPEED, GAIN, MARGIN_M)
     steps = []
     for _ in range(ticks):
-        wished = np.clip(0.2 * (side_m / 2 - positions) + rng.normal(0.0, 0.1, (robots, 2)), -SPEED, SPEED)
-        steps.append((positions, wished))
-        positions = positions + 0.05 * joint.filter(wished, positions, np.full(robots, RADIUS_M), arena)[0]
+        desired = np.clip(0.2 * (side_m / 2 - positions) + rng.normal(0.0, 0.1, (robots, 2)), -SPEED, SPEED)
+        steps.append((positions, desired))
+        positions = positions + 0.05 * joint.filter(desired, positions, np.full(robots, RADIUS_M), arena)[0]
     return steps
 
 
 def joint(robots: int, ticks: int) -> Joint:
-    """Run the joint filter over a trace in turns with a bare OSQP that is asked the same in each tick."""
+    """Run the joint filter over a trace in turns with a bare OSQP that gets the same update in each tick."""
     side_m = 20.0 * math.sqrt(robots / 32)
     arena, radii = Arena(np.zeros(2), np.full(2, side_m), SPEED, GAIN, MARGIN_M), np.full(robots, RADIUS_M)
     steps, ours, bare = trace(robots, ticks), list[float](), list[float]()
     watched, questions, pairs = JointFilter(), list[tuple[Any, ...] | dict[str, Array]](), 0
     watched.solver_type = Watched
-    for positions, wished in steps:
-        _, near = watched.filter(wished, positions, radii, arena)
+    for positions, desired in steps:
+        _, near = watched.filter(desired, positions, radii, arena)
         pairs = max(pairs, len(near.first))
-        questions.append(Watched.asked or Watched.matrices)
+        questions.append(Watched.last or Watched.matrices)
     own, alone = JointFilter(), osqp.OSQP()
-    for turn, ((positions, wished), question) in enumerate(zip(steps, questions, strict=True)):
-        mine = partial(own.filter, wished, positions, radii, arena)
-        if isinstance(question, tuple):  # the pattern changed: neither counts, both begin anew
+    for turn, ((positions, desired), question) in enumerate(zip(steps, questions, strict=True)):
+        mine = partial(own.filter, desired, positions, radii, arena)
+        if isinstance(question, tuple):  # the pattern changed: neither counts, both begin again
             mine()
             alone = osqp.OSQP()
             alone.setup(*question, **joint_filter.SETTINGS)
             alone.solve(raise_error=False)
             continue
 
-        def again(asked: dict[str, Array] = question, solver: Any = alone) -> None:
-            solver.update(**asked)
+        def again(update: dict[str, Array] = question, solver: Any = alone) -> None:
+            solver.update(**update)
             solver.solve(raise_error=False)
 
         both: list[tuple[Callable[[], Any], list[float]]] = [(mine, ours), (again, bare)]

@@ -66,7 +66,7 @@ def serve_pad(port: int, seconds: float, hub: str) -> None:
     chance = random.Random(1)
 
     def stick(raw: int) -> int:
-        """Move it further, by more than one step of what the pilot tells apart, and report."""
+        """Move it further, by more than the pilot's resolution, and report."""
         time.sleep(chance.uniform(0.5, 1.5) / RATE_HZ)
         raw = 3000 + (raw - 3000 + 7) % 25000
         moved_s = time.monotonic()

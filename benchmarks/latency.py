@@ -51,7 +51,7 @@ DECIDED = 2
 OURS = "request to twist"
 RATE_HZ = 20.0
 SETTLE_S = 1.0
-"""A core that connects after the robot hears of it with the robot's next report; requests before that wait."""
+"""A core that connects after the robot learns of it by the next report; requests before that wait."""
 
 
 class StampingDriver:
@@ -72,11 +72,11 @@ class StampingDriver:
         self.state = Lifecycle.READY
 
     def activate(self) -> None:
-        """Take set-points."""
+        """Accept set-points."""
         self.state = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
-        """Take none."""
+        """Accept none."""
         self.state = Lifecycle.READY
 
     def read(self) -> Reading:
@@ -91,7 +91,7 @@ class StampingDriver:
         return twist
 
     def close(self) -> None:
-        """Give up the socket."""
+        """Close the socket."""
         self._socket.close()
 
 
@@ -176,7 +176,7 @@ def _send(config: SwarmConfig, seconds: float) -> Logged:
 
         def both() -> None:
             nonlocal count
-            # At no fixed phase to the periods of core and agent: that would decide what one run says.
+            # At no fixed phase to the periods of core and agent: that would decide the figure of one run.
             interval_s = chance.uniform(0.5, 1.5) / RATE_HZ
             runtime.after(interval_s, both)
             if not ready():

@@ -72,7 +72,7 @@ def swarm(engine: str, robots: int, seed: int) -> SwarmConfig:
 
 
 def parameters(config: SwarmConfig, behaviour: str, seed: int) -> dict[str, Value]:
-    """Return what the behaviour needs; targets are the start places dealt out anew among near robots."""
+    """Return what the behaviour needs; targets are the start places permuted among near robots."""
     if behaviour.startswith("move_to_goal"):
         x, y = config.bounds_m[2:]
         return {"goal": [x / 2, y / 2]}

@@ -36,7 +36,7 @@ WARM_UP_S = 2.0
 def serve_emulator(port: int) -> None:
     with RoverEmulator(f"udp://127.0.0.1:{port}"):
         print("ready", flush=True)
-        sys.stdin.read()  # until the benchmark lets go
+        sys.stdin.read()  # until the benchmark closes it
 
 
 def measure_driver(port: int, seconds: float) -> None:

@@ -3,7 +3,7 @@
 Each robot is a real agent process on one hub, with a filtered behaviour on, states by grid cell at the paper's density
 (32 in 20 x 20 m); a real core is there too. The bare swarm sends at the same rate on the same cells through the same
 kind of hub, in the same run. Read the ratios: the milliseconds belong to the machine. At equal density the swarm's
-edge counts: `hears` says how many neighbours' states a robot gets.
+edge counts: `senders` is how many neighbours' states a robot gets.
 
     python -m benchmarks.swarm [--robots 8 32 64] [--all 32] [--rate 20] [--control 50] [--seconds 5] [--profile]
                                [--no-bare] [--json]
@@ -29,7 +29,7 @@ from pathlib import Path
 from benchmarks.swarm_run import SENSING_M, Figures, layout, run
 
 HEAD = (
-    f"{'N':>3} {'swarm':11} {'hears':>5} {'delivered':>9} {'age p50':>8} {'p99 ms':>7} {'late':>6} {'missed':>6} "
+    f"{'N':>3} {'swarm':11} {'senders':>7} {'delivered':>9} {'age p50':>8} {'p99 ms':>7} {'late':>6} {'missed':>6} "
     f"{'p99 ms':>6} {'CPU/robot':>9} {'hub':>5} {'core':>5} {'cores':>5} {'others':>6} {'RSS MB':>6} {'threads':>7}"
 )
 PROFILE_ROWS = 15
@@ -37,7 +37,7 @@ PROFILE_ROWS = 15
 
 def row(each: Figures, name: str = "") -> str:
     return (
-        f"{each.robots:>3} {name or each.kind:11} {each.heard_per_robot:>5.1f} {each.delivered:>9.2%} "
+        f"{each.robots:>3} {name or each.kind:11} {each.senders_per_robot:>5.1f} {each.delivered:>9.2%} "
         f"{each.age_p50_ms:>8.2f} {each.age_p99_ms:>7.2f} {each.late:>6.2%} {each.missed:>6.2%} "
         f"{each.late_p99_ms:>6.2f} {each.cpu_per_robot:>8.2f}% {each.cpu_hub:>4.1f}% {each.cpu_core:>4.1f}% "
         f"{each.cores:>5.2f} {each.cpu_others:>5.0f}% {each.rss_mb:>6.1f} {each.threads:>7.1f}"

@@ -1,7 +1,7 @@
 """One robot of the swarm benchmark: the agent that ``fullswarm agent`` runs, with a probe beside it.
 
 ``python -m benchmarks.swarm_agent <robot> <folder>``. The probe wraps what the agent is given (a scheduler) and what it
-hands over (heard states); the agent itself is the product's.
+passes on (received states); the agent itself is the product's.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from fullswarm.messages import RobotStates
 from fullswarm.runtime import Runtime, Timer
 
 SWAY_M, SWAY_RAD_S = 0.1, 0.5
-"""Robots circle slowly around their places, without leaving their grid cell: who hears whom stays known."""
+"""Robots circle slowly around their places, without leaving their grid cell: the senders of each robot stay known."""
 READING_S = 0.05
 """A robot's telemetry comes at its own rate; between two of its packets a driver returns the same reading."""
 LOOK_S = 0.2
 
 
-def hears(config: SwarmConfig) -> dict[str, set[str]]:
+def senders_of(config: SwarmConfig) -> dict[str, set[str]]:
     """Return for each robot whose states it should get, itself left out."""
     cell_m, reach_m = config.state_cell_m, config.agent.sensing_radius_m
     places = {each.id: each.pose or (0.0, 0.0, 0.0) for each in config.robot}
@@ -45,7 +45,7 @@ def hears(config: SwarmConfig) -> dict[str, set[str]]:
 
 
 class SwayingDriver:
-    """A robot that circles around its place whatever it is told, and answers at once."""
+    """A robot that circles around its place whatever it is commanded, and answers at once."""
 
     fault = firmware = ""
     description = Description("benchmark", "swaying", 0.17, Limits(0.5, 4.25, 2.0, 20.0), senses_pose=True)
@@ -61,11 +61,11 @@ class SwayingDriver:
         self.state = Lifecycle.READY
 
     def activate(self) -> None:
-        """Take set-points."""
+        """Accept set-points."""
         self.state = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
-        """Take none."""
+        """Accept none."""
         self.state = Lifecycle.READY
 
     def read(self) -> Reading:
@@ -84,12 +84,12 @@ class SwayingDriver:
         return twist
 
     def close(self) -> None:
-        """Be gone."""
+        """Close."""
         self.state = Lifecycle.CLOSED
 
 
 class Probe:
-    """A scheduler for the agent that watches its first timer, the control loop; and a book of what it hears."""
+    """A scheduler for the agent that watches its first timer, the control loop; and a record of what it receives."""
 
     def __init__(
         self, robot: str, runtime: Runtime, meeting: Meeting, expected: set[str], profile: Path | None
@@ -115,7 +115,7 @@ class Probe:
         return self._runtime.after(delay_s, callback)
 
     def every(self, period_s: float, callback: Callable[[], None], *, first_s: float | None = None) -> Timer:
-        """Have the runtime call back again and again; the first that asks is the control loop."""
+        """Have the runtime call back periodically; the first call is the control loop."""
         if self._control is not None:
             return self._runtime.every(period_s, callback, first_s=first_s)
         self._control = timer = self._runtime.every(period_s, lambda: self._tick(callback), first_s=first_s)
@@ -130,7 +130,7 @@ class Probe:
         if self._control is not None:
             self._due_s = self._control.due_s  # the runtime has set the next one before it called
 
-    def heard(self, states: RobotStates, now_s: float) -> None:
+    def received(self, states: RobotStates, now_s: float) -> None:
         """Book the arrival of a state."""
         if not self._begin_s <= states.stamp_s < self._end_s:
             self._missing.discard(states.host)
@@ -179,7 +179,7 @@ class Probe:
 
 
 class ProbedNeighbours(Neighbours):
-    """The agent's own, and tells the probe."""
+    """The agent's own, which also informs the probe."""
 
     def __init__(self, robot: str, timeout_s: float, probe: Probe) -> None:
         super().__init__((robot,), timeout_s)
@@ -187,7 +187,7 @@ class ProbedNeighbours(Neighbours):
 
     def receive(self, states: RobotStates, now_s: float) -> None:
         """Take in a state."""
-        self._probe.heard(states, now_s)
+        self._probe.received(states, now_s)
         super().receive(states, now_s)
 
 
@@ -199,7 +199,7 @@ def main() -> None:
     profile = folder / "agent.prof" if (folder / "profile").exists() and robot == config.robots[0] else None
 
     def build(bus: Bus, runtime: Runtime) -> list[nodes.Node]:
-        probe = Probe(robot, runtime, Meeting(folder, robot), hears(config)[robot], profile)
+        probe = Probe(robot, runtime, Meeting(folder, robot), senders_of(config)[robot], profile)
         fleet = OneRobot(robot, SwayingDriver(robot, place))
         identity = Identity(robot, nodes.process_id(robot))
         node = nodes.agent(bus, probe, config, fleet, identity, runtime.stats)

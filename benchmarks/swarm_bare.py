@@ -1,6 +1,6 @@
-"""One robot of the reference swarm: bare zenoh, 48 bytes on its cell's key, the cells around heard; nothing else.
+"""One robot of the reference swarm: bare zenoh, 48 bytes on its cell's key, subscribed to the cells around.
 
-``python -m benchmarks.swarm_bare <robot> <folder>``; ``<robot>.bare`` in the folder says what to do.
+``python -m benchmarks.swarm_bare <robot> <folder>``; ``<robot>.bare`` in the folder holds its settings.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Where the robots of the swarm benchmark meet it: a folder. Imports next to nothing, so that bare stays bare.
 
-A robot touches ``<robot>.ready`` once it hears all that it should, finds the window in ``window.json``, and leaves
+A robot touches ``<robot>.ready`` once it receives from all its senders, finds the window in ``window.json``, and leaves
 what it measured in ``<robot>.json``. All stamps are of one machine's monotonic clock.
 """
 
@@ -19,7 +19,7 @@ class Result:
     """What one robot measured within the window."""
 
     sent: int = 0
-    heard: dict[str, int] = field(default_factory=dict)  # sender → arrived messages that were sent within the window
+    received: dict[str, int] = field(default_factory=dict)  # sender → arrived messages that were sent within the window
     ages_s: list[float] = field(default_factory=list)
     late_s: list[float] = field(default_factory=list)  # of each tick of its loop
     missed: int = 0
@@ -29,7 +29,7 @@ class Result:
 
     def book(self, sender: str, stamp_s: float, arrived_s: float) -> None:
         """Note an arrival."""
-        self.heard[sender] = self.heard.get(sender, 0) + 1
+        self.received[sender] = self.received.get(sender, 0) + 1
         self.ages_s.append(round(arrived_s - stamp_s, 6))
 
 
@@ -40,7 +40,7 @@ class Meeting:
         self._folder, self._robot = folder, robot
 
     def ready(self) -> None:
-        """Say that all is heard."""
+        """Report that all senders are received."""
         (self._folder / f"{self._robot}.ready").touch()
 
     def window(self) -> tuple[float, float] | None:
@@ -57,7 +57,7 @@ class Meeting:
 
 
 def leave(path: Path, value: object) -> None:
-    """Write JSON so that nobody reads half of it."""
+    """Write JSON so that no reader sees half of it."""
     part = path.with_suffix(".part")
     part.write_text(json.dumps(value))
     part.rename(path)

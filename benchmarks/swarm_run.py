@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 
 from benchmarks.bus import free_endpoint
-from benchmarks.swarm_agent import SWAY_M, hears
+from benchmarks.swarm_agent import SWAY_M, senders_of
 from benchmarks.swarm_meet import GRACE_S, Result, leave
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
@@ -46,7 +46,7 @@ class Figures:
 
     kind: str
     robots: int
-    heard_per_robot: float  # neighbours whose states a robot should get
+    senders_per_robot: float  # neighbours whose states a robot should get
     delivered: float  # share of the expected deliveries
     age_p50_ms: float
     age_p99_ms: float
@@ -70,7 +70,7 @@ class Figures:
 
 
 def layout(count: int, rate_hz: float, control_hz: float, cell_m: float) -> SwarmConfig:
-    """Return a fleet at the paper's density: a grid, shaken with a fixed seed; nobody stands on a cell's border."""
+    """Return a fleet at the paper's density: a grid, shaken with a fixed seed; no robot is on a cell's border."""
     side_m = math.sqrt(count * AREA_PER_ROBOT_M2)
     columns = math.ceil(math.sqrt(count))
     spacing_m, chance = side_m / columns, random.Random(count)
@@ -109,7 +109,7 @@ def children(folder: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
     def start(*arguments: str) -> subprocess.Popen[bytes]:
         with (folder / "log.txt").open("ab") as log:
-            # Ctrl-C shall reach us alone, who then end them.
+            # Ctrl-C must reach this process alone, which then ends them.
             child = subprocess.Popen([sys.executable, *arguments], stdout=log, stderr=log, start_new_session=True)
         started.append(child)
         return child
@@ -182,7 +182,7 @@ def _wait_for_files(
 
 def _write_bare(config: SwarmConfig, folder: Path) -> None:
     """Tell each robot of the reference its keys, so that it needs no code of ours to find them."""
-    agent, expected = config.agent, hears(config)
+    agent, expected = config.agent, senders_of(config)
     for each in config.robot:
         x_m, y_m, _ = each.pose or (0.0, 0.0, 0.0)
         settings = {
@@ -223,15 +223,15 @@ def _usage(everyone: list[subprocess.Popen[bytes]], begin_s: float, end_s: float
     """Return CPU seconds per process and of the machine within the window, memory and threads."""
     watched = [psutil.Process(child.pid) for child in everyone]
 
-    def spent() -> tuple[list[float], float, float]:
+    def used() -> tuple[list[float], float, float]:
         machine = psutil.cpu_times()
         busy_s = sum(machine) - machine.idle - machine.iowait - machine.guest - machine.guest_nice
         return [sum(each.cpu_times()[:2]) for each in watched], busy_s, time.monotonic()
 
     time.sleep(max(0.0, begin_s - time.monotonic()))
-    before, busy_before_s, from_s = spent()
+    before, busy_before_s, from_s = used()
     time.sleep(max(0.0, end_s - time.monotonic()))
-    after, busy_after_s, to_s = spent()
+    after, busy_after_s, to_s = used()
     time.sleep(GRACE_S)
     cpu = [100.0 * (later - sooner) / (to_s - from_s) for later, sooner in zip(after, before, strict=True)]
     return {
@@ -245,9 +245,9 @@ def _usage(everyone: list[subprocess.Popen[bytes]], begin_s: float, end_s: float
 def _figures(
     kind: str, config: SwarmConfig, results: dict[str, Result], usage: dict[str, Any], with_core: bool
 ) -> Figures:
-    expected = hears(config)
+    expected = senders_of(config)
     wanted = sum(results[sender].sent for senders in expected.values() for sender in senders)
-    arrived = sum(results[robot].heard.get(sender, 0) for robot, senders in expected.items() for sender in senders)
+    arrived = sum(results[robot].received.get(sender, 0) for robot, senders in expected.items() for sender in senders)
     ages_s = np.concatenate([result.ages_s for result in results.values()])
     late_s = np.concatenate([result.late_s for result in results.values()])
     missed = sum(result.missed for result in results.values())
@@ -257,7 +257,7 @@ def _figures(
     return Figures(
         kind={"agent": "fullswarm", "bare": "bare zenoh"}[kind],
         robots=len(results),
-        heard_per_robot=sum(map(len, expected.values())) / len(expected),
+        senders_per_robot=sum(map(len, expected.values())) / len(expected),
         delivered=arrived / wanted if wanted else math.nan,
         age_p50_ms=1e3 * float(np.percentile(ages_s, 50)),
         age_p99_ms=1e3 * float(np.percentile(ages_s, 99)),

@@ -1,6 +1,6 @@
 """How far a request and a control tick walk through the code: calls, functions and files of one robot in lockstep.
 
-A reader who follows a request from the operator to the wheels opens so many files. Counted by the interpreter's own
+A reader that follows a request from the operator to the wheels opens this many files. Counted by the interpreter's own
 profiler, without what kernels call among themselves.
 
     python -m benchmarks.walk [--json] [--files]
@@ -97,7 +97,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--files", action="store_true", help="name the files, too")
+    parser.add_argument("--files", action="store_true", help="list the files as well")
     wanted = parser.parse_args()
     found = walks()
     if wanted.json:

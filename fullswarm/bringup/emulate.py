@@ -20,7 +20,7 @@ from urllib.parse import quote
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.make import Bench, Emulation, Emulator, emulation_part, make_of, named
-from fullswarm.emulators.faults import LinkFaults
+from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime

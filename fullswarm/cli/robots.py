@@ -161,7 +161,7 @@ def emulate(
 ) -> int:
     """Run one emulated robot on a real port, for any client. Type `help` while it runs."""
     from fullswarm.bringup.emulate import EmulateOptions, run
-    from fullswarm.emulators.faults import LinkFaults
+    from fullswarm.emulators.base import LinkFaults
 
     commands = (("cliff on",) if cliff else ()) + tuple(inject or ())
     faults = LinkFaults(drop, corrupt, delay)

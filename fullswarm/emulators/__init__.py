@@ -3,7 +3,7 @@
 No driver imports them and no robot gets them: they belong to the computer that runs a world or `fullswarm emulate`.
 A make's record (:mod:`fullswarm.drivers.make`) names the functions of its folder here.
 
-- ``can/``, ``create_oi/``, ``mavlink/``: what each make's record names
-- ``faults.py``: injected faults of a link: chunks dropped, corrupted or delayed
-- ``ports.py``: makes the folder of an emulated serial port
+- ``base.py``: the shell of all emulated robots: thread, links with injected faults, plugging; what a firmware must do
+- ``ports.py``: the robot's ends of real links: pseudo terminal, UDP, TCP
+- ``can/``, ``create_oi/``, ``mavlink/``: each make's firmware, and what its record names
 """

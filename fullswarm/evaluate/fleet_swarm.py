@@ -29,9 +29,9 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_o
 from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.evaluate.scenarios import Scenario, distance_to_box, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
-from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms
+from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms, world_witness
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import HeardWitness, Witness, WorldWitness, in_safe_set
+from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
@@ -43,12 +43,12 @@ from fullswarm.simulation.starts import start_problems
 from fullswarm.simulation.world import World
 
 RUNNER = "fleet"
-LOOK_S = 0.2
+CHECK_PERIOD_S = 0.2
 FRESH_S = 1.0
-"""A pose fix that is older does not tell where a robot stands now."""
-HEARD_S = 1.0
-"""How long to listen for poses before it is checked where the robots stand."""
-NOBODY = "nobody confirmed"
+"""A pose fix that is older does not show where a robot stands now."""
+POSES_S = 1.0
+"""How long to wait for poses before it is checked where the robots stand."""
+UNCONFIRMED = "no one confirmed"
 RELEASE = "release it with `fullswarm up` and `fullswarm estop --clear`, then run the same command again"
 
 
@@ -56,26 +56,26 @@ def run_fleet(
     trials: Sequence[Trial], fleet: Path | SwarmConfig, experiment: str, out: Path | None, *, yes: bool = False,
     insecure_network: bool = False, typed: Lines | None = None,
 ) -> Iterator[tuple[Trial, TrialResult]]:  # fmt: skip
-    """Yield the trials that the fleet can run, each with its result as it ends; what is left out is told on stderr.
+    """Yield the trials that the fleet can run, each with its result as it ends; what is left out is printed on stderr.
 
     Parameters
     ----------
     out : folder of the results; None: nothing is kept
-    yes : do not wait for anybody: robots stand in their places, and it is safe to drive
-    typed : who is asked; by default standard input
+    yes : skip both confirmations: robots stand in their places, and it is safe to drive
+    typed : where confirmations are read; by default standard input
 
     Raises
     ------
     ConfigError
-        The fleet file is wrong, no trial fits it, or nobody is there to be asked.
+        The fleet file is wrong, no trial fits it, or there is no input to confirm from.
     KeyboardInterrupt
-        Ctrl-C, or somebody said that it is not safe to drive; that trial is not kept and runs another time.
+        Ctrl-C, or the answer was that it is not safe to drive; that trial is not kept and runs another time.
     SafetyStop
         A robot is held by an e-stop: nothing goes on by itself. The trial is kept as a failed one.
     """
     config = fleet if isinstance(fleet, SwarmConfig) else load_fleet(fleet, here=True, check=start_problems)
     fits, left_out = choose(trials, config)
-    tell_left_out(left_out)
+    print_left_out(left_out)
     if not fits:
         raise ConfigError("it can run no trial of this experiment", where=str(fleet) if isinstance(fleet, Path) else "")
     runner = FleetRunner(config, yes=yes, insecure_network=insecure_network, typed=typed)
@@ -93,14 +93,14 @@ def run_fleet(
             raise SafetyStop(runner.held, hint=RELEASE)
 
 
-def tell_left_out(left_out: dict[Cell, str]) -> None:
-    """Tell on stderr which cells are left out and why."""
+def print_left_out(left_out: dict[Cell, str]) -> None:
+    """Print on stderr which cells are left out and why."""
     for cell, reason in left_out.items():
         output.progress(f"left out: {cell.label} {cell.scenario} N={cell.robots} {cell.engine} {cell.limits}: {reason}")
 
 
 class Over(BaseException):
-    """Not this trial alone: no other one can do better. It passes by those who keep failures."""
+    """An error that every further trial would meet; it is not kept as the failure of one trial."""
 
     def __init__(self, error: ConfigError) -> None:
         super().__init__(str(error))
@@ -117,7 +117,7 @@ def ends_all() -> Iterator[None]:
 
 
 class Lines(Protocol):
-    """What somebody types."""
+    """Lines of a person's input."""
 
     @property
     def ended(self) -> bool:
@@ -152,7 +152,7 @@ class FleetRunner:
         ConfigError
             So many robots do not fit into the scenario.
         Over
-            The fleet's settings are wrong, its port is in use, or nobody is there to be asked.
+            The fleet's settings are wrong, its port is in use, or there is no input to confirm from.
         TrialFailed
             As `drive`, or a robot does not stand where it should.
         KeyboardInterrupt
@@ -168,7 +168,7 @@ class FleetRunner:
     def _run(self, trial: Trial) -> Measurement:
         scenario = scenario_of(trial)
         config, goals = fit(trial, scenario, self._fleet)
-        config, limit_s, limit_reason = terms(trial, scenario, config)
+        config, limit = terms(trial, scenario, config)
         spare = [each.id for each in self._fleet.robot[len(config.robot) :] if not each.simulated]
         output.progress(instructions(config, scenario, goals, spare))
         simulated = all(each.simulated for each in config.robot)
@@ -180,16 +180,16 @@ class FleetRunner:
             with ends_all():
                 swarm.start()
             config = swarm.config
-            request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), _safe(config))
-            heard = HeardWitness(swarm.bus, config)
+            request = request_of(trial, scenario, goals, config, limit, _safe(config))
+            reported = ReportedWitness(swarm.bus, config)
             try:
-                swarm.until(lambda: not np.isnan(heard.pose).any(), HEARD_S)
-                self._check_places(config, heard)
+                swarm.until(lambda: not np.isnan(reported.pose).any(), POSES_S)
+                self._check_places(config, reported)
                 with ends_all():
-                    self._confirm(swarm, limit_s)
-                return self._drive(swarm, request, self._witness(swarm, request, heard, simulated))
+                    self._confirm(swarm, limit[0])
+                return self._drive(swarm, request, self._witness(swarm, request, reported, simulated))
             finally:
-                heard.close()
+                reported.close()
 
     def _drive(self, swarm: LiveSwarm, request: TrialRequest, witness: Witness) -> Measurement:
         with Interrupts(swarm) as interrupts:
@@ -198,19 +198,18 @@ class FleetRunner:
             except TrialStopped as error:
                 raise KeyboardInterrupt from error
             except TrialHeld as error:
-                if interrupts.stopped():  # it was our own
+                if interrupts.stopped():  # engaged by Ctrl-C here
                     raise KeyboardInterrupt from error
                 raise
 
-    def _witness(self, swarm: LiveSwarm, request: TrialRequest, heard: HeardWitness, simulated: bool) -> Witness:
+    def _witness(self, swarm: LiveSwarm, request: TrialRequest, reported: ReportedWitness, simulated: bool) -> Witness:
         if swarm.world is None or not simulated:
-            return heard
+            return reported
         emulated = any(each.emulate for each in swarm.config.robot)
-        cell_m = swarm.config.performance.coverage_cell_m
-        return WorldWitness(swarm.world.world, request.goals, request.scenario.goal.radius_m, cell_m, emulated)
+        return world_witness(swarm.world.world, request, swarm.config, emulated)
 
-    def _check_places(self, config: SwarmConfig, heard: HeardWitness) -> None:
-        wrong = off(config.robots, heard.pose, starts_of(config))
+    def _check_places(self, config: SwarmConfig, reported: ReportedWitness) -> None:
+        wrong = off(config.robots, reported.pose, starts_of(config))
         if wrong:
             raise TrialFailed("; ".join(wrong), hint="put them there and run it again")
 
@@ -227,20 +226,22 @@ class FleetRunner:
             bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint)
             try:
                 bus.subscribe(Keys(config.swarm).pose_fix(), PoseFix, on_fix)
-                self._forget_typed()
+                self._discard_typed()
                 output.progress("Put all in place, then press Enter; with motion capture it goes on by itself.")
-                told = ""
+                printed = ""
                 while self._typed.line() is None:
                     if self._typed.ended:
-                        raise ConfigError(f"{NOBODY} that all is in place", hint="press Enter, or say so with --yes")
-                    runtime.run(LOOK_S)
+                        raise ConfigError(
+                            f"{UNCONFIRMED} that all is in place", hint="press Enter, or say so with --yes"
+                        )
+                    runtime.run(CHECK_PERIOD_S)
                     wrong = _wrong(config, fixes, runtime.now_s())
-                    text = told if wrong is None else "; ".join(wrong) or "all robots stand in their places"
-                    if text != told:
+                    text = printed if wrong is None else "; ".join(wrong) or "all robots stand in their places"
+                    if text != printed:
                         output.progress(text)
                     if wrong == []:
                         return
-                    told = text
+                    printed = text
             finally:
                 bus.close()
 
@@ -248,7 +249,7 @@ class FleetRunner:
         """Ask whether it is safe to drive; serve the swarm meanwhile."""
         if self._yes:
             return
-        self._forget_typed()
+        self._discard_typed()
         count = len(swarm.config.robots)
         output.progress(f"{count} robots are ready and will drive for {limit_s:.0f} s at most. Is it safe? [y/n]")
         answers: list[str] = []
@@ -259,13 +260,13 @@ class FleetRunner:
 
         swarm.until(answered, math.inf)
         if not answers:
-            raise ConfigError(f"{NOBODY} that it is safe to drive", hint="answer y, or say so with --yes")
+            raise ConfigError(f"{UNCONFIRMED} that it is safe to drive", hint="answer y, or say so with --yes")
         if answers[0].lower() not in ("y", "yes"):
             output.progress("nothing moved")
             raise KeyboardInterrupt
 
-    def _forget_typed(self) -> None:
-        """A yes to a question that was not asked yet is none."""
+    def _discard_typed(self) -> None:
+        """Discard lines typed before the question: they do not answer it."""
         while self._typed.line() is not None:
             continue
 
@@ -281,7 +282,7 @@ def _wrong(config: SwarmConfig, fixes: dict[str, tuple[float, PoseFix]], now_s: 
 
 
 def _safe(config: SwarmConfig) -> bool:
-    """Tell whether the start, as it is meant to be, is in the filter's safe set."""
+    """Return whether the start, as it is meant to be, is in the filter's safe set."""
     settings = config.world_or_default.model_copy(update={"engine": "kinematic"})
     world = World(settings, config.robots, starts_of(config))
     try:
@@ -398,7 +399,7 @@ def starts_of(config: SwarmConfig) -> Array:
 
 
 def instructions(config: SwarmConfig, scenario: Scenario, goals: Array, spare: Sequence[str] = ()) -> str:
-    """Return what somebody in the room must do before the trial: robots, boxes, a map."""
+    """Return what a person in the room must do before the trial: robots, boxes, a map."""
     lines = ["robot             x m      y m  heading"]
     for name, robot in zip(names(len(config.robot)), config.robot, strict=True):
         x_m, y_m, heading_rad = robot.pose or (math.nan,) * 3
@@ -474,7 +475,7 @@ class Interrupts:
                 signal.signal(number, handler)
 
     def stopped(self) -> bool:
-        """Tell whether the trial shall end."""
+        """Return whether the trial shall end."""
         return self._count > 0
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -491,11 +492,11 @@ class Interrupts:
         output.progress("e-stop for all robots")
         robots = self._swarm.config.robots
         self._order = self._swarm.operator.estop(
-            True, robots, "Ctrl-C", deadline_s=DEADLINE_S, on_done=_tell
+            True, robots, "Ctrl-C", deadline_s=DEADLINE_S, on_done=_print_confirmed
         )  # fmt: skip
 
 
-def _tell(order: EStopOrder) -> None:
+def _print_confirmed(order: EStopOrder) -> None:
     missing = order.unconfirmed()
     if missing:
         output.progress(f"NOT confirmed by {', '.join(missing)}: use their switches")

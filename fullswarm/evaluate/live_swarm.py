@@ -15,10 +15,9 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import LOOK_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
-from fullswarm.evaluate.trial import configure, drive, request_of, terms
+from fullswarm.evaluate.swarm import CHECK_PERIOD_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
@@ -127,8 +126,8 @@ class LiveSwarm:
         """The simulated world's bodies; `TrialFailed` before `start`, and where all robots are real."""
         if self.world is None:
             raise TrialFailed(
-                "no robot is simulated: nobody can watch the bodies", where=self.config.swarm,
-                hint="start the swarm first; one of real robots is watched by what they tell",
+                "no robot is simulated: there are no bodies to watch", where=self.config.swarm,
+                hint="start the swarm first; real robots are watched by what they report",
             )  # fmt: skip
         return self.world.world
 
@@ -136,7 +135,7 @@ class LiveSwarm:
         """Wait until every robot has been ready for a while.
 
         It has to be asked again before a trial: the world stands still while this process is busy with something
-        else, and a robot that hears nothing of its body for half a second is not ready.
+        else, and a robot that receives nothing of its body for half a second is not ready.
 
         Raises
         ------
@@ -185,7 +184,7 @@ class LiveSwarm:
             self.world.world.watchers.append(look)
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
-        """Serve for `LOOK_S`, or until `stopped`.
+        """Serve for `CHECK_PERIOD_S`, or until `stopped`.
 
         Raises
         ------
@@ -194,7 +193,7 @@ class LiveSwarm:
         TrialHeld
             A robot is held by an e-stop.
         """
-        if self.until(stopped, LOOK_S):
+        if self.until(stopped, CHECK_PERIOD_S):
             return True
         self._check()
         return False
@@ -209,7 +208,7 @@ class LiveSwarm:
         self._ended_s = began_s
 
         def at_standstill() -> bool:
-            dead = self.dead()  # whose last word may be that it moves
+            dead = self.dead()  # its last report may be that it moves
             if dead and self.runtime.now_s() - began_s < ALONE_S:
                 return False
             rows = [row for row in self.view.snapshot().robots if row.robot not in dead]
@@ -223,13 +222,12 @@ class LiveSwarm:
         """Return what was measured, when summaries of what was measured until the stop have come."""
         self.until(lambda: self.summaries.later_than(self._ended_s + MEASURED_S), SUMMARY_S)
         onboard = self.summaries.onboard()
-        draws, aside_s = (onboard.get(f"deadlocks.{name}", 0.0) for name in ("draws", "aside_s"))
         return Report(
             onboard=onboard,
             per_robot=self.summaries.per_robot(),
             coverage=self.summaries.coverage(),
-            deadlocks=int(draws),
-            deadlock_s=round(aside_s, 3),
+            deadlocks=int(onboard.get("deadlocks.deadlock_count", 0.0)),
+            deadlock_s=round(onboard.get("deadlocks.sidestep_s", 0.0), 3),
         )
 
     def _check(self) -> None:
@@ -275,7 +273,7 @@ class LiveSwarm:
             if process is not None and process.poll() == USAGE:
                 raise ConfigError(self.supervisor.log_tail(name).removeprefix("error: "), where=name)
         if dead:
-            raise TrialFailed(self._obituary(dead), hint=f"their logs are in {self.supervisor.folder}")
+            raise TrialFailed(self._ended_text(dead), hint=f"their logs are in {self.supervisor.folder}")
         return held
 
     def serve(self, condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -300,7 +298,7 @@ class LiveSwarm:
         return tuple(name for name, each in children.items() if each.process and not self.supervisor.alive(name))
 
     def row(self, robot: str) -> RobotRow | None:
-        """Return a robot as last heard."""
+        """Return a robot's newest state."""
         return next((row for row in self.view.snapshot().robots if row.robot == robot), None)
 
     def held(self) -> tuple[str, ...]:
@@ -312,7 +310,7 @@ class LiveSwarm:
         snapshot = self.view.snapshot()
         rows = {row.robot: row for row in snapshot.robots}
         nodes = {node.node for node in snapshot.nodes if node.age_s < FRESH_S}
-        found = [f"no {node} heard" for node in ("core", "centralised") if node not in nodes]
+        found = [f"nothing received from {node}" for node in ("core", "centralised") if node not in nodes]
         for robot in self.config.robots:
             row = rows.get(robot)
             if row is None or row.health is None or row.age_s > FRESH_S:
@@ -335,7 +333,7 @@ class LiveSwarm:
             if not self.kept:
                 shutil.rmtree(self.supervisor.folder, ignore_errors=True)
 
-    def _obituary(self, dead: tuple[str, ...]) -> str:
+    def _ended_text(self, dead: tuple[str, ...]) -> str:
         """Say which processes ended, with their last output."""
         words = []
         for name in dead:
@@ -369,15 +367,11 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
     config = on_free_ports(with_make(config, trial, emulate), wished=False)
-    config, limit_s, limit_reason = terms(trial, scenario, config)
+    config, limit = terms(trial, scenario, config)
     kernels.compile_all()
     with LiveSwarm(config) as swarm:
         swarm.start()
-        world = swarm.bodies
-        safe = in_safe_set(world, config.agent.safety_margin_m)
-        request = request_of(trial, scenario, goals, config, (limit_s, limit_reason), safe)
-        cell_m = config.performance.coverage_cell_m
-        return drive(swarm, request, WorldWitness(world, goals, scenario.goal.radius_m, cell_m, emulate is not None))
+        return drive_in_world(swarm, swarm.bodies, trial, scenario, goals, limit, emulate is not None)
 
 
 def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmConfig:

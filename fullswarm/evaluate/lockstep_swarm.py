@@ -11,17 +11,16 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import LOOK_S, Report, Summaries, TrialFailed
-from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive, request_of, result_of
+from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed
+from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive_in_world, result_of
 from fullswarm.evaluate.trial_folder import Measurement
-from fullswarm.evaluate.witness import WorldWitness, in_safe_set
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 
 READY_S = 0.49
-"""From the start until the request: between two ticks, after all have heard of each other, before the first measurement
-that the agents publish. So what is measured begins with the request."""
+"""From the start until the request: between two ticks, after all nodes have discovered each other and before the agents
+publish their first measurement. So what is measured begins with the request."""
 ROOM = 10.0
 """The bodies obey so many times their limits: a command above them would be driven, and is counted."""
 
@@ -58,7 +57,7 @@ class LockstepSwarm:
         return self._steps * self.world.dt_s
 
     def settle(self) -> None:
-        """Let the nodes hear of each other."""
+        """Let the nodes discover each other."""
         self._runtime.run(READY_S)
 
     def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
@@ -71,10 +70,10 @@ class LockstepSwarm:
         self._look = look
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
-        """Let `LOOK_S` pass, less when a termination condition is met."""
-        self._runtime.run(LOOK_S)
+        """Let `CHECK_PERIOD_S` pass, less when a termination condition is met."""
+        self._runtime.run(CHECK_PERIOD_S)
         now_s = self._runtime.now_s()
-        self._deadlock_s += LOOK_S * sum(
+        self._deadlock_s += CHECK_PERIOD_S * sum(
             int((agent.deadlocks.sidestep_until_s > now_s).sum()) for agent in self._lockstep.agents
         )  # fmt: skip
         return stopped()
@@ -123,7 +122,7 @@ class LockstepSwarm:
 
 
 def widened(limits: Limits) -> Limits:
-    """Return limits that a body obeys beyond those that its driver tells."""
+    """Return limits that a body obeys beyond those that its driver reports."""
     return Limits(
         speed_m_s=ROOM * limits.speed_m_s,
         turn_rad_s=ROOM * limits.turn_rad_s,
@@ -154,10 +153,7 @@ def measure(trial: Trial) -> Measurement:
     config, goals = configure(trial, scenario)
     swarm = LockstepSwarm(config)
     try:
-        safe = in_safe_set(swarm.world, config.agent.safety_margin_m)
         limit = trial.time_limit_s or scenario.time_limit_s, TIME_LIMIT
-        request = request_of(trial, scenario, goals, config, limit, safe)
-        cell_m = config.performance.coverage_cell_m
-        return drive(swarm, request, WorldWitness(swarm.world, goals, scenario.goal.radius_m, cell_m))
+        return drive_in_world(swarm, swarm.world, trial, scenario, goals, limit)
     finally:
         swarm.close()

@@ -22,7 +22,7 @@ from fullswarm.messages import CoverageMeasurement, Summary, Value
 from fullswarm.perf.coverage import GridFrame, unpack_bits
 from fullswarm.perf.metrics import METRICS
 
-LOOK_S = 0.1
+CHECK_PERIOD_S = 0.1
 """How often it is checked whether the trial is over."""
 SAMPLE_S = 0.2
 """Between two rows of the trajectory."""
@@ -75,7 +75,7 @@ class Swarm(Protocol):
 
     @property
     def passed_s(self) -> float:
-        """Time since the request, rounded to what the swarm's clock can tell."""
+        """Time since the request, rounded to the resolution of the swarm's clock."""
         ...
 
     @property
@@ -96,7 +96,7 @@ class Swarm(Protocol):
         ...
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
-        """Let `LOOK_S` pass, less at the end of the trial; return whether `stopped` holds."""
+        """Let `CHECK_PERIOD_S` pass, less at the end of the trial; return whether `stopped` holds."""
         ...
 
     def end_reason(self) -> str:
@@ -156,7 +156,7 @@ class Summaries:
             subscription.close()
 
     def later_than(self, time_s: float) -> bool:
-        """Tell whether all that can still change is of a later time, by this machine's clock."""
+        """Return whether all that can still change is of a later time, by this machine's clock."""
         return all(each.finished or each.stamp_s >= time_s for each in self._newest.values())
 
     def onboard(self) -> dict[str, float]:
@@ -207,4 +207,4 @@ def finite(values: Numbers) -> dict[str, float]:
 def joined(onboard: Mapping[str, Numbers], truth: Mapping[str, Numbers]) -> dict[str, dict[str, float]]:
     """Return both tables in one, by ``onboard <name>`` and ``truth <name>``."""
     tables = (("onboard", onboard), ("truth", truth))
-    return {f"{who} {name}": finite(values) for who, table in tables for name, values in table.items()}
+    return {f"{source} {name}": finite(values) for source, table in tables for name, values in table.items()}

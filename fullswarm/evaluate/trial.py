@@ -24,9 +24,10 @@ from fullswarm.evaluate.provenance import Provenance, provenance
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
 from fullswarm.evaluate.trial_folder import FAILED, Measurement, Record, Trajectory, launch_text, trial_id, write_trial
-from fullswarm.evaluate.witness import Witness
+from fullswarm.evaluate.witness import Witness, WorldWitness, in_safe_set
 from fullswarm.kernels import Array
 from fullswarm.messages import Value
+from fullswarm.simulation.world import World
 
 TOLERANCE_S = 1e-9
 ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
@@ -51,6 +52,27 @@ class TrialRequest:
     safe_start: bool
     limit_reason: str = TIME_LIMIT
     boxes: tuple[tuple[float, float, float, float, float], ...] = ()
+
+
+def drive_in_world(
+    swarm: Swarm, world: World, trial: Trial, scenario: Scenario, goals: Array, limit: tuple[float, str],
+    emulated: bool = False,
+) -> Measurement:  # fmt: skip
+    """Run a trial on a swarm that is started and whose bodies are all in `world`, with a time limit in s and its name.
+
+    Parameters
+    ----------
+    emulated : firmware stands between the commands and the bodies
+    """
+    config = swarm.config
+    request = request_of(trial, scenario, goals, config, limit, in_safe_set(world, config.agent.safety_margin_m))
+    return drive(swarm, request, world_witness(world, request, config, emulated))
+
+
+def world_witness(world: World, request: TrialRequest, config: SwarmConfig, emulated: bool) -> WorldWitness:
+    """Return a witness of the bodies in `world`."""
+    radius_m, cell_m = request.scenario.goal.radius_m, config.performance.coverage_cell_m
+    return WorldWitness(world, request.goals, radius_m, cell_m, emulated)
 
 
 def request_of(
@@ -86,7 +108,7 @@ def drive(
     TrialHeld
         A robot is held by an e-stop.
     TrialStopped
-        `stopped` said so.
+        `stopped` returned true.
     """
     swarm.settle()
     track = Track(swarm, request, witness)
@@ -133,17 +155,17 @@ def _arrived(witness: Witness, request: TrialRequest) -> NDArray[np.bool_]:
 
 def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
     """Return how it is now, at the end."""
-    robot_events, obstacle_events = witness.events
+    counted = witness.tally()
     return Outcome(
         robots=len(swarm.config.robots),
         arrived=int(_arrived(witness, request).sum()),
-        robot_events=int(robot_events.sum()),
-        obstacle_events=int(obstacle_events.sum()),
+        robot_events=int(counted.robot_events.sum()),
+        obstacle_events=int(counted.obstacle_events.sum()),
         safe_start=request.safe_start,
         simulated_s=swarm.passed_s,
-        above_limits=witness.above_limits,
-        pairs_touched=witness.pairs_touched,
-        robots_touched=witness.robots_touched,
+        above_limits=counted.above_limits,
+        pairs_touched=counted.pairs_touched,
+        robots_touched=counted.robots_touched,
     )
 
 
@@ -242,8 +264,8 @@ def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]
     return wanted
 
 
-def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmConfig, float, str]:
-    """Return the settings with the goal's radius and without `max_execution_s`, the trial's time limit and its name.
+def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmConfig, tuple[float, str]]:
+    """Return the settings with the goal's radius and without `max_execution_s`; the trial's time limit in s, its name.
 
     The core's summarizers count from the first measurement, which robots send before anything is asked of them; so
     that limit is kept here.
@@ -253,7 +275,7 @@ def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmC
         limit_s, reason = judged.max_execution_s, "max_execution_s"
     radius_m = judged.arrive_radius_m or scenario.goal.radius_m
     judged = judged.model_copy(update={"max_execution_s": None, "arrive_radius_m": radius_m})
-    return config.model_copy(update={"performance": judged}), limit_s, reason
+    return config.model_copy(update={"performance": judged}), (limit_s, reason)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,14 @@ import re
 import shutil
 import socket
 import tomllib
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -41,6 +43,7 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.scenarios import Scenario
 from fullswarm.evaluate.swarm import Coverage, Numbers
+from fullswarm.perf.coverage import GridFrame
 
 FORMAT = "fullswarm.trial/1"
 TRIALS = "trials"
@@ -64,7 +67,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     failure: str = ""
     end_reason: str = ""  # "all arrived", "time limit", a termination condition's name, or "failed"
     onboard: dict[str, float] = {}  # what the swarm's summarizers say: "work.total_m", "coverage.fraction", …
-    truth: dict[str, float] = {}  # the same names where the true bodies tell it too
+    truth: dict[str, float] = {}  # the same names where it is known of the true bodies too
     per_robot: dict[str, dict[str, float]] = {}  # "onboard work.distance_m" or "truth …" → robot → value
 
 
@@ -82,19 +85,18 @@ class Trajectory:
     boxes: NDArray[np.float64]  # (k, 5) centre x, y, size x, y, yaw
     bounds_m: NDArray[np.float64]  # (4,)
 
-    def save(self, path: Path) -> None:
-        """Write the file."""
-        fields = {name: getattr(self, name) for name in self.__slots__ if name != "ids"}
-        np.savez_compressed(path, ids=np.array(self.ids), **fields)
-
     @classmethod
     def load(cls, path: Path) -> Trajectory:
-        """Read the file."""
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            fields = {name: file[name] for name in file.files}
-        fields["ids"] = tuple(fields["ids"].tolist())
-        fields["goal_radius_m"] = float(fields["goal_radius_m"])
-        return cls(**fields)
+        """Read the file.
+
+        Raises
+        ------
+        ConfigError
+            There is none, or it is damaged.
+        """
+        with _arrays(path, "trajectory") as fields:
+            ids, goal_radius_m = tuple(fields.pop("ids").tolist()), float(fields.pop("goal_radius_m"))
+            return cls(ids=ids, goal_radius_m=goal_radius_m, **fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +122,11 @@ class Contacts:
     bend_robot: NDArray[np.int32]  # (b,)
     bend: NDArray[np.int32]  # (b, p, 2) changes from part to part, the first from where the step began
 
-    def save(self, path: Path) -> None:
-        """Write the file."""
-        fields = {name: getattr(self, name) for name in self.__slots__ if name != "ids"}
-        np.savez_compressed(path, ids=np.array(self.ids), **fields)
+
+def save_arrays(kept: Trajectory | Contacts, path: Path) -> None:
+    """Write the file of a trajectory or of contacts."""
+    fields = {name: getattr(kept, name) for name in kept.__slots__ if name != "ids"}
+    np.savez_compressed(path, ids=np.array(kept.ids), **fields)
 
 
 def trial_id(trial: Trial) -> str:
@@ -138,6 +141,7 @@ LAUNCH_FORMAT = "fullswarm.launch/1"
 HEAD = "# Runs one trial again: fullswarm experiment trial trial.toml\n"
 
 Table = dict[str, Parameter]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,10 +262,9 @@ def fill(folder: Path, record: Record, about: Provenance, found: Measurement | s
     (folder / PROVENANCE_FILE).write_bytes(_pretty(about))
     if not isinstance(found, Measurement):
         return
-    if found.trajectory is not None:
-        found.trajectory.save(folder / TRAJECTORY_FILE)
-    if found.contacts is not None:
-        found.contacts.save(folder / CONTACTS_FILE)
+    for file, kept in ((TRAJECTORY_FILE, found.trajectory), (CONTACTS_FILE, found.contacts)):
+        if kept is not None:
+            save_arrays(kept, folder / file)
     if found.coverage is not None:
         frame, covered = found.coverage
         numbers = np.array([frame.origin_x_m, frame.origin_y_m, frame.cell_m, frame.rows, frame.columns])
@@ -280,6 +283,27 @@ def write_files(out: Path, name: str, files: Files) -> None:
     with _beside(out, name) as folder:
         for file, data in files.items():
             (folder / file).write_bytes(data)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a path beside `path` with the same ending, to write to; at the end it takes its place.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written. Nothing half done is left, whatever happens.
+    """
+    part = path.with_name(f".{path.stem}-{socket.gethostname()}-{os.getpid()}{path.suffix}")
+    try:
+        part.touch()  # what cannot be written is known before the work is done
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"cannot write: {error.strerror or error}", where=str(path)) from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -309,11 +333,27 @@ def _pretty(value: msgspec.Struct) -> bytes:
 
 
 # ---------------------------------------------------------------------------------------------------- reading
+def decode(path: Path, kind: type[T]) -> T:
+    """Return what a JSON file holds.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, or holds something else.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path.name}: {error.strerror or error}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path.name}: {error}") from error
+
+
 def read_record(folder: Path) -> Record | None:
     """Return the record of a trial's directory; None: there is none that can be read, so the trial is to be run."""
     try:
-        return msgspec.json.decode((folder / RESULT_FILE).read_bytes(), type=Record)
-    except (OSError, msgspec.DecodeError, ValueError):  # ValueError: not UTF-8
+        return decode(folder / RESULT_FILE, Record)
+    except ConfigError:
         return None
 
 
@@ -336,10 +376,45 @@ def read_kept(out: Path, trial: Trial) -> TrialResult | None:
 def read_provenance(out: Path, trial: Trial) -> Provenance:
     """Return where a trial's figures come from; empty when that cannot be read."""
     try:
-        path = out / TRIALS / trial_id(trial) / PROVENANCE_FILE
-        return msgspec.json.decode(path.read_bytes(), type=Provenance)
-    except (OSError, msgspec.DecodeError, ValueError):
+        return decode(out / TRIALS / trial_id(trial) / PROVENANCE_FILE, Provenance)
+    except ConfigError:
         return Provenance()
+
+
+def read_trajectory(folder: Path) -> Trajectory:
+    """Return where all bodies of a trial were; `ConfigError` as `Trajectory.load`, with why the trial failed."""
+    record = read_record(folder)
+    if not (folder / TRAJECTORY_FILE).exists():
+        failed = f"it failed: {record.failure}" if record is not None and record.failure else ""
+        raise ConfigError(f"the trial left no {TRAJECTORY_FILE}", where=str(folder), hint=failed)
+    return Trajectory.load(folder / TRAJECTORY_FILE)
+
+
+def read_coverage(folder: Path) -> Coverage:
+    """Return the grid that the robots of a trial have covered.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or it is damaged.
+    """
+    with _arrays(folder / COVERAGE_FILE, "coverage grid") as file:
+        x_m, y_m, cell_m, rows, columns = file["frame"].tolist()
+        return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
+
+
+@contextmanager
+def _arrays(path: Path, what: str) -> Iterator[dict[str, Any]]:
+    """Yield the arrays of an NPZ file; what is wrong with it or with them is a `ConfigError`."""
+    if not path.exists():
+        raise ConfigError(f"this trial has no {what}", where=str(path))
+    try:
+        if not zipfile.is_zipfile(path):  # NumPy would leave a broken archive open
+            raise ValueError("cut off, or another file")
+        with np.load(path, allow_pickle=False) as file:
+            yield {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ConfigError(f"not a {what}: {error}", where=str(path), hint="run the trial again") from error
 
 
 def sweep(out: Path) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,7 @@ ENDLESS = Limits(speed_m_s=np.inf, turn_rad_s=np.inf, accel_m_s2=np.inf, turn_ac
 NEAR_M = 0.1
 """A robot whose bumper is pressed has met another one when the gap between their estimated poses is below this."""
 USUAL_RADIUS_M = 0.17
-"""Of a robot that has not told its radius yet."""
+"""Of a robot that has not reported its radius yet."""
 
 
 class Referee:
@@ -200,8 +200,18 @@ def _grains(at_m: Array) -> NDArray[np.int32]:
     return np.round(at_m / GRAIN_M).astype(np.int32)
 
 
+class ContactTally(NamedTuple):
+    """What a witness counts."""
+
+    robot_events: Index  # (n,) contacts with robots, one for each of the two
+    obstacle_events: Index  # (n,)
+    pairs_touched: int | None  # pairs of robots that have touched; None: not known
+    robots_touched: int  # robots that have touched anything
+    above_limits: int  # commands beyond the actuators' limits; 0 where they cannot be seen
+
+
 class Witness(Protocol):
-    """Sees n bodies."""
+    """Watches n bodies."""
 
     def begin(self) -> None:
         """Count from now on."""
@@ -212,7 +222,7 @@ class Witness(Protocol):
         ...
 
     def touched(self) -> NDArray[np.bool_]:
-        """Return who has touched anything since this was asked last, (n,)."""
+        """Return which robots have touched anything since this was asked last, (n,)."""
         ...
 
     @property
@@ -225,28 +235,12 @@ class Witness(Protocol):
         """Their sizes, (n,)."""
         ...
 
-    @property
-    def events(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Contacts so far with robots and with obstacles, (n,) each."""
-        ...
-
-    @property
-    def pairs_touched(self) -> int | None:
-        """How many pairs of robots have touched; None: not known."""
-        ...
-
-    @property
-    def robots_touched(self) -> int:
-        """How many robots have touched anything."""
+    def tally(self) -> ContactTally:
+        """Return what has been counted so far."""
         ...
 
     def evidence(self) -> Contacts | None:
         """Return what is needed to count the contacts again; None: not known."""
-        ...
-
-    @property
-    def above_limits(self) -> int:
-        """How many commands were beyond the actuators' limits."""
         ...
 
     def values(self) -> Numbers:
@@ -259,7 +253,7 @@ class Witness(Protocol):
 
 
 class WorldWitness:
-    """Sees the bodies of a simulated world; to be called after each of its steps.
+    """Watches the bodies of a simulated world; to be called after each of its steps.
 
     Parameters
     ----------
@@ -292,7 +286,7 @@ class WorldWitness:
         self._touched |= world.contacts > 0
 
     def touched(self) -> NDArray[np.bool_]:
-        """Return who has touched anything since this was asked last."""
+        """Return which robots have touched anything since this was asked last."""
         found, self._touched = self._touched, np.zeros(len(self._touched), bool)
         return found
 
@@ -306,29 +300,20 @@ class WorldWitness:
         """The world's bodies are all of one size."""
         return np.full(len(self._world.ids), self._world.config.radius_m)
 
-    @property
-    def events(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Contacts as the world's referee tells them."""
-        return self._referee.robots.events, self._referee.obstacles.events
-
-    @property
-    def pairs_touched(self) -> int:
-        """Pairs of robots."""
-        return len(self._referee.pairs)
-
-    @property
-    def robots_touched(self) -> int:
-        """Robots that touched robots or obstacles."""
-        return int(self._referee.touched.sum())
+    def tally(self) -> ContactTally:
+        """Return what the referee has counted."""
+        found = self._referee
+        return ContactTally(
+            robot_events=found.robots.events,
+            obstacle_events=found.obstacles.events,
+            pairs_touched=len(found.pairs),
+            robots_touched=int(found.touched.sum()),
+            above_limits=found.above_limits,
+        )
 
     def evidence(self) -> Contacts:
         """Return the referee's."""
         return self._referee.evidence()
-
-    @property
-    def above_limits(self) -> int:
-        """Set-points beyond the limits of simulated robots; 0 for emulated ones."""
-        return self._referee.above_limits
 
     def values(self) -> dict[str, float]:
         """Return the true numbers; the smallest gap is the referee's, which looks into each step."""
@@ -339,8 +324,8 @@ class WorldWitness:
         return self.truth.per_robot()
 
 
-class HeardWitness:
-    """Believes what robots say: their states and health reports, from the moment it is made."""
+class ReportedWitness:
+    """Takes what robots report, in their states and health reports, from the moment it is made."""
 
     def __init__(self, bus: Bus, config: SwarmConfig) -> None:
         count = len(config.robots)
@@ -348,7 +333,7 @@ class HeardWitness:
         self._pose = np.full((count, 3), np.nan)
         self._radius_m = np.full(count, USUAL_RADIUS_M)
         self._touched = np.zeros(count, bool)
-        self._heard = np.full(count, -1, np.int64)  # collisions in the newest report; -1: none yet
+        self._reported = np.full(count, -1, np.int64)  # collisions in the newest report; -1: none yet
         self._events = np.zeros((2, count), np.int64)
         keys = Keys(config.swarm)
         self._subscriptions = [
@@ -362,10 +347,10 @@ class HeardWitness:
         self._touched[:] = False
 
     def look(self) -> None:
-        """Nothing to do: messages come by themselves."""
+        """Do nothing: messages arrive by themselves."""
 
     def touched(self) -> NDArray[np.bool_]:
-        """Return who has told of a contact since this was asked last."""
+        """Return which robots have reported a contact since this was asked last."""
         found, self._touched = self._touched, np.zeros(len(self._touched), bool)
         return found
 
@@ -376,32 +361,16 @@ class HeardWitness:
 
     @property
     def radius_m(self) -> Array:
-        """What their drivers tell."""
+        """What their drivers report."""
         return self._radius_m
 
-    @property
-    def events(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Contacts that the robots count, by what was nearest at the time."""
-        return self._events[0], self._events[1]
-
-    @property
-    def pairs_touched(self) -> None:
-        """A bumper does not tell what pressed it."""
-        return None
-
-    @property
-    def robots_touched(self) -> int:
-        """Robots that have counted a contact."""
-        return int((self._events.sum(axis=0) > 0).sum())
+    def tally(self) -> ContactTally:
+        """Return what the robots have counted, by what was nearest at the time; a bumper does not tell the pair."""
+        return ContactTally(self._events[0], self._events[1], None, int(self._events.any(axis=0).sum()), 0)
 
     def evidence(self) -> None:
         """Robots keep none."""
         return
-
-    @property
-    def above_limits(self) -> int:
-        """The commands of a robot are not visible outside it."""
-        return 0
 
     def values(self) -> dict[str, float]:
         """Return nothing: robots can be wrong about themselves."""
@@ -412,7 +381,7 @@ class HeardWitness:
         return {}
 
     def close(self) -> None:
-        """Hear no more."""
+        """Subscribe to nothing more."""
         for subscription in self._subscriptions:
             subscription.close()
 
@@ -431,8 +400,8 @@ class HeardWitness:
                 self._book(row, health)
 
     def _book(self, row: int, health: RobotHealth) -> None:
-        new = health.collisions - self._heard[row] if self._heard[row] >= 0 else 0
-        self._heard[row] = health.collisions
+        new = health.collisions - self._reported[row] if self._reported[row] >= 0 else 0
+        self._reported[row] = health.collisions
         self._touched[row] |= health.contacts > 0 or new > 0
         if new > 0:
             self._events[0 if self._beside_another(row) else 1, row] += new
@@ -444,7 +413,7 @@ class HeardWitness:
 
 
 def in_safe_set(world: World, margin_m: float) -> bool:
-    """Tell whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
+    """Return whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
     position, radius_m = world.pose[:, :2], world.config.radius_m
     apart = position[:, None] - position[None, :]
     distance = np.hypot(apart[..., 0], apart[..., 1])

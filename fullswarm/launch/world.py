@@ -23,7 +23,7 @@ from fullswarm.messages import Heartbeat, PoseFix
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
-from fullswarm.simulation.bodies import SKIN_RATE_HZ, Body, SteppedBodies
+from fullswarm.simulation.bodies import EMULATED_RATE_HZ, Body, SteppedBodies
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
 
@@ -56,8 +56,8 @@ class WorldNode:
         self._keys = Keys(config.swarm)
         skins = [each for each in config.robot if each.emulate]
         settings = config.world_or_default
-        if skins and settings.rate_hz < SKIN_RATE_HZ:
-            settings = settings.model_copy(update={"rate_hz": SKIN_RATE_HZ, "substeps": 1})
+        if skins and settings.rate_hz < EMULATED_RATE_HZ:
+            settings = settings.model_copy(update={"rate_hz": EMULATED_RATE_HZ, "substeps": 1})
         self._ratio = settings.rate_hz / config.world_or_default.rate_hz
         self._noise = settings.noise
         ids = [each.id for each in config.robot]

@@ -10,8 +10,8 @@ from rich.table import Table
 from fullswarm.messages import Summary
 from fullswarm.operator.robot_state import row_state
 from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, natural
+from fullswarm.units import UNITS
 
-_UNITS = (("_m2", "m²"), ("_m", "m"), ("_s", "s"))
 _NAMES_SHOWN = 8
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
@@ -135,7 +135,7 @@ def _is_nought(name: str, value: float) -> bool:
 
 
 def _quantity(name: str, value: float, whole: str) -> str:
-    for ending, unit in _UNITS:
+    for ending, unit in UNITS.items():
         if name.endswith(ending):
             return f"{name.removesuffix(ending).replace('_', ' ')} {value:.2f} {unit}"
     if name == "fraction":

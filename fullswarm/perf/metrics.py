@@ -42,18 +42,18 @@ class Metric:
 
 
 COLUMNS = {
-    "x_m": Column("m", "where the robot believes to be"),
-    "y_m": Column("m", "where the robot believes to be"),
-    "heading_rad": Column("rad", "where it looks"),
+    "x_m": Column("m", "estimated position"),
+    "y_m": Column("m", "estimated position"),
+    "heading_rad": Column("rad", "estimated heading"),
     "goal_m": Column("m", "distance to the goal or target that it was given; none without one"),
     "arrived_s": Column("s", "from the request until it last entered its goal's disc; none outside it"),
     "still_s": Column("s", "since it last moved by more than its radius; none without a task"),
     "gap_m": Column("m", "smallest gap to a neighbour so far: between centres, less both radii", "least"),
     "distance_m": Column("m", "distance travelled", "add"),
     "events": Column("", "contacts begun; two robots that meet count one each", "add"),
-    "draws": Column("", "how often it was found blocked and stepped aside", "add"),
-    "aside_s": Column("s", "time spent on stepping aside", "add"),
-    "deviation_m": Column("m", "how far the safety filter held it from its wish, added up over time", "add"),
+    "deadlock_count": Column("", "how often it was found blocked and stepped aside", "add"),
+    "sidestep_s": Column("s", "time spent on stepping aside", "add"),
+    "deviation_m": Column("m", "distance between desired and filtered motion, added up over time", "add"),
     "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
     "late": Column("", "of them later than 1 ms", "add", per_host=True),
@@ -104,7 +104,9 @@ METRICS = {
     ),
     "separation": Metric("Smallest gap between two robots", {"min_m": ("min", "gap_m")}, "gap_m"),
     "deadlocks": Metric(
-        "Robots that blocked each other", {"draws": ("sum", "draws"), "aside_s": ("sum", "aside_s")}, "draws"
+        "Robots that blocked each other",
+        {"deadlock_count": ("sum", "deadlock_count"), "sidestep_s": ("sum", "sidestep_s")},
+        "deadlock_count",
     ),
     "filter": Metric(
         "How much the safety filter changed",

@@ -18,14 +18,13 @@ from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.messages import Summary
 from fullswarm.runtime import Scheduler
+from fullswarm.units import unit_of
 
 FORMAT = "fullswarm.performance/1"
 WRITE_PERIOD_S = 1.0
 
 MAX_WAITING = 1000
 """Lines kept for ``summaries.jsonl`` while the disk refuses them."""
-
-UNITS = {"_m": "m", "_m2": "m²", "_s": "s", "_j": "J", "_rad": "rad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,7 @@ class PerformanceNode:
     def table(self) -> list[Row]:
         """Return the swarm's numbers as rows, metric by metric."""
         return [
-            Row(metric, quantity, value, _unit(quantity), each.reason or "running")
+            Row(metric, quantity, value, unit_of(quantity), each.reason or "running")
             for metric, each in self.summaries.items()
             for quantity, value in each.values.items()
         ]
@@ -99,7 +98,7 @@ class PerformanceNode:
         return {"format": FORMAT, "swarm": self._swarm, "finished": self.finished, "metrics": metrics}
 
     def close(self) -> None:
-        """Write what is left and stop listening. Closing twice is fine."""
+        """Write what is left and unsubscribe. Closing twice is fine."""
         if self._closed:
             return
         self._closed = True
@@ -135,17 +134,13 @@ class PerformanceNode:
 
 
 def _same(one: Summary, other: Summary) -> bool:
-    """Tell whether nothing but time has passed between two summaries."""
+    """Return whether nothing but time has passed between two summaries."""
     return _timeless(one) == _timeless(other)
 
 
 def _timeless(summary: Summary) -> tuple[object, ...]:
     values = {quantity: value for quantity, value in summary.values.items() if quantity != "elapsed_s"}
     return values, summary.per_robot, summary.finished, summary.reason
-
-
-def _unit(quantity: str) -> str:
-    return next((unit for suffix, unit in UNITS.items() if quantity.endswith(suffix)), "")
 
 
 def _make_writable(results: Path) -> None:

@@ -7,8 +7,8 @@ A supervisory process that sees the true bodies may calculate, too (paper II.F.1
 is kept apart and shown beside what the robots say, as ``truth_…``. The truth decides when a trial is over, if it is
 known; it stands in for robots that say nothing.
 
-They run in the process that commands the robots, so nothing that they are told may end it: what the bookkeeping raises
-is caught here, counted and said in the summary, which keeps the last values that could be worked out.
+They run in the process that commands the robots, so no measurement may end it: what the bookkeeping raises is
+caught here, counted and stated in the summary, which keeps the last values that could be worked out.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Summarizer(Generic[M]):
         topic: str = "",
     ) -> None:
         self.metric, self.refused, self.failures = metric, 0, 0
-        """`refused`: measurements that made no sense and were dropped; `failures`: of the bookkeeping itself."""
+        """`refused`: invalid measurements, dropped; `failures`: of the bookkeeping itself."""
         self._failure = ""
         self._newest: tuple[Summary, ...] = ()
         self._make, self._tally = tally, tally()
@@ -103,14 +103,14 @@ class Summarizer(Generic[M]):
             return
         self._safely(self._work_out)
         for summary in self._newest or (Summary(metric=self.metric, values={}),):
-            told = summary
+            sent = summary
             if self._failure and not summary.finished:
-                told = msgspec.structs.replace(summary, reason=self._failure, stamp_s=self._scheduler.now_s())
-            self._bus.publish(self._keys.summary(told.metric), told)
+                sent = msgspec.structs.replace(summary, reason=self._failure, stamp_s=self._scheduler.now_s())
+            self._bus.publish(self._keys.summary(sent.metric), sent)
         self._failure = ""
 
     def close(self) -> None:
-        """Stop listening and reporting. Closing twice is fine."""
+        """Unsubscribe and stop reporting. Closing twice is fine."""
         self._subscription.close()
         self._timer.cancel()
         self._cancel_deadline()
@@ -119,7 +119,7 @@ class Summarizer(Generic[M]):
         self._newest = self.summaries()
 
     def _safely(self, work: Callable[[], None]) -> None:
-        """Do some bookkeeping. Whatever it raises, for whatever it was told, the process goes on commanding robots."""
+        """Do some bookkeeping. Whatever it raises, the process goes on commanding robots."""
         try:
             work()
         except Exception as error:

@@ -130,7 +130,7 @@ RULES: dict[Rule, Callable[[Array], float]] = {
 """How the values that are there, at least one, become one number; a share is yet to be divided by all robots."""
 
 EMPTY: dict[Rule, float] = {"sum": 0.0, "share": 0.0, "count": 0.0, "positive": 0.0}
-"""What is said of no values at all; nothing by the other rules."""
+"""The result for no values at all; none by the other rules."""
 
 JOIN: dict[Restart, Callable[[Array, Array], Array]] = {
     "add": lambda before, now: before + np.where(np.isnan(now), 0.0, now),
@@ -148,7 +148,7 @@ class RobotTally:
     Parameters
     ----------
     robots
-        Robots expected: all of them must arrive; those that are heard when empty.
+        Robots expected: all of them must arrive; those that report when empty.
     bounds_m
         The arena, for Lloyd's cost.
     metrics
@@ -223,8 +223,8 @@ class RobotTally:
         for name, kept in self._kept.items():
             for robot in () if COLUMNS[name].per_host else kept:  # also of robots that their agent no longer carries
                 rows.setdefault(robot, len(rows))
-        told = {name for message in messages for name in (*message.columns, *message.totals)} | self._kept.keys()
-        columns = {name: self._column(name, rows, batches) for name in self._wanted & told & COLUMNS.keys()}
+        reported = {name for message in messages for name in (*message.columns, *message.totals)} | self._kept.keys()
+        columns = {name: self._column(name, rows, batches) for name in self._wanted & reported & COLUMNS.keys()}
         order = sorted(rows.items())
         results = {name: self._result(metric, order, columns, count) for name, metric in self._metrics.items()}
         if SHAPE in results:
@@ -235,8 +235,8 @@ class RobotTally:
         count = sum(map(len, self._arrived.values()))
         if not count or count < len(self._expected):  # names are compared only when it may be true
             return False
-        heard = (robot for message in self._newest.values() for robot in message.robots)
-        return set().union(*self._arrived.values()).issuperset(self._expected or heard)
+        reporting = (robot for message in self._newest.values() for robot in message.robots)
+        return set().union(*self._arrived.values()).issuperset(self._expected or reporting)
 
     def _keep(self, gone: RobotMeasurement) -> None:
         """Keep what a process that is gone has counted."""
@@ -244,10 +244,10 @@ class RobotTally:
             column = COLUMNS[name]
             if column.restart == "newest":
                 continue
-            who, counted = _told(gone, name)
+            names, counted = _values_of(gone, name)
             kept = self._kept.setdefault(name, {})
-            before = np.array([kept.get(each, math.nan) for each in who])
-            kept.update(zip(who, _joined(column.restart, before, np.array(counted)).tolist(), strict=True))
+            before = np.array([kept.get(each, math.nan) for each in names])
+            kept.update(zip(names, _joined(column.restart, before, np.array(counted)).tolist(), strict=True))
 
     def _column(self, name: str, rows: dict[str, int], batches: list[list[RobotMeasurement]]) -> Array:
         """Return a value per robot, in `rows`, or per host; NaN where there is none."""
@@ -260,8 +260,8 @@ class RobotTally:
             at: list[int] = []
             now: list[float] = []
             for message in batch:
-                who, values = _told(message, name)
-                at += [rows[each] for each in who]
+                names, values = _values_of(message, name)
+                at += [rows[each] for each in names]
                 now += values
             column[at] = _joined(COLUMNS[name].restart, column[at], np.array(now))
         return column
@@ -298,8 +298,8 @@ def _known(values: Array) -> NDArray[np.bool_]:
     return known
 
 
-def _told(message: RobotMeasurement, name: str) -> tuple[Sequence[str], Sequence[float]]:
-    """Return whom a column of a message is about, and the values: NaN when the message does not have it."""
+def _values_of(message: RobotMeasurement, name: str) -> tuple[Sequence[str], Sequence[float]]:
+    """Return the robots or host of a column of a message, and the values: NaN when the message does not have it."""
     if COLUMNS[name].per_host:
         return (message.host,), (message.totals.get(name, math.nan),)
     return message.robots, message.columns.get(name) or (math.nan,) * len(message.robots)

@@ -261,6 +261,6 @@ class SupervisorCalculator:
         self._bus.publish(keys.measurement("robots", TRUTH), numbers)
 
     def close(self) -> None:
-        """Tell the last of the story. Closing twice is fine."""
+        """Publish the final numbers. Closing twice is fine."""
         self.publish()
         self._timer.cancel()

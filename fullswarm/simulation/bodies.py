@@ -24,12 +24,12 @@ from fullswarm.simulation.world import World
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 MIDDLE_RAD = math.radians(12.0)
-"""What touches so close to straight ahead presses both halves of a bumper."""
+"""A contact this close to straight ahead presses both halves of a bumper."""
 
 RETURN_S = 0.05
-"""A bumper needs so long to spring back: firmware that asks each 15 ms feels a short contact, too."""
+"""A bumper needs so long to spring back: firmware that reads it each 15 ms must not miss a short contact."""
 
-SKIN_RATE_HZ = 200.0
+EMULATED_RATE_HZ = 200.0
 """Emulated encoders are read every 10 to 15 ms: a slower world would make them jump."""
 
 
@@ -52,7 +52,7 @@ class Body(Protocol):
     """What firmware drives. Thread-safe: an emulator and the world run on threads of their own."""
 
     def drive(self, speed_m_s: float, turn_rad_s: float) -> None:
-        """Turn the motors so that the body moves like this, until told otherwise: a body has no watchdog."""
+        """Turn the motors so that the body moves like this, until the next call: a body has no watchdog."""
         ...
 
     def state(self) -> BodyState:
@@ -140,7 +140,7 @@ class WorldBody:
 
     def __init__(self, world: World, row: int) -> None:
         self._world, self._row = world, row
-        self._wish = (0.0, 0.0)
+        self._desired = (0.0, 0.0)
         x_m, y_m, heading_rad = world.pose[row].tolist()
         self._state = BodyState(x_m, y_m, heading_rad)
         self._pressed: tuple[tuple[bool, bool], int] = (False, False), 0
@@ -150,19 +150,19 @@ class WorldBody:
         """Move like this from the next step on; raises ``ValueError`` if not finite."""
         if not (math.isfinite(speed_m_s) and math.isfinite(turn_rad_s)):
             raise ValueError(f"a body cannot move at {speed_m_s} m/s, {turn_rad_s} rad/s")
-        self._wish = (speed_m_s, turn_rad_s)
+        self._desired = (speed_m_s, turn_rad_s)
 
     def state(self) -> BodyState:
         """Return where the body was after the last step."""
         return self._state
 
     def before_step(self) -> None:
-        """Give the world the wish; called on the world's thread."""
+        """Give the world the desired twist; called on the world's thread."""
         self._world.commanded_s[self._row] = self._world.time_s
-        self._world.target[self._row] = self._wish
+        self._world.target[self._row] = self._desired
 
     def after_step(self) -> None:
-        """Take what came of it; called on the world's thread."""
+        """Take the state after the step; called on the world's thread."""
         world, row, before = self._world, self._row, self._state
         x_m, y_m, heading_rad = world.pose[row].tolist()
         speed_m_s, _ = world.twist[row].tolist()
@@ -178,7 +178,7 @@ class WorldBody:
         )  # fmt: skip
 
     def _bumps(self, x_m: float, y_m: float, heading_rad: float) -> tuple[bool, bool]:
-        """Tell which halves of a bumper on the front half of the body are pressed: left, right."""
+        """Return which halves of a bumper on the front half of the body are pressed: left, right."""
         left = right = False
         for i, j in self._world.pairs.tolist():
             if self._row not in (i, j):
@@ -204,11 +204,11 @@ class SteppedBodies:
         self._all = tuple(self.of.values())
 
     def before_step(self) -> None:
-        """Give the world what all of them wish."""
+        """Give the world the desired twists of all."""
         for body in self._all:
             body.before_step()
 
     def after_step(self) -> None:
-        """Take what came of it."""
+        """Take the states after the step."""
         for body in self._all:
             body.after_step()

@@ -1,4 +1,4 @@
-"""What a physics engine must do for the world, and the choice of one by name."""
+"""Defines what a physics engine does for the world, and makes the one that a name chooses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Engine(Protocol):
 
     pose: Array  # (n, 3) x, y (m), heading in [-pi, pi]; the same array at all times
     twist: Array  # (n, 2) m/s along the heading, rad/s, measured over the last step
-    referee: ContactReferee  # who touched whom during the last step
+    referee: ContactReferee  # the contacts of the last step
     firmware: str  # name and version of what computes the physics
 
     def step(self, twists: Array) -> None:
@@ -24,7 +24,7 @@ class Engine(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the physics. Closing twice is fine."""
+        """Release the physics. Closing twice is fine."""
         ...
 
 

@@ -98,19 +98,19 @@ class BulletClient:
     def step(self, bodies: Sequence[int], rows: Sequence[int], path: Array) -> None:
         """Advance by one world step; write into `path` (substeps + 1, n, 2) the ways of the `bodies` in `rows`.
 
-        Bullet tells where bodies are only between two calls, so substeps are called one by one while anybody is asked
-        about; the motion is the same to the bit.
+        Bullet returns poses only between two calls, so substeps are called one by one while a path is needed; the
+        motion is the same to the bit.
         """
         if not rows:
             self._divide(self._substeps)
             self.api.stepSimulation(self.id)
             return
         self._divide(1)
-        get, told = self.api.getBasePositionAndOrientation, [(row, bodies[row]) for row in rows]
+        get, watched = self.api.getBasePositionAndOrientation, [(row, bodies[row]) for row in rows]
         for point in range(self._substeps + 1):
             if point:
                 self.api.stepSimulation(self.id)
-            for row, body in told:
+            for row, body in watched:
                 (x, y, _), _ = get(body, self.id)
                 path[point, row] = x, y
 
@@ -194,8 +194,8 @@ class PyBulletEngine:
         self._client.step(self._bodies, near, self.referee.path)
         self.referee.judge()
         get = self._client.api.getBasePositionAndOrientation
-        told = [get(body, client) for body in self._bodies]
-        new = np.array([(at[0], at[1], turn[2], turn[3]) for at, turn in told])
+        poses = [get(body, client) for body in self._bodies]
+        new = np.array([(at[0], at[1], turn[2], turn[3]) for at, turn in poses])
         heading = 2.0 * np.arctan2(new[:, 2], new[:, 3])
         heading -= np.round(heading / (2 * math.pi)) * (2 * math.pi)
         self.twist[:, 0] = ((new[:, 0] - pose[:, 0]) * along_x + (new[:, 1] - pose[:, 1]) * along_y) / (

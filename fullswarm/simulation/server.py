@@ -1,4 +1,4 @@
-"""The other end of the drivers' wire: a world behind a UDP port.
+"""Serves a world over UDP to one driver per robot.
 
 A thread receives and keeps the newest set-point of each robot; :meth:`WorldServer.tick`, called by a timer at the
 world's rate, applies them, steps the world and sends every connected driver its reading.
@@ -29,10 +29,10 @@ class _Peer:
     session: str
     address: Address
     sensing_m: float
-    heard_s: float
+    received_s: float
     sequence: int = -1
     fresh: protocol.Drive | None = None  # not yet applied
-    leaving: bool = False  # said bye; gone with the next tick
+    leaving: bool = False  # after its bye; removed by the next tick
 
 
 class WorldServer:
@@ -41,13 +41,13 @@ class WorldServer:
     Parameters
     ----------
     world
-        Stepped by this server from now on; its maker closes it.
+        Stepped by this server from now on; its owner closes it.
     address
         ``host:port`` to bind; port 0 takes a free one. Default: the world's own.
     insecure_network
-        Allow an address that other machines reach: anybody there could drive the robots.
+        Allow an address that other machines reach: any program there could drive the robots.
     clock
-        Tells which drivers are alive.
+        Decides which drivers are alive.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class WorldServer:
             try:
                 data, sender = self._socket.recvfrom(protocol.MAX_BYTES)
             except OSError:
-                continue  # a datagram of ours that nobody took; closing is seen above
+                continue  # an earlier datagram of this server was refused; closing is seen above
             try:
                 datagram = protocol.decode(data)
             except MessageError:
@@ -109,7 +109,7 @@ class WorldServer:
             peer = self._peers.get(datagram.robot)
             if peer is None or peer.session != datagram.session:
                 return None
-            peer.heard_s = self._clock.now_s()
+            peer.received_s = self._clock.now_s()
             if isinstance(datagram, protocol.Drive):
                 if datagram.sequence > peer.sequence:
                     peer.sequence, peer.fresh = datagram.sequence, datagram
@@ -125,7 +125,7 @@ class WorldServer:
             return protocol.Refusal(robot=robot, session=hello.session, reason=error.what, hint=error.hint)
         peer = self._peers.get(robot)
         if peer is None or peer.session != hello.session:
-            if peer is not None and not peer.leaving and now_s - peer.heard_s <= protocol.ALIVE_S:
+            if peer is not None and not peer.leaving and now_s - peer.received_s <= protocol.ALIVE_S:
                 return protocol.Refusal(
                     robot=robot,
                     session=hello.session,
@@ -135,7 +135,7 @@ class WorldServer:
             # A set-point that the last driver left behind (zero before its bye) is still applied.
             fresh = peer.fresh if peer is not None else None
             peer = self._peers[robot] = _Peer(hello.session, sender, hello.sensing_m, now_s, fresh=fresh)
-        peer.heard_s, peer.address, peer.sensing_m = now_s, sender, hello.sensing_m
+        peer.received_s, peer.address, peer.sensing_m = now_s, sender, hello.sensing_m
         v, w, a, b = self.world.limits[row].tolist()
         return protocol.Welcome(
             robot=robot,
@@ -149,7 +149,7 @@ class WorldServer:
         try:
             self._socket.sendto(protocol.encode(datagram), socket.MSG_DONTWAIT, to)
         except OSError:
-            self.dropped += 1  # a full buffer or a vanished interface: the next reading tells the same
+            self.dropped += 1  # a full buffer or a vanished interface: the next reading replaces this one
 
     # ------------------------------------------------------------ the runtime's thread
     def tick(self) -> None:
@@ -158,7 +158,7 @@ class WorldServer:
             now_s = self._clock.now_s()
             for robot, peer in list(self._peers.items()):
                 self._apply(robot, peer)
-                if peer.leaving or now_s - peer.heard_s > protocol.ALIVE_S:
+                if peer.leaving or now_s - peer.received_s > protocol.ALIVE_S:
                     del self._peers[robot]
             peers = list(self._peers.items())
         self.world.step()
@@ -169,10 +169,10 @@ class WorldServer:
         drive, peer.fresh = peer.fresh, None
         if drive is None:
             return
-        wished = np.array([drive.linear_m_s, drive.angular_rad_s])
-        if not drive.active or not np.isfinite(wished).all():
-            wished[:] = 0.0
-        self.world.set_twists(wished, self.world.rows[robot])
+        twist = np.array([drive.linear_m_s, drive.angular_rad_s])
+        if not drive.active or not np.isfinite(twist).all():
+            twist[:] = 0.0
+        self.world.set_twists(twist, self.world.rows[robot])
 
     def _reading(self, robot: str, peer: _Peer) -> protocol.BodyReading:
         world, row = self.world, self.world.rows[robot]
@@ -192,7 +192,7 @@ class WorldServer:
         )
 
     def close(self) -> None:
-        """Give up the port and end the thread. Closing twice is fine."""
+        """Release the port and end the thread. Closing twice is fine."""
         if self._closing:
             return
         self._closing = True
@@ -211,7 +211,7 @@ def _bind(address: str, insecure_network: bool) -> socket.socket:
         raise ConfigError(f"no such host '{host}'", where="world.address") from error
     if not ipaddress.ip_address(number).is_loopback and not insecure_network:
         raise ConfigError(
-            f"{address} can be reached from the network, and anybody there could drive the robots",
+            f"{address} can be reached from the network, and any program there could drive the robots",
             where="world.address",
             hint="use 127.0.0.1, or allow it with --insecure-network",
         )

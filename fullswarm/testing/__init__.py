@@ -1,8 +1,8 @@
-"""Checks and stand-ins for the tests of laws, drivers and nodes, here and in outside packages. Needs no pytest.
+"""Checks and stand-ins for the tests of behaviours, drivers and nodes, here and in outside packages; without pytest.
 
 ``check_behaviour(module, parameters)`` and ``check_driver(make)`` return when all is well and otherwise raise
-``AssertionError`` with a sentence that says what is wrong and how to mend it. Given a :class:`Rig` in place of `make`,
-the check of a driver also breaks its link; its :class:`Report` says what was checked and what was not.
+``AssertionError`` with a sentence that states the problem and the remedy. Given a :class:`Rig` in place of `make`,
+the check of a driver also breaks its link; its :class:`Report` lists what was checked and what was not.
 ``serial_wire`` and ``udp_wire`` are cables to break. ``LoopbackBus``, ``FakeClock`` and ``simulated_runtime`` run a
 node by itself, in no time::
 

@@ -21,7 +21,7 @@ Rows = list[dict[str, Value]]
 TOLERANCE = 1e-9
 """How much two ways to the same answer may differ, relative to its size above 1."""
 STRANGERS = 3
-"""Robots that are heard but carried by another agent."""
+"""Neighbours that another agent carries."""
 RADIUS_M = 0.17
 
 
@@ -51,7 +51,7 @@ def check_behaviour(
     Raises
     ------
     AssertionError
-        The law breaks a rule; says which, and how to mend it.
+        The law breaks a rule; names it and the remedy.
     ConfigError
         No law of that name is registered.
     """
@@ -114,7 +114,7 @@ class _Scene:
         )
 
     def shuffled(self, rng: np.random.Generator) -> _Scene:
-        """Return the same with the neighbours of each robot, and all that is heard, in another order."""
+        """Return the same with the neighbours of each robot, and all received states, in another order."""
         order = rng.permutation(len(self.heard))
         moved_to = np.argsort(order)
         edges = [rng.permutation(self.other[a:b]) for a, b in zip(self.start[:-1], self.start[1:], strict=True)]
@@ -124,7 +124,7 @@ class _Scene:
 
 
 class _Law:
-    """A law's function, asked with care."""
+    """A law's function, called with checks."""
 
     def __init__(self, module_or_name: ModuleType | str) -> None:
         named = isinstance(module_or_name, str)
@@ -143,7 +143,7 @@ class _Law:
             raise AssertionError(f"{self._name}: {otherwise}")
 
     def ask(self, scene: _Scene, view: View | None = None, params: Params | None = None) -> Array:
-        """Return a copy of the law's answer, (n, 2), after a look at its form."""
+        """Return a copy of the law's answer, (n, 2), after a check of its shape."""
         count = len(scene.position)
         try:
             with np.errstate(all="ignore"):
@@ -206,7 +206,7 @@ def _check_permuted(law: _Law, scene: _Scene, answer: Array, rng: np.random.Gene
 
 
 def _check_missing(law: _Law, scene: _Scene, answer: Array) -> None:
-    """A parameter that is used must be asked for by ``params.name``, which raises ConfigError if it is not there."""
+    """A parameter must be read by ``params.name``, which raises ConfigError if it is not there."""
     for name in scene.rows[0]:
         rows = [{key: value for key, value in row.items() if key != name} for row in scene.rows]
         try:

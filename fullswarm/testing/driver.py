@@ -29,14 +29,14 @@ def check_driver(
     pump: Callable[[], object] | None = None,
     exercise: bool = True,
 ) -> Report:
-    """Lead a driver through its life, then break what the rig can break. Real time, 4 s, with a whole rig some 15 s.
+    """Lead a driver through its lifecycle, then inject the rig's faults. Real time: 4 s, with a whole rig some 15 s.
 
     Parameters
     ----------
     make
         A :class:`~fullswarm.testing.Rig`; or only its `make`, which constructs a driver for the same robot each time.
     settle_s
-        In which the robot reaches or leaves half its speed, and its readings tell so.
+        In which the robot reaches or leaves half its speed, and its readings show that.
     deadline_s
         For each step of the lifecycle that the robot has to confirm.
     pump
@@ -53,7 +53,7 @@ def check_driver(
     Raises
     ------
     AssertionError
-        The driver breaks the contract; says where, and how to mend it.
+        The driver breaks the contract; names the place and the remedy.
     DriverError
         Its port cannot be had.
     """
@@ -80,7 +80,7 @@ def check_driver(
 
 @contextmanager
 def _threads(trial: Trial) -> Iterator[None]:
-    """Tell of exceptions that end a thread meanwhile: nothing else would."""
+    """Report exceptions that end a thread during the check."""
     died: list[str] = []
     before = threading.excepthook
 
@@ -106,7 +106,7 @@ ROUNDS = 3
 THREADS_S = 1.0
 """In which the threads of a driver end after close()."""
 CALLS, BEST_S, USUAL_S = 50, 0.005, 0.05
-"""Of so many calls the fastest and the median must be below; the contract says 1 ms, machines are noisy."""
+"""Of so many calls the fastest and the median must be below; the contract is 1 ms, machines are noisy."""
 
 MOTORS = "motors off unless ACTIVE"
 UNMOVED = "the robot may not move (exercise=False)"
@@ -116,9 +116,9 @@ _HUGE = sys.float_info.max
 
 
 def check_contract(trial: Trial, make: Callable[[], Driver], exercise: bool) -> None:
-    """Lead a driver through its life, opened twice; `exercise` lets the robot move."""
+    """Lead a driver through its lifecycle, opened twice; `exercise` lets the robot move."""
     driver, threads = trial.driver, set(threading.enumerate())
-    trial.demand(driver.read() is None, "read() gives something before open(); None until the robot has told")
+    trial.demand(driver.read() is None, "read() returns a reading before open(); return None until one arrives")
     _check_closed(trial, "before open()")
     _check_description(trial, driver.description)
     _check_opening(trial)
@@ -195,7 +195,7 @@ def _check_opening(trial: Trial) -> None:
     trial.driver.deactivate()
     trial.demand(
         trial.state is Lifecycle.READY,
-        f"it is {trial.state}, not READY, although nobody called activate(): that is the agent's decision",
+        f"it is {trial.state}, not READY, although activate() was not called: that is the agent's decision",
     )
 
 
@@ -207,7 +207,7 @@ def _check_activation(trial: Trial, make: Callable[[], Driver]) -> None:
     reading = trial.fresh()
     trial.demand(
         reading.pose is not None or not trial.driver.description.senses_pose,
-        "its description says senses_pose, but it is ACTIVE and tells none",
+        "its description claims senses_pose, but it is ACTIVE and reports none",
     )
 
 
@@ -217,7 +217,7 @@ def _check_second_driver(trial: Trial, make: Callable[[], Driver]) -> None:
         return
     alone = any(_stays_active(trial, None) for _ in range(ROUNDS))
     trial.demand(not alone, "constructing a second driver disturbs the first; touch nothing there")
-    why = trial.driver.fault or "it says nothing"
+    why = trial.driver.fault or "no fault is reported"
     trial.demand(
         False,
         f"it is {trial.state} although it was activated and commanded ({why}); only deactivate() or a fault ends it",
@@ -238,7 +238,7 @@ def _stays_active(trial: Trial, make: Callable[[], Driver] | None) -> bool:
             )
         finally:
             other.close()
-    trial.spend(2 * IDLE_S, STAND)
+    trial.keep(2 * IDLE_S, STAND)
     trial.fresh()
     return trial.state is Lifecycle.ACTIVE
 
@@ -261,15 +261,15 @@ def _check_not_finite(trial: Trial) -> None:
 
 def _check_limits(trial: Trial, limits: Limits) -> None:
     speed, turn = 10.0 * limits.speed_m_s, 10.0 * limits.turn_rad_s
-    for wished in (Twist(speed, 0.0), Twist(0.0, turn), Twist(-speed, -turn), Twist(_HUGE, _HUGE), Twist(0.0, -_HUGE)):
+    for desired in (Twist(speed, 0.0), Twist(0.0, turn), Twist(-speed, -turn), Twist(_HUGE, _HUGE), Twist(0.0, -_HUGE)):
         try:
-            applied = trial.command(wished)
+            applied = trial.command(desired)
         except ValueError as error:
             raise AssertionError(
-                f"{trial.driver.url}: command({wished}) raises ValueError ({error}); it is finite: clip it"
+                f"{trial.driver.url}: command({desired}) raises ValueError ({error}); it is finite: clip it"
             ) from error
-        forwards = wished.linear_m_s >= 0.0 or limits.can_reverse
-        trial.demand(applied != STAND or not forwards, f"command({wished}) returns zero; clip, do not refuse")
+        forwards = desired.linear_m_s >= 0.0 or limits.can_reverse
+        trial.demand(applied != STAND or not forwards, f"command({desired}) returns zero; clip, do not refuse")
         zero = trial.command(STAND)
         trial.demand(zero == STAND, f"command({STAND}) returns {zero}; zero can always be applied")
     trial.halt("a zero command", each=lambda: trial.command(STAND))
@@ -279,10 +279,10 @@ def _check_signs(trial: Trial) -> None:
     """Drive forwards, turn left, then both the other way round, and see what the readings make of it."""
     speed, turn = trial.pace.linear_m_s, trial.pace.angular_rad_s
     back = -speed if trial.driver.description.limits.can_reverse else speed
-    for wished in (Twist(speed, 0.0), Twist(0.0, turn), Twist(back, -turn)):
-        applied = trial.drive(wished)
+    for desired in (Twist(speed, 0.0), Twist(0.0, turn), Twist(back, -turn)):
+        applied = trial.drive(desired)
         begin = trial.fresh()
-        trial.spend(WINDOW_S, wished)
+        trial.keep(WINDOW_S, desired)
         _check_way(trial, applied, begin, trial.fresh())
     trial.halt("a zero command", each=lambda: trial.command(STAND))
 
@@ -302,8 +302,8 @@ def _check_way(trial: Trial, applied: Twist, begin: Reading, end: Reading) -> No
         )
     trial.demand(
         applied.linear_m_s == 0.0 or abs(aside_m) <= 0.5 * abs(forward_m),
-        f"under {applied} the odometry moves {aside_m:.3f} m aside and {forward_m:.3f} m along its heading; it is in "
-        "the frame of open(), with x along the heading then",
+        f"under {applied} the odometry moves {aside_m:.3f} m sideways and {forward_m:.3f} m along its heading; it is "
+        "in the frame of open(), with x along the heading then",
     )
     if begin.pose is not None and end.pose is not None:
         forward_m, _, turned_rad = _moved(begin.pose, end.pose)
@@ -329,11 +329,11 @@ def _check_not_finite_stops(trial: Trial, limit_s: float) -> float:
 
 
 def _check_silence(trial: Trial) -> float:
-    mend = f"from a thread of the driver's own, when no command has come for {SILENCE_S} s"
-    return _check_stops(trial, lambda: None, "silence", mend, 2.0 * SILENCE_S)
+    remedy = f"from a thread of the driver's own, when no command has come for {SILENCE_S} s"
+    return _check_stops(trial, lambda: None, "silence", remedy, 2.0 * SILENCE_S)
 
 
-def _check_stops(trial: Trial, act: Callable[[], None], what: str, mend: str, limit_s: float) -> float:
+def _check_stops(trial: Trial, act: Callable[[], None], what: str, remedy: str, limit_s: float) -> float:
     """Something must stop the robot by itself, within `limit_s`; return how soon it did.
 
     `limit_s` may lie close below the time that silence takes, which a driver that does nothing else would need.
@@ -345,10 +345,10 @@ def _check_stops(trial: Trial, act: Callable[[], None], what: str, mend: str, li
         act()
         trial.wait(partial(trial.slower, applied), trial.settle_s)
         took_s = (trial.newest.stamp_s if trial.newest is not None else math.inf) - began_s
-        trial.halt(f"{what} (set zero, {mend})")
+        trial.halt(f"{what} (set zero, {remedy})")
         return took_s
 
-    return _judge(trial, measure, limit_s, f"{what} slows it after {{}} only, not {limit_s:.2f} s; set zero, {mend}")
+    return _judge(trial, measure, limit_s, f"{what} slows it after {{}} only, not {limit_s:.2f} s; set zero, {remedy}")
 
 
 def _drive_off(trial: Trial) -> Twist:
@@ -381,11 +381,11 @@ def _judge(trial: Trial, measure: Callable[[], float], limit_s: float, otherwise
 
 def _check_promptness(trial: Trial, pace: Twist) -> None:
     """Time the calls that the agent makes each tick; `pace` and zero in turn, so that something has to be sent."""
-    driver, wishes = trial.driver, (pace, STAND)
+    driver, twists = trial.driver, (pace, STAND)
     calls: dict[str, Callable[[int], object]] = {
         "read()": lambda _: driver.read(),
         "state": lambda _: driver.state,
-        "command()": lambda number: driver.command(wishes[number % 2]),
+        "command()": lambda number: driver.command(twists[number % 2]),
     }
     for name, call in calls.items():
         took_s = []
@@ -415,7 +415,7 @@ def _check_deactivation(trial: Trial, exercise: bool, limit_s: float) -> None:
 
 
 def _check_closing(trial: Trial, exercise: bool, limit_s: float, threads: set[threading.Thread]) -> str:
-    """Close while ACTIVE, moving if allowed, and begin anew; return what was measured.
+    """Close while ACTIVE, moving if allowed, and open again; return what was measured.
 
     `threads` are those from before open(): no other is left after close().
     """
@@ -430,7 +430,7 @@ def _check_closing(trial: Trial, exercise: bool, limit_s: float, threads: set[th
     _check_closed(trial, "after close()")
     _check_motors_off(trial, "CLOSED")
     _check_threads(trial, threads)
-    if trial.rig.body_speed is not None:  # it may roll out; without the truth the next readings must show it at rest
+    if trial.rig.body_speed is not None:  # it may coast; without a true speed the next readings must show it at rest
         trial.come_to_rest(trial.settle_s, "close()")
     _check_opening(trial)
     return note
@@ -464,9 +464,9 @@ def _check_close_stops(trial: Trial, body_speed: Callable[[], Twist], limit_s: f
 
     if watchdog_s is not None and watchdog_s <= limit_s + PROMPT_S:
         measure()
-        return f"close() or its watchdog ({watchdog_s:g} s) stops it: too close together to be told apart"
-    mend = "send zero before the port is given up, the device's watchdog is the last resort"
-    otherwise = f"close() slows it after {{}} only, not {limit_s:.2f} s; {mend}"
+        return f"close() or its watchdog ({watchdog_s:g} s) stops it: too close together to be distinguished"
+    remedy = "send zero before the port is closed, the device's watchdog is the last resort"
+    otherwise = f"close() slows it after {{}} only, not {limit_s:.2f} s; {remedy}"
     return f"close() slows it after {_judge(trial, measure, limit_s, otherwise):.2f} s"
 
 
@@ -496,7 +496,7 @@ def _check_threads(trial: Trial, before: set[threading.Thread]) -> None:
 
 def _check_zero(trial: Trial, when: str) -> None:
     applied = trial.driver.command(trial.pace)
-    trial.demand(applied == STAND, f"command() {when} returns {applied}; anything but ACTIVE applies zero, and says so")
+    trial.demand(applied == STAND, f"command() {when} returns {applied}; anything but ACTIVE applies and returns zero")
 
 
 def _check_refused(trial: Trial, bad: Twist, when: str) -> None:
@@ -510,8 +510,8 @@ def _check_refused(trial: Trial, bad: Twist, when: str) -> None:
 
 
 CLAIMS = (
-    "speed told and true",
-    "odometry against the truth",
+    "measured and true speed",
+    "odometry and true motion",
     "slow driving",
     "can_reverse",
     "senses_bumps",
@@ -521,7 +521,7 @@ CLAIMS = (
 TRUE = 0.25
 """Share by which the true speed may differ from the measured one."""
 WAY_S, WAYS = 1.5, 3
-"""How long the odometry is compared with the truth, and how often before it counts as wrong."""
+"""How long the odometry is compared with the true motion, and how often before it counts as wrong."""
 SLOW = (Twist(0.05, 0.0), Twist(0.0, 0.1))
 SLOW_S, SLOW_SHARE = 1.0, 0.4
 """How long a slow robot is watched, and by which share it may be slower or faster than applied."""
@@ -530,40 +530,40 @@ BACK_S = 0.4
 
 
 def check_claims(trial: Trial) -> None:
-    """Hold the description against the robot; begins and ends with an open driver, standing."""
+    """Compare the description with the robot; begins and ends with an open driver at standstill."""
     rig, report, description = trial.rig, trial.report, trial.driver.description
-    if not report.lacks("speed told and true", body_speed=rig.body_speed):
-        report.add("speed told and true", _check_truth(trial))
-    if not report.lacks("odometry against the truth", body_speed=rig.body_speed):
-        report.add("odometry against the truth", _check_odometry(trial))
+    if not report.lacks("measured and true speed", body_speed=rig.body_speed):
+        report.add("measured and true speed", _check_truth(trial))
+    if not report.lacks("odometry and true motion", body_speed=rig.body_speed):
+        report.add("odometry and true motion", _check_odometry(trial))
     report.add("slow driving", _check_slow(trial))
     report.add("can_reverse", _check_reverse(trial))
     if not description.senses_bumps:
-        report.add("senses_bumps", "not claimed, and never told")
+        report.add("senses_bumps", "not claimed, and never reported")
     elif rig.bump is None:
         report.lacks("senses_bumps", bump=None)
     else:
         report.add("senses_bumps", _check_bumps(trial, rig.bump))
     if not description.senses_pose:
-        report.add("senses_pose", "not claimed, and never told")
+        report.add("senses_pose", "not claimed, and never reported")
     elif not report.lacks("senses_pose", body_pose=rig.body_pose):
         report.add("senses_pose", _check_pose(trial))
     if not description.senses_obstacles:
-        report.add("senses_obstacles", "not claimed, and never told")
+        report.add("senses_obstacles", "not claimed, and never reported")
     elif not report.lacks("senses_obstacles", obstacle=rig.obstacle):
         report.add("senses_obstacles", _check_obstacles(trial))
 
 
 def _check_truth(trial: Trial) -> str:
-    """The readings tell how the body moves: a scale that is wrong both ways would pass otherwise."""
+    """The readings show how the body moves: a scale that is wrong in both directions would pass otherwise."""
     worst = 0.0
     trial.go()
-    for wished in (Twist(trial.pace.linear_m_s, 0.0), Twist(0.0, trial.pace.angular_rad_s)):
-        applied = trial.drive(wished, share=0.9)
-        agrees = trial.wait(partial(_agrees, trial, applied), trial.settle_s, partial(trial.command, wished))
+    for desired in (Twist(trial.pace.linear_m_s, 0.0), Twist(0.0, trial.pace.angular_rad_s)):
+        applied = trial.drive(desired, share=0.9)
+        agrees = trial.wait(partial(_agrees, trial, applied), trial.settle_s, partial(trial.command, desired))
         trial.demand(
             agrees,
-            f"under {applied} the body moves with {trial.motion}, but the reading says "
+            f"under {applied} the body moves with {trial.motion}, but the reading is "
             f"{trial.newest and trial.newest.twist}; check wheel radius, base and units",
         )
         worst = max(worst, _error(trial, applied))
@@ -576,11 +576,11 @@ def _agrees(trial: Trial, applied: Twist) -> bool:
 
 
 def _error(trial: Trial, applied: Twist) -> float:
-    """Return by which share of the truth the newest reading is wrong, in the component that is driven."""
-    told, true = trial.newest.twist if trial.newest is not None else STAND, trial.motion or STAND
+    """Return the relative error of the newest reading, in the component that is driven."""
+    measured, true = trial.newest.twist if trial.newest is not None else STAND, trial.motion or STAND
     if applied.linear_m_s:
-        return abs(told.linear_m_s - true.linear_m_s) / max(abs(true.linear_m_s), 1e-6)
-    return abs(told.angular_rad_s - true.angular_rad_s) / max(abs(true.angular_rad_s), 1e-6)
+        return abs(measured.linear_m_s - true.linear_m_s) / max(abs(true.linear_m_s), 1e-6)
+    return abs(measured.angular_rad_s - true.angular_rad_s) / max(abs(true.angular_rad_s), 1e-6)
 
 
 @dataclass
@@ -590,11 +590,11 @@ class _Way:
     trial: Trial
     turning: bool
     before: Reading
-    told: float = 0.0  # m or rad
+    measured: float = 0.0  # m or rad
     true_rate: float = 0.0  # m/s or rad/s, added up …
-    looks: int = 0  # … over so many looks
+    samples: int = 0  # … over so many samples
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Take the newest reading, and the body's motion now."""
         reading = self.trial.newest
         if reading is not None and reading.stamp_s > self.before.stamp_s:
@@ -602,43 +602,43 @@ class _Way:
             turned = wrap(b.heading_rad - a.heading_rad)
             halfway = a.heading_rad + turned / 2.0
             along = math.cos(halfway) * (b.x_m - a.x_m) + math.sin(halfway) * (b.y_m - a.y_m)
-            self.told += turned if self.turning else along
+            self.measured += turned if self.turning else along
             self.before = reading
         motion = self.trial.motion or STAND
         self.true_rate += motion.angular_rad_s if self.turning else motion.linear_m_s
-        self.looks += 1
+        self.samples += 1
 
 
-def _measure_way(trial: Trial, wished: Twist, duration_s: float) -> tuple[float, float]:
+def _measure_way(trial: Trial, desired: Twist, duration_s: float) -> tuple[float, float]:
     """Drive for a while; return the mean speed by the odometry, and as it truly was (m/s or rad/s)."""
-    way = _Way(trial, wished.angular_rad_s != 0.0, trial.fresh())
+    way = _Way(trial, desired.angular_rad_s != 0.0, trial.fresh())
     began_s = way.before.stamp_s
 
     def each() -> None:
-        trial.command(wished)
-        way.look()
+        trial.command(desired)
+        way.sample()
 
     trial.wait(lambda: False, duration_s, each)
-    return way.told / max(way.before.stamp_s - began_s, 1e-6), way.true_rate / max(way.looks, 1)
+    return way.measured / max(way.before.stamp_s - began_s, 1e-6), way.true_rate / max(way.samples, 1)
 
 
 def _check_odometry(trial: Trial) -> str:
     """The way that the odometry counts is the body's: a wheel radius or base that is 10 % wrong shows here."""
     worst, most = 0.0, trial.rig.odometry_share
-    for wished in (Twist(trial.pace.linear_m_s, 0.0), Twist(0.0, trial.pace.angular_rad_s)):
-        off, told, true = math.inf, 0.0, 0.0
+    for desired in (Twist(trial.pace.linear_m_s, 0.0), Twist(0.0, trial.pace.angular_rad_s)):
+        off, measured, true = math.inf, 0.0, 0.0
         for _ in range(WAYS):  # the body may have been bumped, or this machine busy
             trial.go()
-            trial.drive(wished, share=0.9)
-            told, true = _measure_way(trial, wished, WAY_S)
-            off = abs(told - true) / max(abs(true), 1e-6)
+            trial.drive(desired, share=0.9)
+            measured, true = _measure_way(trial, desired, WAY_S)
+            off = abs(measured - true) / max(abs(true), 1e-6)
             if off <= most:
                 break
-        what = "wheel radius" if wished.linear_m_s else "wheel base"
+        what = "wheel radius" if desired.linear_m_s else "wheel base"
         trial.demand(
             off <= most,
-            f"under {wished} the odometry counts {told:.3f} a second, the body goes {true:.3f}: {off:.0%} apart, more "
-            f"than {most:.0%}; check {what} and counts per turn",
+            f"under {desired} the odometry counts {measured:.3f} a second, the body goes {true:.3f}: {off:.0%} apart, "
+            f"more than {most:.0%}; check {what} and counts per turn",
         )
         worst = max(worst, off)
     trial.halt("a zero command", each=lambda: trial.command(STAND))
@@ -646,25 +646,25 @@ def _check_odometry(trial: Trial) -> str:
 
 
 def _check_slow(trial: Trial) -> str:
-    """What is said to be applied moves the robot, however slow it is: a dead band is told by applying zero."""
+    """The twist that command() returns moves the robot, however slow: in a dead band it returns zero."""
     found = []
-    for wished in SLOW:
+    for desired in SLOW:
         trial.go()
         trial.halt("a zero command", each=lambda: trial.command(STAND))
-        applied = trial.command(wished)
+        applied = trial.command(desired)
         rate = applied.linear_m_s or applied.angular_rad_s
-        unit = "m/s" if wished.linear_m_s else "rad/s"
+        unit = "m/s" if desired.linear_m_s else "rad/s"
         if rate == 0.0:
-            found.append(f"{wished.linear_m_s or wished.angular_rad_s:g} {unit}: applies zero, and says so")
+            found.append(f"{desired.linear_m_s or desired.angular_rad_s:g} {unit}: returns zero")
             continue
-        trial.spend(min(trial.settle_s, SLOW_S), wished)
-        told, true = _measure_way(trial, wished, SLOW_S)
-        moves = true if trial.rig.body_speed is not None else told
-        rest = trial.rig.rest_m_s if wished.linear_m_s else 0.0
+        trial.keep(min(trial.settle_s, SLOW_S), desired)
+        measured, true = _measure_way(trial, desired, SLOW_S)
+        moves = true if trial.rig.body_speed is not None else measured
+        rest = trial.rig.rest_m_s if desired.linear_m_s else 0.0
         trial.demand(
             abs(moves - rate) <= SLOW_SHARE * abs(rate) + rest,
-            f"command({wished}) says that it applies {rate:.3f} {unit}, but the robot moves with {moves:.3f} {unit}; "
-            "where the device has a dead band, return what it really does: zero",
+            f"command({desired}) returns {rate:.3f} {unit}, but the robot moves with {moves:.3f} {unit}; "
+            "where the device has a dead band, return what it does: zero",
         )
         found.append(f"{moves:.3f} of {rate:.3f} {unit}")
     trial.halt("a zero command", each=lambda: trial.command(STAND))
@@ -672,7 +672,7 @@ def _check_slow(trial: Trial) -> str:
 
 
 def _check_reverse(trial: Trial) -> str:
-    """Half speed backwards: applied if it can, clipped to zero if it cannot, in the wheels as well as in words."""
+    """Half speed backwards: applied if it can, clipped to zero if it cannot, by the wheels and in the twist."""
     limits = trial.driver.description.limits
     back = Twist(-PACE * limits.speed_m_s, 0.0)
     if limits.can_reverse:
@@ -680,14 +680,14 @@ def _check_reverse(trial: Trial) -> str:
     trial.go()
     trial.halt("a zero command", each=lambda: trial.command(STAND))
     begin = trial.fresh().odometry
-    trial.spend(BACK_S, back)
+    trial.keep(BACK_S, back)
     end = trial.fresh().odometry
     c, s = math.cos(begin.heading_rad), math.sin(begin.heading_rad)
     gone_m = c * (end.x_m - begin.x_m) + s * (end.y_m - begin.y_m)
     true = trial.motion or STAND
     trial.demand(
         gone_m >= -0.1 * limits.speed_m_s * BACK_S and true.linear_m_s >= -0.1 * limits.speed_m_s,
-        f"its description says that it cannot reverse, but under {back} it goes {gone_m:.3f} m ({true}); clip it",
+        f"its description denies reversing, but under {back} it moves by {gone_m:.3f} m ({true}); clip it",
     )
     return "denied, and clipped"
 
@@ -698,12 +698,12 @@ def _check_bumps(trial: Trial, bump: Callable[[bool], object]) -> str:
     try:
         seen = trial.wait(lambda: _bumped(trial), NEXT_S)
         took_s = trial.clock.now_s() - began_s
-        trial.demand(seen, f"its description says senses_bumps, but a bump is not told within {NEXT_S} s")
+        trial.demand(seen, f"its description claims senses_bumps, but a bump is not reported within {NEXT_S} s")
     finally:
         bump(False)
     gone = trial.wait(lambda: not _bumped(trial), NEXT_S)
-    trial.demand(gone, f"it still tells a bump {NEXT_S} s after the bumper was released")
-    return f"told after {took_s:.2f} s"
+    trial.demand(gone, f"it still reports a bump {NEXT_S} s after the bumper was released")
+    return f"reported after {took_s:.2f} s"
 
 
 def _bumped(trial: Trial) -> bool:
@@ -714,17 +714,18 @@ def _check_pose(trial: Trial) -> str:
     where = trial.rig.body_pose
     if where is None:
         return ""
-    trial.wait(trial.rests, trial.settle_s)
-    told, true = trial.fresh().pose, where()
-    if told is None:
-        raise AssertionError(f"{trial.driver.url}: its description says senses_pose, but it tells none")
-    off_m = math.hypot(told.x_m - true.x_m, told.y_m - true.y_m)
-    off_rad = abs(wrap(told.heading_rad - true.heading_rad))
+    trial.wait(trial.at_rest, trial.settle_s)
+    measured, true = trial.fresh().pose, where()
+    if measured is None:
+        raise AssertionError(f"{trial.driver.url}: its description claims senses_pose, but it reports none")
+    off_m = math.hypot(measured.x_m - true.x_m, measured.y_m - true.y_m)
+    off_rad = abs(wrap(measured.heading_rad - true.heading_rad))
     trial.demand(
         off_m <= POSE_M and off_rad <= 2.0 * DRIFT_RAD,
-        f"it tells the pose {told}, the body is at {true}; x is east, y north, heading 0 along x, counter-clockwise",
+        f"it reports the pose {measured}, the body is at {true}; x is east, y north, heading 0 along x and "
+        "counter-clockwise",
     )
-    return f"{off_m * 1e3:.0f} mm, {math.degrees(off_rad):.1f} deg beside the truth"
+    return f"{off_m * 1e3:.0f} mm, {math.degrees(off_rad):.1f} deg from the true pose"
 
 
 def _check_obstacles(trial: Trial) -> str:
@@ -733,5 +734,5 @@ def _check_obstacles(trial: Trial) -> str:
         return ""
     put()
     seen = trial.wait(lambda: trial.newest is not None and len(trial.newest.obstacles) > 0, NEXT_S)
-    trial.demand(seen, f"its description says senses_obstacles, but an obstacle is not told within {NEXT_S} s")
-    return "told"
+    trial.demand(seen, f"its description claims senses_obstacles, but an obstacle is not reported within {NEXT_S} s")
+    return "reported"

@@ -34,7 +34,7 @@ def main(target: str, url: str, speed_m_s: float) -> None:
         driver.close()
 
 
-def _drive(driver: Driver, wished: Twist, ended: threading.Event) -> None:
+def _drive(driver: Driver, twist: Twist, ended: threading.Event) -> None:
     clock, drove = MonotonicClock(), False
     last_s, asked_s = clock.now_s(), -math.inf
     while not ended.wait(PERIOD_S):
@@ -47,7 +47,7 @@ def _drive(driver: Driver, wished: Twist, ended: threading.Event) -> None:
         if driver.state is Lifecycle.READY and now_s - asked_s > AGAIN_S:
             asked_s = now_s
             driver.activate()
-        driver.command(wished)
+        driver.command(twist)
 
 
 if __name__ == "__main__":

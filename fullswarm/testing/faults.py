@@ -1,4 +1,4 @@
-"""Breaks a driver's link and lets time jump: it reports that in time, and moves again only when commanded anew."""
+"""Breaks a driver's link and lets time jump: the driver must report it in time and move again after activate()."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FAULTS = (
     "frames cut short",
 )
 UNRECEIVED_S = 0.3
-"""What was on its way when the device fell silent may still arrive so much later."""
+"""What was in flight when the device fell silent may still arrive this much later."""
 NOISE_S = 0.5
-MOUTHFUL = 64
+CHUNK_BYTES = 64
 CUTS = 5
 
 
 def check_faults(trial: Trial) -> None:
-    """Unplug, mute, talk nonsense; begins and ends with an open driver."""
+    """Unplug, mute, inject garbage; begins and ends with an open driver."""
     rig, report = trial.rig, trial.report
     if not report.lacks("unplug", unplug=rig.unplug, replug=rig.replug):
         report.add("unplug", _check_unplug(trial))
@@ -49,35 +49,35 @@ def check_faults(trial: Trial) -> None:
 
 def lose(trial: Trial, break_it: Callable[[], object], what: str) -> float:
     """Break the link, go on commanding as an agent does, and see FAULT in the stated time; return after how long."""
-    wished, driver = trial.pace, trial.driver
+    desired, driver = trial.pace, trial.driver
     began_s = trial.clock.now_s()
     break_it()
-    faulty = trial.wait(lambda: trial.state is Lifecycle.FAULT, trial.rig.fault_s, lambda: trial.tell(wished))
+    faulty = trial.wait(lambda: trial.state is Lifecycle.FAULT, trial.rig.fault_s, lambda: trial.try_command(desired))
     took_s = trial.clock.now_s() - began_s
     trial.demand(
         faulty, f"it is {trial.state}, not FAULT, {trial.rig.fault_s} s after {what}; silence is a fault: watch for it"
     )
-    trial.demand(driver.fault.strip() != "", f"it is in FAULT after {what} and says nothing; say why and what to do")
-    applied = trial.tell(wished)
-    trial.demand(applied == STAND, f"command() in FAULT after {what} returns {applied}; it applies zero, and says so")
+    trial.demand(driver.fault.strip() != "", f"it is in FAULT after {what} without a text; state why and what to do")
+    applied = trial.try_command(desired)
+    trial.demand(applied == STAND, f"command() in FAULT after {what} returns {applied}; it applies and returns zero")
     _check_stale(trial, began_s, what)
     return took_s
 
 
-def recover(trial: Trial, mend: Callable[[], object], what: str) -> float:
-    """Mend the link; the driver is READY by itself and stands until told anew. Return how long that took, s."""
-    wished, rig = trial.pace, trial.rig
+def recover(trial: Trial, repair: Callable[[], object], what: str) -> float:
+    """Repair the link; the driver is READY by itself and stands until activate(). Return how long that took, s."""
+    desired, rig = trial.pace, trial.rig
     began_s = trial.clock.now_s()
 
     def stand() -> None:
         trial.demand(
             trial.state is not Lifecycle.ACTIVE,
-            f"it is ACTIVE again after {what}, although nobody called activate(); reconnect to READY, never to ACTIVE",
+            f"it is ACTIVE again after {what}, although activate() was not called; reconnect to READY, never to ACTIVE",
         )
-        applied = trial.tell(wished)
+        applied = trial.try_command(desired)
         trial.demand(applied == STAND, f"command() after {what} and before activate() returns {applied}, not zero")
 
-    mend()
+    repair()
     ready = trial.wait(lambda: trial.state is Lifecycle.READY, rig.ready_s, stand)
     took_s = trial.clock.now_s() - began_s
     trial.demand(
@@ -88,31 +88,31 @@ def recover(trial: Trial, mend: Callable[[], object], what: str) -> float:
     trial.demand(trial.driver.fault == "", f"it is READY after {what} with a fault: {trial.driver.fault}")
     trial.come_to_rest(trial.settle_s, f"it was READY again after {what}", stand)
     trial.stays(trial.fresh().odometry, f"after {what}, before activate()", stand)
-    trial.demand(trial.rests(), f"the robot moves after {what}, before activate(): {trial.motion}")
+    trial.demand(trial.at_rest(), f"the robot moves after {what}, before activate(): {trial.motion}")
     return took_s
 
 
 def _check_stale(trial: Trial, silent_s: float, what: str) -> None:
-    """Nothing is heard: no reading may be newer."""
-    trial.wait(lambda: False, IDLE_S, lambda: trial.tell(trial.pace))
+    """Nothing is received: no reading may be newer."""
+    trial.wait(lambda: False, IDLE_S, lambda: trial.try_command(trial.pace))
     newest = trial.newest
     late_s = newest.stamp_s - silent_s if newest is not None else 0.0
     trial.demand(
         late_s <= UNRECEIVED_S,
         f"a reading is stamped {late_s:.2f} s after {what}, when nothing came any more; stamp what arrives, not "
-        "what is told again",
+        "what is repeated",
     )
 
 
-def _rest_unheard(trial: Trial, began_s: float, what: str) -> str:
-    """See that the body rests while nothing is received, if the device has a watchdog and the rig can tell."""
+def _rest_without_link(trial: Trial, began_s: float, what: str) -> str:
+    """Check that the body comes to rest while nothing is received, if watchdog and rig allow that."""
     watchdog_s = trial.driver.description.watchdog_s
     if trial.rig.body_speed is None:
         return "; rest not seen: the rig has no body_speed"
     if watchdog_s is None:
         return "; rest only after READY: the device has no watchdog"
     left_s = began_s + max(watchdog_s, trial.rig.fault_s) + trial.settle_s - trial.clock.now_s()
-    trial.come_to_rest(max(left_s, STEP_S), what, lambda: trial.tell(trial.pace))
+    trial.come_to_rest(max(left_s, STEP_S), what, lambda: trial.try_command(trial.pace))
     return f", at rest after {trial.clock.now_s() - began_s:.2f} s"
 
 
@@ -123,7 +123,7 @@ def _check_unplug(trial: Trial) -> str:
     trial.go()
     began_s = trial.clock.now_s()
     fault_s = lose(trial, rig.unplug, "unplugging")
-    rest = _rest_unheard(trial, began_s, "unplugging")
+    rest = _rest_without_link(trial, began_s, "unplugging")
     ready_s = recover(trial, rig.replug, "unplugging")
     trial.go()
     trial.halt("a zero command", each=lambda: trial.command(STAND))
@@ -175,14 +175,14 @@ def _check_unplug_in_frame(trial: Trial) -> str:
     what = "unplugging in mid-frame"
     trial.go()
     rig.cut()
-    trial.spend(IDLE_S, trial.pace)  # the half of a frame is on its way
+    trial.keep(IDLE_S, trial.pace)  # the half of a frame is on its way
     lose(trial, rig.unplug, what)
     took_s = recover(trial, rig.replug, what)
     return f"READY {took_s:.2f} s after replug"
 
 
 def _check_mute(trial: Trial) -> str:
-    """The device hears us, and says nothing: it can and must be told to stand."""
+    """The device receives but sends nothing: it can and must be commanded to stop."""
     rig = trial.rig
     if rig.mute is None:
         return ""
@@ -192,13 +192,13 @@ def _check_mute(trial: Trial) -> str:
         fault_s = lose(trial, partial(rig.mute, True), "the device fell silent")
         rest = ""
         if rig.body_speed is not None:
-            trial.come_to_rest(trial.settle_s, "FAULT", lambda: trial.tell(trial.pace))
+            trial.come_to_rest(trial.settle_s, "FAULT", lambda: trial.try_command(trial.pace))
             rest = f", at rest after {trial.clock.now_s() - began_s:.2f} s"
     finally:
-        speak = partial(rig.mute, False)
+        unmute = partial(rig.mute, False)
         if trial.state is not Lifecycle.FAULT:
-            speak()
-    ready_s = recover(trial, speak, "the silence")
+            unmute()
+    ready_s = recover(trial, unmute, "the silence")
     return f"FAULT after {fault_s:.2f} s{rest}, READY {ready_s:.2f} s after its end"
 
 
@@ -207,44 +207,44 @@ def _check_garbage(trial: Trial) -> str:
     noise, garbage = random.Random(0), trial.rig.garbage  # noqa: S311  (must repeat, keeps no secret)
     if garbage is None:
         return ""
-    said = 0
+    sent = 0
 
-    def talk(wished: Twist) -> None:
-        nonlocal said
-        count = noise.randrange(1, MOUTHFUL)
+    def send_noise(desired: Twist) -> None:
+        nonlocal sent
+        count = noise.randrange(1, CHUNK_BYTES)
         garbage(noise.randbytes(count) if noise.random() < 0.8 else bytes([noise.choice((0, 255))]) * count)
-        said += count
-        trial.tell(wished)
+        sent += count
+        trial.try_command(desired)
 
-    trial.come_to_rest(trial.settle_s, "a zero command", lambda: trial.tell(STAND))
+    trial.come_to_rest(trial.settle_s, "a zero command", lambda: trial.try_command(STAND))
     standing = trial.fresh().odometry
-    trial.wait(lambda: False, NOISE_S, lambda: talk(STAND))
-    _pull_through(trial, "garbage")
-    trial.stays(standing, "by garbage", lambda: trial.tell(STAND))
+    trial.wait(lambda: False, NOISE_S, lambda: send_noise(STAND))
+    _recovers(trial, "garbage")
+    trial.stays(standing, "by garbage", lambda: trial.try_command(STAND))
     trial.go()
-    trial.wait(lambda: False, NOISE_S, lambda: talk(Twist(trial.pace.linear_m_s, 0.0)))
-    took_s = _pull_through(trial, "garbage")
+    trial.wait(lambda: False, NOISE_S, lambda: send_noise(Twist(trial.pace.linear_m_s, 0.0)))
+    took_s = _recovers(trial, "garbage")
     trial.go()
     trial.halt("a zero command", each=lambda: trial.command(STAND))
-    return f"{said} bytes, well again after {took_s:.2f} s"
+    return f"{sent} bytes, well again after {took_s:.2f} s"
 
 
 def _check_cuts(trial: Trial) -> str:
     cut = trial.rig.cut
     if cut is None:
         return ""
-    wished = Twist(trial.pace.linear_m_s, 0.0)
+    desired = Twist(trial.pace.linear_m_s, 0.0)
     trial.go()
     for _ in range(CUTS):
         cut()
-        trial.wait(lambda: False, 2 * STEP_S, lambda: trial.tell(wished))
-    took_s = _pull_through(trial, "frames that were cut short")
+        trial.wait(lambda: False, 2 * STEP_S, lambda: trial.try_command(desired))
+    took_s = _recovers(trial, "frames that were cut short")
     trial.go()
     trial.halt("a zero command", each=lambda: trial.command(STAND))
     return f"{CUTS} frames, well again after {took_s:.2f} s"
 
 
-def _pull_through(trial: Trial, what: str) -> float:
+def _recovers(trial: Trial, what: str) -> float:
     """Wait for READY or ACTIVE and a new reading; return how long that took, s."""
     began_s = trial.clock.now_s()
     well = trial.wait(lambda: trial.state in (Lifecycle.READY, Lifecycle.ACTIVE), trial.rig.ready_s)
@@ -281,7 +281,7 @@ class WallClock:
 
     def __init__(self) -> None:
         self._real, self.off_s = time.time, 0.0
-        self._set = self._now_s  # one object: a method is made anew each time it is asked for
+        self._set = self._now_s  # one object: each access makes a new bound method
 
     def __enter__(self) -> WallClock:
         _replace(self._real, self._set)
@@ -295,7 +295,7 @@ class WallClock:
 
 
 def _replace(old: Callable[[], float], new: Callable[[], float]) -> None:
-    """Put `new` wherever a module holds `old`: many say ``from time import time``."""
+    """Put `new` wherever a module holds `old`: many use ``from time import time``."""
     for module in list(sys.modules.values()):
         names: dict[str, object] = getattr(module, "__dict__", {})
         for name in [each for each, value in list(names.items()) if value is old]:
@@ -321,7 +321,7 @@ def check_jumps(trial: Trial) -> None:
 
 
 def _check_jump(trial: Trial, clock: JumpClock) -> str:
-    """The last command is an hour old: the robot stands, and comes back as from any silence."""
+    """The last command is an hour old: the robot stops, and recovers as from any silence."""
     trial.go()
     before = trial.fresh().odometry
     clock.jump(HOUR_S)
@@ -330,13 +330,14 @@ def _check_jump(trial: Trial, clock: JumpClock) -> str:
     took_s = trial.come_to_rest(SILENCE_S + trial.settle_s, what)
     well = trial.wait(lambda: trial.state in (Lifecycle.READY, Lifecycle.ACTIVE), trial.rig.ready_s)
     trial.demand(
-        well, f"it is {trial.state} {trial.rig.ready_s} s after {what} ({trial.driver.fault or 'no fault'}); hear anew"
+        well,
+        f"it is {trial.state} {trial.rig.ready_s} s after {what} ({trial.driver.fault or 'no fault'}); recover",
     )
     state, after = trial.state, trial.fresh().odometry
     gone_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     most_m = 2.0 * trial.pace.linear_m_s * (SILENCE_S + trial.settle_s) + trial.pace.linear_m_s * trial.rig.ready_s
     trial.demand(
-        gone_m <= most_m, f"odometry goes on by {gone_m:.1f} m at {what}; believe the device's counts, not the clock"
+        gone_m <= most_m, f"odometry grows by {gone_m:.1f} m at {what}; use the device's counts, not the clock"
     )
     trial.stays(trial.fresh().odometry, f"after {what}, without a command", lambda: None)
     trial.go()
@@ -345,12 +346,12 @@ def _check_jump(trial: Trial, clock: JumpClock) -> str:
 
 
 def _check_wall(trial: Trial) -> str:
-    """Nothing may come of it, and silence must be seen as soon as ever."""
+    """It must have no effect, and silence must be detected as fast as before."""
     rig = trial.rig
     trial.go()
     with WallClock() as wall:
         for wall.off_s in (HOUR_S, -HOUR_S):
-            trial.spend(IDLE_S, trial.pace)
+            trial.keep(IDLE_S, trial.pace)
             trial.fresh()
             trial.demand(
                 trial.state is Lifecycle.ACTIVE,
@@ -361,8 +362,8 @@ def _check_wall(trial: Trial) -> str:
 
         def silence() -> None:
             mute(True)
-            # In the middle of whatever the driver waits for: a wait that is measured by this clock lasts an hour.
-            trial.wait(lambda: False, IDLE_S, lambda: trial.tell(trial.pace))
+            # During any wait of the driver: one that is measured by this clock would last an hour.
+            trial.wait(lambda: False, IDLE_S, lambda: trial.try_command(trial.pace))
             wall.off_s -= HOUR_S
 
         mute = rig.mute

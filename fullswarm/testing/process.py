@@ -21,7 +21,7 @@ _MODULE = "fullswarm.testing.drives_on"
 
 
 def check_process(trial: Trial) -> None:
-    """Pause and kill a process that drives. Needs the truth about the body: there is no driver left to ask."""
+    """Pause and kill a process that drives. Needs the body's true speed: no driver is left to read."""
     rig, report = trial.rig, trial.report
     if rig.body_speed is None:
         for name in PROCESS:
@@ -29,55 +29,55 @@ def check_process(trial: Trial) -> None:
         return
     if not rig.other_process:
         for name in PROCESS:
-            report.skip(name, "the rig does not say other_process: nobody knows whether another process may drive it")
+            report.skip(name, "the rig does not set other_process: another process may not be allowed to drive it")
         return
     trial.ignored_s = math.inf  # the trial's own driver is closed
-    with _Puppet(trial) as puppet:
-        report.add(PROCESS[0], _check_pause(trial, puppet))
+    with _DrivingProcess(trial) as process:
+        report.add(PROCESS[0], _check_pause(trial, process))
     watchdog_s = trial.driver.description.watchdog_s
     if watchdog_s is None:
         report.add(PROCESS[1], "none claimed: the robot drives on when its controller dies")
         return
-    with _Puppet(trial) as puppet:
-        report.add(PROCESS[1], _check_killed(trial, puppet, watchdog_s))
+    with _DrivingProcess(trial) as process:
+        report.add(PROCESS[1], _check_killed(trial, process, watchdog_s))
 
 
-def _check_pause(trial: Trial, puppet: _Puppet) -> str:
-    """After the pause the last set-point is old: zero, although nothing says so."""
-    puppet.drive()
+def _check_pause(trial: Trial, process: _DrivingProcess) -> str:
+    """After the pause the last set-point is old: zero is due, although no message requests it."""
+    process.drive()
     watchdog_s = trial.driver.description.watchdog_s
-    puppet.signal(signal.SIGSTOP)
-    paused = f"the controller's process was paused; its description says watchdog_s={watchdog_s}"
+    process.signal(signal.SIGSTOP)
+    paused = f"the controller's process was paused; its description claims watchdog_s={watchdog_s}"
     if watchdog_s is not None:
         trial.come_to_rest(watchdog_s + LATE_S + trial.settle_s, paused)
     else:
         trial.wait(lambda: False, PAUSE_S)
-    puppet.signal(signal.SIGCONT)
-    what = "the controller's process was paused and goes on without a command"
+    process.signal(signal.SIGCONT)
+    what = "the controller's process was paused and continues without a command"
     took_s = trial.come_to_rest(SILENCE_S + trial.settle_s, what)
     trial.wait(lambda: False, SILENCE_S)
-    trial.demand(trial.rests(), f"the robot moves again after {what}: {trial.motion}; forget old set-points")
-    return f"at rest {took_s:.2f} s after it goes on"
+    trial.demand(trial.at_rest(), f"the robot moves again after {what}: {trial.motion}; drop old set-points")
+    return f"at rest {took_s:.2f} s after it continues"
 
 
-def _check_killed(trial: Trial, puppet: _Puppet, watchdog_s: float) -> str:
-    puppet.drive()
+def _check_killed(trial: Trial, process: _DrivingProcess, watchdog_s: float) -> str:
+    process.drive()
     began_s = trial.clock.now_s()
-    puppet.signal(signal.SIGKILL)
+    process.signal(signal.SIGKILL)
     top = trial.motion or Twist()
     fast = 0.8 * abs(top.linear_m_s)
     slower = trial.wait(lambda: abs((trial.motion or Twist()).linear_m_s) < fast, watchdog_s + LATE_S)
     slows_s = trial.clock.now_s() - began_s
     trial.demand(
         slower,
-        f"its description says watchdog_s={watchdog_s}, but {slows_s:.2f} s after its process was killed the robot "
-        f"still moves with {trial.motion}; switch the device's watchdog on, or say None",
+        f"its description claims watchdog_s={watchdog_s}, but {slows_s:.2f} s after its process was killed the robot "
+        f"still moves with {trial.motion}; switch the device's watchdog on, or state None",
     )
     trial.come_to_rest(trial.settle_s, "the device's watchdog")
     return f"claimed {watchdog_s:g} s; slows {slows_s:.2f} s after its controller was killed, then rests"
 
 
-class _Puppet:
+class _DrivingProcess:
     """A process that drives the trial's robot at the trial's pace until its clock shows a gap."""
 
     def __init__(self, trial: Trial) -> None:
@@ -89,7 +89,7 @@ class _Puppet:
         ]  # fmt: skip
         self._process: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> _Puppet:
+    def __enter__(self) -> _DrivingProcess:
         paths = os.pathsep.join(each for each in sys.path if each)
         self._process = subprocess.Popen(  # noqa: S603  (our own interpreter and module)
             self._command, env=os.environ | {"PYTHONPATH": paths}, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE
@@ -101,7 +101,7 @@ class _Puppet:
         if process is None:
             return
         if process.poll() is None:
-            process.send_signal(signal.SIGCONT)  # or it does not hear the next
+            process.send_signal(signal.SIGCONT)  # or the next signal stays pending
             process.terminate()  # it closes its driver
             self._trial.wait(lambda: process.poll() is not None, self._trial.deadline_s)
         if process.poll() is None:
@@ -124,8 +124,8 @@ class _Puppet:
         trial.wait(lambda: moves() or process.poll() is not None, limit_s)
         if not moves():
             process.kill()
-            said = process.stderr.read().decode(errors="replace").strip() if process.stderr is not None else ""
-            trial.demand(False, f"a process of its own does not get the robot to move: {said or 'it says nothing'}")
+            output = process.stderr.read().decode(errors="replace").strip() if process.stderr is not None else ""
+            trial.demand(False, f"a process of its own does not get the robot to move: {output or 'no output'}")
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal."""

@@ -14,7 +14,7 @@ from fullswarm.geometry import wrap
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """One robot or emulator, and the hands that break it. What is None is not checked, and the report says so.
+    """One robot or emulator, and the callables that inject its faults. None: not checked, and the report lists that.
 
     Callables are called on the checking thread and may return anything, except where a type is given.
     """
@@ -26,7 +26,7 @@ class Rig:
     pump: Callable[[], object] | None = None
     """Called at 50 Hz while the check waits, for an emulator without a thread of its own."""
     body_speed: Callable[[], Twist] | None = None
-    """How the body truly moves now, whatever the driver says."""
+    """How the body truly moves now, whatever the driver reports."""
     body_pose: Callable[[], Pose] | None = None
     """Where the body truly is, in the frame of ``Reading.pose``."""
     unplug: Callable[[], object] | None = None
@@ -34,9 +34,9 @@ class Rig:
     replug: Callable[[], object] | None = None
     """Put the cable back."""
     mute: Callable[[bool], object] | None = None
-    """Let the device hear, but say nothing; with False speak again."""
+    """Let the device receive, but send nothing; with False send again."""
     garbage: Callable[[bytes], object] | None = None
-    """Bring these bytes (noise) to the driver, between what the device says."""
+    """Send these bytes (noise) to the driver, between the device's frames."""
     cut: Callable[[], object] | None = None
     """Lose the second half of the next frame that the device sends; the frames after it are whole."""
     bump: Callable[[bool], object] | None = None
@@ -52,7 +52,7 @@ class Rig:
     ready_s: float = 2.0
     """It is READY so long after the link is whole again."""
     rest_m_s: float = 0.0
-    """How fast the device creeps although told zero."""
+    """How fast the device creeps although commanded zero."""
     odometry_share: float = 0.06
     """By which share of the way its odometry may be wrong."""
 
@@ -106,9 +106,9 @@ def check_reading(
     return next(_wrong_reading(reading, before, description, now_s, opened_s), "")
 
 
-def check_applied(wished: Twist, applied: object, limits: Limits) -> str:
-    """Look at what command() says that it applied."""
-    return next(_wrong_answer(wished, applied, limits), "")
+def check_applied(desired: Twist, applied: object, limits: Limits) -> str:
+    """Check the twist that command() returned."""
+    return next(_wrong_twist(desired, applied, limits), "")
 
 
 def _wrong_reading(
@@ -118,7 +118,7 @@ def _wrong_reading(
     if not (-EARLY_S <= age_s <= AGE_S and reading.stamp_s >= opened_s):
         yield (
             f"a reading is stamped {age_s:.3f} s before it was read and {reading.stamp_s - opened_s:.3f} s after "
-            "open(); stamp it with the monotonic clock's time of arrival, and forget the readings of an earlier life"
+            "open(); stamp it with the monotonic clock's time of arrival, and drop the readings from before open()"
         )
     if before is not None and reading.stamp_s <= before.stamp_s:
         yield "stamps of readings go back; drop what arrives out of order"
@@ -143,11 +143,11 @@ def _wrong_senses(reading: Reading, description: Description) -> Iterator[str]:
         yield f"obstacles have shape {obstacles.shape}, not (k, 6)"
     if reading.contacts < 0:
         yield f"contacts are {reading.contacts}"
-    told = (reading.pose is not None, len(obstacles) > 0, Hazard.BUMP in reading.hazards)
+    reported = (reading.pose is not None, len(obstacles) > 0, Hazard.BUMP in reading.hazards)
     senses = (description.senses_pose, description.senses_obstacles, description.senses_bumps)
-    for what, tells, claims in zip(("pose", "obstacles", "bumps"), told, senses, strict=True):
-        if tells and not claims:
-            yield f"it tells {what}, but its description denies it; set senses_{what}"
+    for what, reports, claims in zip(("pose", "obstacles", "bumps"), reported, senses, strict=True):
+        if reports and not claims:
+            yield f"it reports {what}, but its description denies it; set senses_{what}"
 
 
 def _leap(before: Reading, after: Reading, limits: Limits) -> Iterator[str]:
@@ -159,36 +159,36 @@ def _leap(before: Reading, after: Reading, limits: Limits) -> Iterator[str]:
     ):
         yield (
             f"odometry leaps by {gone_m:.2f} m, {turned:.2f} rad in {passed_s:.3f} s; check its scale (m, rad) and "
-            "each frame's checksum and length; begin anew at the next one instead of believing an impossible step"
+            "each frame's checksum and length; start again at the next one instead of accepting an impossible step"
         )
 
 
-def _wrong_answer(wished: Twist, applied: object, limits: Limits) -> Iterator[str]:
-    said = f"command({wished}) returns {applied}"
+def _wrong_twist(desired: Twist, applied: object, limits: Limits) -> Iterator[str]:
+    returned = f"command({desired}) returns {applied}"
     if not isinstance(applied, Twist):
-        yield f"{said}, not a Twist: return what was really applied"
+        yield f"{returned}, not a Twist: return what was applied"
         return
-    for name, wish, value, limit in (
-        ("linear", wished.linear_m_s, applied.linear_m_s, limits.speed_m_s),
-        ("angular", wished.angular_rad_s, applied.angular_rad_s, limits.turn_rad_s),
+    for name, command, value, limit in (
+        ("linear", desired.linear_m_s, applied.linear_m_s, limits.speed_m_s),
+        ("angular", desired.angular_rad_s, applied.angular_rad_s, limits.turn_rad_s),
     ):
         if not math.isfinite(value):
-            yield f"{said}, which is not finite; clip before you calculate"
+            yield f"{returned}, which is not finite; clip before you calculate"
         if abs(value) > limit * (1.0 + QUANTUM):
-            yield f"{said}, {name} beyond {limit}; clip to description.limits"
-        if value * wish < 0.0:
-            yield f"{said}, {name} the other way round"
-        if wish == 0.0 and abs(value) > REST * limit:
-            yield f"{said}, {name} although zero was wished"
+            yield f"{returned}, {name} beyond {limit}; clip to description.limits"
+        if value * command < 0.0:
+            yield f"{returned}, {name} the other way round"
+        if command == 0.0 and abs(value) > REST * limit:
+            yield f"{returned}, {name} although zero was commanded"
     if not limits.can_reverse and applied.linear_m_s < 0.0:
-        yield f"{said}, but its description says: no reversing"
+        yield f"{returned}, but its description denies reversing"
 
 
 STEP_S = 0.02
 SILENCE_S = 0.3
 """A set-point holds for so long; after that the driver itself sets zero, whatever watchdog the device has."""
 IDLE_S = 0.1
-"""How long a robot is watched that should not move."""
+"""How long a robot that should not move is observed."""
 PACE = 0.5
 """Share of its limits that a robot is driven at: above the dead band of most."""
 TURN_RAD_S = 4.0
@@ -206,7 +206,7 @@ NEXT_S = 1.0
 
 @dataclass
 class Trial:
-    """A driver under check, and the newest that it has told."""
+    """A driver under check, and its newest reading."""
 
     driver: Driver
     rig: Rig
@@ -231,7 +231,7 @@ class Trial:
             raise AssertionError(f"{self.driver.url}: {otherwise}")
 
     def wait(self, until: Callable[[], bool], limit_s: float, each: Callable[[], object] | None = None) -> bool:
-        """Wait for a condition, calling `each` and the pump at 50 Hz; tell whether it came true in time.
+        """Wait for a condition, calling `each` and the pump at 50 Hz; return whether it became true in time.
 
         Time in which this process did not get the processor is not counted: the driver's threads did not either.
         """
@@ -285,7 +285,7 @@ class Trial:
 
     @property
     def state(self) -> Lifecycle:
-        """Where the driver stands."""
+        """The driver's state."""
         return self.driver.state
 
     def reach(self, state: Lifecycle, after: str) -> None:
@@ -297,51 +297,51 @@ class Trial:
         )
 
     def open(self) -> None:
-        """Open the driver and forget the readings of an earlier life."""
+        """Open the driver and drop the readings from before open()."""
         began_s = self.clock.now_s()
         self.driver.open()
         self.newest, self.opened_s = None, began_s
 
-    def tell(self, wished: Twist) -> Twist:
-        """Command a driver whose link may be broken; return what it says that it applies."""
+    def try_command(self, desired: Twist) -> Twist:
+        """Command a driver whose link may be broken; return the twist that it returns."""
         try:
-            return self.driver.command(wished)
+            return self.driver.command(desired)
         except Exception as error:  # as above
             raise AssertionError(
-                f"{self.driver.url}: command({wished}) raises {type(error).__name__}: {error} while {self.state}; "
+                f"{self.driver.url}: command({desired}) raises {type(error).__name__}: {error} while {self.state}; "
                 "it never does for finite values: go to FAULT instead"
             ) from error
 
-    def command(self, wished: Twist) -> Twist:
-        """Command, and look at what is said to be applied."""
-        applied = self.driver.command(wished)
-        wrong = check_applied(wished, applied, self.driver.description.limits)
+    def command(self, desired: Twist) -> Twist:
+        """Command, and check the returned twist."""
+        applied = self.driver.command(desired)
+        wrong = check_applied(desired, applied, self.driver.description.limits)
         self.demand(not wrong, wrong)
         return applied
 
-    def drive(self, wished: Twist, share: float = 0.75) -> Twist:
-        """Command `wished` until the robot measures `share` of what is applied; return that."""
-        applied = self.command(wished)
+    def drive(self, desired: Twist, share: float = 0.75) -> Twist:
+        """Command `desired` until the robot measures `share` of what is applied; return that."""
+        applied = self.command(desired)
         self.demand(
-            (applied.linear_m_s != 0.0 or wished.linear_m_s == 0.0)
-            and (applied.angular_rad_s != 0.0 or wished.angular_rad_s == 0.0),
-            f"{wished}, half of its limits, becomes {applied} while {self.state} ({self.driver.fault or 'no fault'})",
+            (applied.linear_m_s != 0.0 or desired.linear_m_s == 0.0)
+            and (applied.angular_rad_s != 0.0 or desired.angular_rad_s == 0.0),
+            f"{desired}, half of its limits, becomes {applied} while {self.state} ({self.driver.fault or 'no fault'})",
         )
         # What rounding makes of a zero is not waited for.
         applied = Twist(
-            applied.linear_m_s if wished.linear_m_s else 0.0, applied.angular_rad_s if wished.angular_rad_s else 0.0
+            applied.linear_m_s if desired.linear_m_s else 0.0, applied.angular_rad_s if desired.angular_rad_s else 0.0
         )
-        followed = self.wait(lambda: self.follows(applied, share), self.settle_s, lambda: self.command(wished))
+        followed = self.wait(lambda: self.follows(applied, share), self.settle_s, lambda: self.command(desired))
         self.demand(
             followed,
-            f"it says that it applies {applied}, but measures {self.newest and self.newest.twist} {self.settle_s} s "
+            f"it returns {applied}, but measures {self.newest and self.newest.twist} {self.settle_s} s "
             f"later while {self.state}; check sign and scale of command and reading, or give a longer settle_s",
         )
         return applied
 
-    def spend(self, duration_s: float, wished: Twist) -> None:
-        """Command `wished` for a while."""
-        self.wait(lambda: False, duration_s, lambda: self.command(wished))
+    def keep(self, duration_s: float, desired: Twist) -> None:
+        """Command `desired` for a while."""
+        self.wait(lambda: False, duration_s, lambda: self.command(desired))
 
     def follows(self, applied: Twist, share: float) -> bool:
         """Tell whether the newest reading shows at least `share` of `applied`, each component."""
@@ -357,7 +357,7 @@ class Trial:
         """Tell whether the newest reading says that the robot stands."""
         return self._is_still(self.newest.twist if self.newest is not None else STAND)
 
-    def rests(self) -> bool:
+    def at_rest(self) -> bool:
         """Tell whether the body truly stands, as far as the rig can tell; else what the readings say."""
         return self._is_still(self.rig.body_speed()) if self.rig.body_speed is not None else self.still()
 
@@ -369,7 +369,7 @@ class Trial:
 
     @property
     def motion(self) -> Twist | None:
-        """What moves: the truth if the rig knows it, else the newest reading."""
+        """What moves: the true motion if the rig has it, else the newest reading."""
         if self.rig.body_speed is not None:
             return self.rig.body_speed()
         return None if self.newest is None else self.newest.twist
@@ -385,7 +385,7 @@ class Trial:
     def come_to_rest(self, limit_s: float, why: str, each: Callable[[], object] | None = None) -> float:
         """Wait until the body rests; return how long that took, s."""
         began_s = self.clock.now_s()
-        rests = self.wait(self.rests, limit_s, each)
+        rests = self.wait(self.at_rest, limit_s, each)
         self.demand(rests, f"the robot still moves {limit_s:.1f} s after {why}: {self.motion}")
         return self.clock.now_s() - began_s
 

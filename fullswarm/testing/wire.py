@@ -1,4 +1,4 @@
-"""A cable to break: a relay between a driver and its device that is pulled, muted, talked into, cut in mid-frame.
+"""A cable to break: a relay between a driver and its device that is pulled, muted, fed with noise, cut in mid-frame.
 
 With it any emulator, and any real robot on a serial port or UDP, has most of a :class:`~fullswarm.testing.Rig`::
 
@@ -44,16 +44,16 @@ class _Ends(Protocol):
         """Return the driver's and the device's descriptor; -1: not there."""
         ...
 
-    def hear(self, device: bool) -> bytes:
+    def receive(self, device: bool) -> bytes:
         """Return what came from one end; ``OSError`` when it is gone."""
         ...
 
-    def say(self, data: bytes, device: bool) -> None:
-        """Say it to one end."""
+    def send(self, data: bytes, device: bool) -> None:
+        """Send it to one end."""
         ...
 
     def close(self) -> None:
-        """Let go of all."""
+        """Close both ends."""
         ...
 
 
@@ -94,7 +94,7 @@ class Wire:
             self._there = self._ends.plug()
 
     def mute(self, muted: bool) -> None:
-        """Lose all that the device says, and nothing that the driver says."""
+        """Lose all that the device sends, and nothing that the driver sends."""
         with self._lock:
             self._muted = muted
 
@@ -102,10 +102,10 @@ class Wire:
         """Say this to the driver."""
         with self._lock:
             if self._there:
-                self._ends.say(data, device=False)
+                self._ends.send(data, device=False)
 
     def cut(self) -> None:
-        """Lose the second half of the next chunk that the device says."""
+        """Lose the second half of the next chunk that the device sends."""
         with self._lock:
             self._cut = True
 
@@ -128,20 +128,20 @@ class Wire:
                     poll.register(each, select.POLLIN)
             ready = {number for number, _ in poll.poll(POLL_S * 1e3)}
             with self._lock:
-                # The other thread may have pulled the wire meanwhile, and numbers are given anew.
+                # The other thread may have pulled the wire meanwhile, and descriptors are reused.
                 if ends == self._ends.descriptors():
                     self._carry(ends[0] in ready, ends[1] in ready)
 
     def _carry(self, from_driver: bool, from_device: bool) -> None:
         try:
-            said = self._ends.hear(device=False) if from_driver else b""
-            told = self._ends.hear(device=True) if from_device else b""
-            if self._cut and told:
-                self._cut, told = False, told[: len(told) // 2]
-            if said and self._there:
-                self._ends.say(said, device=True)
-            if told and self._there and not self._muted:
-                self._ends.say(told, device=False)
+            from_driver_data = self._ends.receive(device=False) if from_driver else b""
+            from_device_data = self._ends.receive(device=True) if from_device else b""
+            if self._cut and from_device_data:
+                self._cut, from_device_data = False, from_device_data[: len(from_device_data) // 2]
+            if from_driver_data and self._there:
+                self._ends.send(from_driver_data, device=True)
+            if from_device_data and self._there and not self._muted:
+                self._ends.send(from_device_data, device=False)
         except OSError:
             self._there = False
             self._ends.pull()
@@ -174,7 +174,7 @@ class _SerialEnds:
             return False
         if self._master < 0:
             self._master, self._slave = os.openpty()
-            tty.setraw(self._slave)  # or the terminal echoes what is said into it
+            tty.setraw(self._slave)  # or the terminal echoes what is written into it
             os.set_blocking(self._master, False)
             Path(self.port).symlink_to(os.ttyname(self._slave))
         return True
@@ -192,13 +192,13 @@ class _SerialEnds:
     def descriptors(self) -> tuple[int, int]:
         return self._master, -1 if self._device is None else int(self._device.fileno())
 
-    def hear(self, device: bool) -> bytes:
+    def receive(self, device: bool) -> bytes:
         data = os.read(self.descriptors()[device], CHUNK)
         if device and not data:
             raise OSError("hung up")
         return data
 
-    def say(self, data: bytes, device: bool) -> None:
+    def send(self, data: bytes, device: bool) -> None:
         try:
             os.write(self.descriptors()[device], data)
         except BlockingIOError:
@@ -229,16 +229,16 @@ class _UdpEnds:
     def descriptors(self) -> tuple[int, int]:
         return self._driver.fileno(), self._device.fileno()
 
-    def hear(self, device: bool) -> bytes:
+    def receive(self, device: bool) -> bytes:
         try:
             if device:
                 return self._device.recv(CHUNK)
             data, self._peer = self._driver.recvfrom(CHUNK)
         except OSError:
-            return b""  # the other end's port is closed: silence will tell
+            return b""  # the other end's port is closed: the silence will show it
         return data
 
-    def say(self, data: bytes, device: bool) -> None:
+    def send(self, data: bytes, device: bool) -> None:
         try:
             if device:
                 self._device.send(data)

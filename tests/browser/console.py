@@ -1,4 +1,4 @@
-"""The page as its user sees it: what to click, and where to read what it says."""
+"""The page as its user sees it: what to click, and where to read its texts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from playwright.sync_api import ConsoleMessage, Locator, Page, Response, expect
 
 CLS = 0.01
-"""Cumulative layout shift that nobody caused by a click or a key; 0.1 counts as good on the web."""
+"""Cumulative layout shift that no click or key caused; 0.1 counts as good on the web."""
 LASSO_MARGIN_M, LEAST_GAP_M = 0.3, 0.15
 Point = tuple[float, float]
 SAID = """([id, pattern]) => {

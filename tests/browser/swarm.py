@@ -1,4 +1,4 @@
-"""`fullswarm demo` as its user starts it, and an observer on its bus: what the page says is checked against that."""
+"""`fullswarm demo` as its user starts it, and an observer on its bus: the page is checked against that."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Demo:
                 process.terminate()
 
     def hold_restarts(self, hold: bool) -> None:
-        """Keep the demo from starting the dead again, as on a machine where nobody does."""
+        """Keep the demo from restarting ended processes, as on a machine without a supervisor."""
         self.process.send_signal(signal.SIGSTOP if hold else signal.SIGCONT)
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class Demo:
 
 
 class Observer:
-    """Hears the swarm itself, whatever the page says of it. It listens only while it waits."""
+    """Receives the swarm's messages itself, independent of the page. It serves the bus only while it waits."""
 
     def __init__(self, hub: str) -> None:
         self.runtime = Runtime(MonotonicClock())

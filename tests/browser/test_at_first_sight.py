@@ -1,4 +1,4 @@
-"""What a new user sees who opens the address of `make demo`, and that the robots are his from his first order on.
+"""What a new user sees who opens the address of `make demo`, and that the first order takes the robots over.
 
 This file comes first: the show that these tests look at ends with them.
 """

@@ -13,7 +13,7 @@ from tests.browser.swarm import START_S, Demo, Observer
 TOLD_MS = 1500.0
 
 
-def test_a_killed_core_is_told_within_one_and_a_half_seconds(
+def test_a_killed_core_is_shown_within_one_and_a_half_seconds(
     calm: Console, demo: Demo, observer: Observer, snap: Snap
 ) -> None:
     core = demo.child("core")

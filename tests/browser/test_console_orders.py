@@ -91,7 +91,7 @@ def test_a_refused_request_shows_its_reason(calm: Console, observer: Observer, s
     assert observer.all_stand_with("")
 
 
-def test_a_selection_that_nobody_has_heard_starts_nobody(calm: Console, observer: Observer) -> None:
+def test_a_selection_that_has_not_reported_starts_no_robot(calm: Console, observer: Observer) -> None:
     calm.page.evaluate("sessionStorage.setItem('selection', '[\"r77\"]')")  # of a group that is switched off
     calm.faultless()
     calm.page.reload()
@@ -102,7 +102,7 @@ def test_a_selection_that_nobody_has_heard_starts_nobody(calm: Console, observer
     assert observer.all_stand_with(""), "none named must not become all"
 
 
-def test_robots_of_somebody_else_are_refused_until_they_are_taken_over(
+def test_robots_of_another_operator_are_refused_until_they_are_taken_over(
     calm: Console, demo: Demo, observer: Observer
 ) -> None:
     before = observer.fresh().places()["r3"]

@@ -150,7 +150,7 @@ def test_another_pad_does_not_drive_on_in_its_place(calm: Console, pad: Pad, obs
     calm.page.evaluate(UNPLUG_SECOND)
 
 
-def test_a_stick_that_moves_all_the_time_is_told_thirty_times_a_second(
+def test_a_stick_that_moves_all_the_time_is_sent_thirty_times_a_second(
     calm: Console, pad: Pad, observer: Observer
 ) -> None:
     pad.button(LB, down=True)
@@ -161,7 +161,7 @@ def test_a_stick_that_moves_all_the_time_is_told_thirty_times_a_second(
     expect(calm.named("driving")).to_have_text("driving r6")
 
 
-def test_a_stop_while_it_drives_is_told_and_needs_a_new_press(calm: Console, pad: Pad, observer: Observer) -> None:
+def test_a_stop_while_it_drives_is_shown_and_needs_a_new_press(calm: Console, pad: Pad, observer: Observer) -> None:
     pad.stick(0.6, 0.5)
     pad.button(LB, down=True)
     observer.until(lambda: drives(observer), 5.0, "it drives")

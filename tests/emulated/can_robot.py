@@ -6,14 +6,20 @@ import itertools
 import time
 from collections.abc import Callable
 
+import can
+import pytest
+
 from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
+from tests.emulated.rover_link import free_port
+from tests.waiting import until
 
 ODRIVE = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&watchdog=0.5"
 VESC = "left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3&gear=10&pole_pairs=7"
+GROUP = "239.74.163.2"
 _channels = itertools.count()
 
 
@@ -22,17 +28,27 @@ def channel() -> str:
     return f"test-{next(_channels)}"
 
 
-def wait(condition: Callable[[], bool], limit_s: float, what: Callable[[], str] = str) -> float:
-    """Wait until `condition`; return how long it took."""
-    start_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - start_s < limit_s, what()
-        time.sleep(0.002)
-    return time.monotonic() - start_s
+def multicast_refusal() -> str:
+    """Return why this kernel does not carry multicast within the machine; empty when it does."""
+    try:
+        with can.Bus(
+            interface="udp_multicast", channel=GROUP, port=free_port(), hop_limit=0, ignore_config=True
+        ) as bus:
+            bus.send(can.Message(arbitration_id=1, is_extended_id=False))
+            return "" if bus.recv(timeout=1.0) else f"a datagram to {GROUP} does not come back"
+    except (can.CanError, OSError) as error:
+        return f"{error} ({error.__cause__})"
+
+
+def multicast() -> str:
+    """Return the part of a URL that names a multicast bus of its own."""
+    if reason := multicast_refusal():
+        pytest.skip(f"no multicast on loopback: {reason}")
+    return f"{GROUP}?interface=udp_multicast&port={free_port()}"
 
 
 def wait_state(driver: CanBaseDriver, state: Lifecycle, limit_s: float = 4.0) -> float:
-    return wait(lambda: driver.state is state, limit_s, lambda: f"{driver.state}, not {state}: {driver.fault}")
+    return until(lambda: driver.state is state, limit_s, lambda: f"{driver.state}, not {state}: {driver.fault}")
 
 
 class Robot:

@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.earth import SITL_ORIGIN_DEG
+from tests.waiting import until
 
 CLOCK = MonotonicClock()
 IN_THE_WORLD = f"origin={SITL_ORIGIN_DEG[0]},{SITL_ORIGIN_DEG[1]}"
 """Option of a driver that tells poses of the emulated world: the rover's own map begins where it was switched on."""
 PAUSE = threading.Event()  # never set: waiting on it is a short pause
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 8.0, each: Callable[[], object] | None = None) -> None:
-    """Wait for `condition`, calling `each` at 50 Hz meanwhile."""
-    deadline_s = CLOCK.now_s() + timeout_s
-    while not condition():
-        assert CLOCK.now_s() < deadline_s, "waited in vain"
-        if each is not None:
-            each()
-        PAUSE.wait(0.02)
 
 
 def free_port() -> int:

@@ -11,8 +11,9 @@ import pytest
 from fullswarm.drivers.base import STAND, Lifecycle, Pose
 from fullswarm.drivers.can.driver import CanBaseDriver
 from fullswarm.emulators.can.emulator import EmulatedBase
-from tests.emulated.can_robot import wait, wait_state
+from tests.emulated.can_robot import wait_state
 from tests.unit.can_square import Square, error_m
+from tests.waiting import until
 
 OPTIONS = "interface=slcan&settle=0&left=1&right=2&wheel_radius=0.05&base=0.3&watchdog=0.5&vel_limit=10"
 
@@ -42,7 +43,7 @@ def square_round(driver: CanBaseDriver, robot: EmulatedBase, square: Square) -> 
         here = robot.body.state()
         last, went_m = here, went_m + math.hypot(here.x_m - last.x_m, here.y_m - last.y_m)
     driver.command(STAND)
-    wait(lambda: robot.body.state().speed_m_s == robot.body.state().turn_rad_s == 0.0, 1.0)
+    until(lambda: robot.body.state().speed_m_s == robot.body.state().turn_rad_s == 0.0, 1.0)
     time.sleep(0.05)  # for the last encoder estimates
     after, told = robot.body.state(), pose(driver)
     assert went_m == pytest.approx(square.path_m, rel=0.15)  # who goes nowhere is never off

@@ -14,10 +14,10 @@ import pytest
 
 from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.emulators.can.adapter import PtyWire
-from fullswarm.emulators.can.emulator import EmulatedBase
+from fullswarm.emulators.can.emulator import AdapterPort, EmulatedBase
 from fullswarm.errors import DriverError
-from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait, wait_state
+from tests.emulated.can_robot import ODRIVE, VESC, Robot, wait_state
+from tests.waiting import until
 
 OTHER_PROCESS = """
 import sys
@@ -53,7 +53,7 @@ def test_a_drive_through_the_port(robot: Robot) -> None:
     robot.moving()
     robot.drive(Twist(0.3, 1.0), lambda: abs(robot.reading().odometry.heading_rad) > 0.3)
     robot.driver.deactivate()
-    wait(lambda: robot.standing() and robot.reading().twist.linear_m_s == 0.0, 1.5)
+    until(lambda: robot.standing() and robot.reading().twist.linear_m_s == 0.0, 1.5)
     true, told = robot.emulated.body.state(), robot.reading().odometry
     assert (told.x_m, told.y_m, told.heading_rad) == pytest.approx((true.x_m, true.y_m, true.heading_rad), abs=0.01)
     assert robot.driver.malformed == 0
@@ -71,7 +71,7 @@ def test_unplugged_and_plugged_in_again(robot: Robot) -> None:
     robot.emulated.unplug()
     assert wait_state(robot.driver, Lifecycle.FAULT) < 0.5
     assert "robot.can" in robot.driver.fault
-    wait(robot.standing, 0.9)  # watchdog and rolling out
+    until(robot.standing, 0.9)  # watchdog and rolling out
     robot.emulated.replug()
     assert wait_state(robot.driver, Lifecycle.READY) < 2.0
     assert robot.idle()
@@ -110,7 +110,7 @@ def test_a_bad_line_never_breaks_the_driver(robot: Robot) -> None:
     faults = robot.keep_driving(Twist(0.3, 0.0), 1.0)
     robot.emulated.faults.corrupt = 0.0
     assert not any("unexpected" in each for each in faults)
-    wait(lambda: robot.driver.state in (Lifecycle.READY, Lifecycle.ACTIVE), 4.0, lambda: robot.driver.fault)
+    until(lambda: robot.driver.state in (Lifecycle.READY, Lifecycle.ACTIVE), 4.0, lambda: robot.driver.fault)
 
 
 @pytest.mark.slow
@@ -135,7 +135,7 @@ def test_the_world_in_another_process(url: str) -> None:
             wait_state(driver, Lifecycle.READY)
             driver.activate()
             wait_state(driver, Lifecycle.ACTIVE)
-            wait(lambda: bool(driver.command(Twist(0.3, 0.0))) and moved(driver) > 0.05, 2.0)
+            until(lambda: bool(driver.command(Twist(0.3, 0.0))) and moved(driver) > 0.05, 2.0)
             world.kill()
             wait_state(driver, Lifecycle.FAULT)
         finally:
@@ -170,9 +170,9 @@ def test_the_port_vanishes_with_the_emulator_and_stale_links_are_replaced(url: s
 
 def test_a_file_is_not_overwritten(url: str, tmp_path: Path) -> None:
     (tmp_path / "robot.can").write_text("somebody's data")
-    with pytest.raises(DriverError, match="something else is there"):
+    with pytest.raises(DriverError, match="there is something else"):
         EmulatedBase(url)
-    with pytest.raises(DriverError, match="cannot make the port"):
+    with pytest.raises(DriverError, match="no port can be made"):
         EmulatedBase(url.replace("robot.can", "no/such/folder/robot.can"))
 
 
@@ -184,11 +184,12 @@ def test_nobody_reads_and_the_emulator_goes_on(url: str) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
         try:
             os.write(descriptor, b"C\rS5\rO\r")
-            wait(lambda: port_of(base).lost > 10, 6.0)
+            until(lambda: port_of(base).lost > 10, 6.0)
         finally:
             os.close(descriptor)
 
 
-def port_of(base: EmulatedBase) -> PtyWire:
-    assert isinstance(base._wire, PtyWire)
-    return base._wire
+def port_of(base: EmulatedBase) -> AdapterPort:
+    port = base._links[0].port
+    assert isinstance(port, AdapterPort)
+    return port

@@ -22,8 +22,7 @@ from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.simulation.bodies import Body, FreeBody
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
@@ -175,7 +174,7 @@ RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
 
 MOTORS = "motors off unless ACTIVE"
 NO_DEVICE = {
-    MOTORS, "odometry against the truth", "speed told and true", "unplug", "close while unplugged",
+    MOTORS, "odometry and true motion", "measured and true speed", "unplug", "close while unplugged",
     "unplug in mid-frame", "mute and stale data", "garbage", "frames cut short",
     "controller's process paused", "watchdog_s",
 }  # fmt: skip

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -13,13 +12,7 @@ import serial
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.protocol import Frame, Mode, StreamParser
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not happen in time"
-        time.sleep(0.002)
+from tests.waiting import until
 
 
 @pytest.fixture

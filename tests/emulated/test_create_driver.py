@@ -25,6 +25,7 @@ from fullswarm.drivers.fleet import OneRobot
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.simulation.bodies import BodyState, FreeBody, wheels_rolled
+from tests.waiting import until
 
 GO = Twist(0.3, 0.5)
 
@@ -32,13 +33,6 @@ GO = Twist(0.3, 0.5)
 def close_to(told: Pose, true: BodyState, way_m: float) -> bool:
     off_m = math.hypot(told.x_m - true.x_m, told.y_m - true.y_m)
     return off_m < 0.01 * way_m and abs(math.remainder(told.heading_rad - true.heading_rad, math.tau)) < 0.02
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not happen in time"
-        time.sleep(0.002)
 
 
 class Rig:

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,17 +20,9 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import CREATE2, Mode, Op, StreamParser
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import DriverError
+from tests.waiting import until
 
 GO = Twist(0.3, 0.5)
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> float:
-    """Wait for a condition; return how long it took."""
-    began_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() < began_s + timeout_s, "it did not happen in time"
-        time.sleep(0.002)
-    return time.monotonic() - began_s
 
 
 @contextmanager
@@ -122,17 +114,6 @@ def test_garbage_and_a_cut_frame_cost_a_frame_and_no_more() -> None:
         assert newer.stamp_s > reading.stamp_s
         true = robot.body.state()
         assert math.hypot(newer.odometry.x_m - true.x_m, newer.odometry.y_m - true.y_m) < 0.05
-
-
-@pytest.mark.slow
-def test_stuck_sensors_stop_the_robot() -> None:
-    with driving() as (robot, driver):
-        robot.stick_sensors()
-        until(lambda: driver.command(Twist(-0.2, 0.0)) == STAND)
-        assert "has not changed" in driver.fault
-        until(lambda: not moves(robot))
-        robot.stick_sensors(False)
-        until(lambda: driver.state is Lifecycle.READY)
 
 
 def test_a_low_battery_and_a_hanging_wheel_are_told() -> None:

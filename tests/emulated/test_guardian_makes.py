@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,19 +27,18 @@ from fullswarm.drivers.create_oi.protocol import Mode as OiMode
 from fullswarm.drivers.guardian import SILENCE_S
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
-from fullswarm.drivers.mavlink.link import TcpPort, UdpPort
 from fullswarm.drivers.mavlink.protocol import Mode
 from fullswarm.drivers.mavlink.signing import EPOCH_S, TICKS_S
+from fullswarm.drivers.ports import TcpPort, UdpPort
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import DriverError
+from tests.emulated.can_robot import multicast
 from tests.emulated.rover_link import CLOCK, PAUSE, free_port
-from tests.emulated.test_can_driver import GROUP, multicast_refusal
-from tests.emulated.test_can_driver import free_port as free_can_port
+from tests.waiting import until
 
 BOUND_S = 1.3
 """From the kill to rest, from 1 m/s."""
@@ -100,12 +99,6 @@ def create() -> Iterator[Plugged]:
         yield Plugged(emulator, CreateDriver, f"{emulator.url}&guardian=1", 0.5)
 
 
-def multicast() -> str:
-    if reason := multicast_refusal():
-        pytest.skip(f"no multicast on loopback: {reason}")
-    return f"{GROUP}?interface=udp_multicast&port={free_can_port()}"
-
-
 ROBOTS: dict[str, Callable[[Path], Any]] = {
     "rover udp": lambda _: rover(f"udp://127.0.0.1:{free_port()}"),
     "rover udpout": lambda _: rover("udpin://127.0.0.1:0"),
@@ -122,14 +115,6 @@ ROBOTS: dict[str, Callable[[Path], Any]] = {
 SLOW = ("rover udpout", "vesc multicast", "odrive slcan")
 """The same frames on a link that another make has in the quick tests."""
 ONE_OF_EACH = ("rover udp", "rover tcp signed", "px4 udp", "vesc slcan", "odrive multicast", "create serial")
-
-
-def until(condition: Callable[[], bool], limit_s: float, what: str) -> float:
-    began_s = CLOCK.now_s()
-    while not condition():
-        assert CLOCK.now_s() - began_s < limit_s, f"not within {limit_s:g} s: {what}"
-        PAUSE.wait(0.002)
-    return CLOCK.now_s() - began_s
 
 
 @contextmanager
@@ -254,14 +239,14 @@ def test_a_link_thread_that_is_paused_just_before_it_reads_sees_its_guardian_s_s
     pauses = [2.0]
 
     def slow(port: type[UdpPort] | type[TcpPort]) -> None:
-        receive = port.receive
+        read = port.read
 
-        def paused(self: Any) -> bytes:
+        def paused(self: Any) -> Sequence[bytes]:
             if pauses and begun.is_set():
                 PAUSE.wait(pauses.pop())
-            return bytes(receive(self))
+            return read(self)
 
-        monkeypatch.setattr(port, "receive", paused)
+        monkeypatch.setattr(port, "read", paused)
 
     begun = threading.Event()
     slow(UdpPort)

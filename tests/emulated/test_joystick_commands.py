@@ -35,7 +35,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_list_names_pads_and_says_which_are_unknown(pad: VirtualPad) -> None:
+def test_list_names_pads_and_marks_unknown_ones(pad: VirtualPad) -> None:
     odd = VirtualPad("Odd", known=False, product=19)
     code, out, _ = run("list", "--json")
     assert code == 0
@@ -68,7 +68,7 @@ def test_wrong_bindings_end_with_2_before_anything_else(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_map_leaves_out_what_is_not_moved_and_says_what_lacks(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_map_skips_what_is_not_moved_and_names_missing_controls(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     odd = VirtualPad("Odd", known=False, product=19)
     said: list[str] = []
 
@@ -87,7 +87,7 @@ def test_map_leaves_out_what_is_not_moved_and_says_what_lacks(home: Path, monkey
     odd.unplug()
 
 
-def test_map_without_a_pad_or_with_two_says_so(pad: VirtualPad) -> None:
+def test_map_without_a_pad_or_with_two_is_an_error(pad: VirtualPad) -> None:
     other = VirtualPad("Other", product=2)
     code, _, err = run("map")
     assert code == 2

@@ -124,7 +124,7 @@ def test_an_unknown_pad_is_listed_and_becomes_known_by_a_line_of_the_users_file(
     pads.close()
 
 
-def test_a_wrong_line_of_the_users_file_is_told_with_its_number(tmp_path: Path) -> None:
+def test_a_malformed_line_of_the_users_file_is_reported_with_its_number(tmp_path: Path) -> None:
     path = tmp_path / "gamecontrollerdb.txt"
     path.write_text("# comment\nnonsense\n" + "0" * 32 + ",Pad,leftx:q7,\n")
     with pytest.raises(ConfigError, match=r"gamecontrollerdb.txt:2: .*\n.*:3: 'q7'"):

@@ -15,7 +15,7 @@ import pytest
 from fullswarm.drivers.base import STAND, Description, Lifecycle, Limits, Twist
 from fullswarm.drivers.linked import TTL_S, CommandGate, LinkedDriver, LinkSession
 from fullswarm.drivers.ports import SerialPort
-from tests.emulated.test_create_driver import until
+from tests.waiting import until
 
 DESCRIPTION = Description("Clumsy", "C1", 0.2, Limits(0.5, 2.0, 1.0, 4.0))
 

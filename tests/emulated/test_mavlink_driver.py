@@ -20,7 +20,8 @@ from fullswarm.drivers.mavlink.session import Session
 from fullswarm.emulators.mavlink.emulator import RoverEmulator
 from fullswarm.errors import DriverError
 from fullswarm.simulation.bodies import Body, FreeBody
-from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, PAUSE, active, free_port, ready, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, PAUSE, active, free_port, ready
+from tests.waiting import until
 
 
 def hold(duration_s: float, each: Callable[[], object], never: Callable[[], bool] = lambda: False) -> None:
@@ -107,7 +108,7 @@ def test_a_stop_and_a_non_finite_set_point_go_out_at_once() -> None:
             else:
                 with pytest.raises(ValueError, match="finite"):
                     driver.command(stop)
-            until(lambda: last_speed(emulator) == 0.0, timeout_s=0.25)
+            until(lambda: last_speed(emulator) == 0.0, 0.25)
 
 
 def test_a_pilot_who_takes_over_is_reported_and_not_fought() -> None:
@@ -231,9 +232,9 @@ def test_an_e_stop_while_an_arm_is_to_be_tried_again_ends_disarmed() -> None:
 
 def test_open_says_what_is_wrong() -> None:
     port = free_port()
-    with pytest.raises(DriverError, match="nobody listens there"):
+    with pytest.raises(DriverError, match="no program listens there"):
         MavlinkDriver(f"mavlink+tcp://127.0.0.1:{port}").open()
-    with pytest.raises(DriverError, match="plugged in"):
+    with pytest.raises(DriverError, match="plug the robot in"):
         MavlinkDriver("mavlink+serial:///dev/no-such-rover").open()
     driver = MavlinkDriver("mavlink+tcp://127.0.0.1:1")
     assert driver.state is Lifecycle.CLOSED

@@ -19,8 +19,9 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Pose
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.drivers.mavlink.protocol import Mode
-from fullswarm.emulators.faults import LinkFaults
-from fullswarm.emulators.mavlink.emulator import RoverEmulator, open_port
+from fullswarm.emulators.base import LinkFaults
+from fullswarm.emulators.mavlink.emulator import RoverEmulator
+from fullswarm.emulators.ports import plug, port_at
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.simulation.bodies import FreeBody
 from tests.emulated.rover_link import free_port
@@ -204,7 +205,7 @@ def test_a_port_comes_back_with_its_name(address: str) -> None:
             os.close(descriptor)
         else:
             with pytest.raises(DriverError, match="in use"):
-                open_port(f"{address.rpartition(':')[0]}:{url.rpartition(':')[2]}")
+                plug(port_at(f"{address.rpartition(':')[0]}:{url.rpartition(':')[2]}"))
 
 
 def test_a_bad_link_loses_mangles_and_delays() -> None:
@@ -265,7 +266,7 @@ def test_wrong_addresses_are_told() -> None:
         RoverEmulator("http://127.0.0.1:1")
     with pytest.raises(ConfigError, match="not an address"):
         RoverEmulator("udp://127.0.0.1:99999")
-    with pytest.raises(DriverError, match="cannot open"):
+    with pytest.raises(DriverError, match="no port can be made"):
         RoverEmulator("pty:/no/such/folder/rover")
 
 

@@ -14,10 +14,11 @@ from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.mavlink.px4 import HOLD, OFFBOARD
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.mavlink.emulator import Px4Emulator
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.bodies import FreeBody
-from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port, until
+from tests.emulated.rover_link import CLOCK, IN_THE_WORLD, active, free_port
+from tests.waiting import until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 
@@ -114,7 +115,7 @@ def test_another_key_is_told_from_a_dead_line(tmp_path: Path) -> None:
     options = f"sign_key={key_file(tmp_path)}&sign_state={tmp_path / 'state'}"
     with pair(f"udp://127.0.0.1:{free_port()}", options, Signing(OTHER, Timestamps(None))) as (driver, _):
         until(lambda: driver.state is Lifecycle.FAULT)
-        assert "it is heard, but it signs with another key than ours" in driver.fault
+        assert "it is received, but it signs with another key than ours" in driver.fault
         assert driver.read() is None
 
 

@@ -8,10 +8,9 @@ import os
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import pytest
@@ -26,6 +25,7 @@ from fullswarm.launch.network import emulated_url, on_free_ports
 from fullswarm.launch.world import start_emulator
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver
+from tests.waiting import until
 
 CLOCK = MonotonicClock()
 PACKAGE = Path(__file__).parents[2] / "examples" / "outside_driver"
@@ -148,7 +148,7 @@ def test_its_guardian_stops_it_when_its_driver_is_killed(emulator: Any, installe
     command = [sys.executable, "-c", DRIVES, emulator.url]
     with subprocess.Popen(command, env=paths(installed), stdin=subprocess.DEVNULL) as driver:
         try:
-            until(lambda: emulator.body.state().speed_m_s > 0.45)
+            until(lambda: emulator.body.state().speed_m_s > 0.45, 20.0)
         finally:
             driver.kill()
         killed_s = CLOCK.now_s()
@@ -156,13 +156,6 @@ def test_its_guardian_stops_it_when_its_driver_is_killed(emulator: Any, installe
         # Braking from 0.5 m/s takes 0.25 s. Without its guardian the robot drives on for a second before that.
         assert CLOCK.now_s() - killed_s < 0.9
         until(lambda: not emulator.motors_on)
-
-
-def until(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    end_s, pause = CLOCK.now_s() + limit_s, Event()
-    while not condition():
-        assert CLOCK.now_s() < end_s, "it does not come about"
-        pause.wait(0.01)
 
 
 @pytest.fixture
@@ -189,7 +182,7 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
         return Twist(now.speed_m_s, now.turn_rad_s)
 
     rig = Rig(make=lambda: kind(emulator.url), body_speed=speed, other_process=True)
-    with pytest.raises(AssertionError, match=r"still moves .* paused; its description says watchdog_s=1\.0"):
+    with pytest.raises(AssertionError, match=r"still moves .* paused; its description claims watchdog_s=1\.0"):
         check_driver(rig, settle_s=1.0)
 
 

@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import os
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from threading import Event
 
 import pytest
 import serial
@@ -30,21 +29,15 @@ from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.line import Line
 from fullswarm.emulators.can.emulator import EmulatedBase
-from fullswarm.emulators.create_oi.emulator import CreateEmulator, Quirks
-from fullswarm.emulators.mavlink.emulator import RoverEmulator
-from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+from fullswarm.emulators.create_oi.emulator import CreateEmulator
+from fullswarm.emulators.create_oi.firmware import Quirks
+from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.bodies import BodyState
+from tests.waiting import until
 
 CLOCK = MonotonicClock()
 BODY = "left=1&right=2&wheel_radius=0.05&base=0.3"
-
-
-def eventually(condition: Callable[[], bool], limit_s: float = 3.0) -> bool:
-    end_s, pause = CLOCK.now_s() + limit_s, Event()
-    while not condition() and CLOCK.now_s() < end_s:
-        pause.wait(0.01)
-    return condition()
 
 
 # ---------------------------------------------------------------- Create
@@ -59,7 +52,7 @@ def test_a_create_that_was_off_is_found_and_sleeps_again(generation: Generation,
         assert found.battery == pytest.approx(0.5, abs=0.01)
         assert robot.body.state() == BodyState()  # nothing was told to the wheels
         assert found.note == "it was off"
-        assert eventually(lambda: robot.mode is left)  # a Create 1 has no command for it
+        until(lambda: robot.mode is left)  # a Create 1 has no command for it
         driver = CreateDriver(found.url)
         assert driver.description.model in (generation.label, CREATE2.label)
 
@@ -82,19 +75,19 @@ def test_a_create_in_safe_mode_with_a_stream_is_left_so() -> None:
     with CreateEmulator() as robot:
         with client(robot) as port:
             port.write(simple(Op.START) + simple(Op.SAFE) + stream([PACKETS[35].id]))
-            assert eventually(lambda: robot.mode is Mode.SAFE)
-            assert eventually(lambda: port.in_waiting > 20)
+            until(lambda: robot.mode is Mode.SAFE)
+            until(lambda: port.in_waiting > 20)
         (found,) = ask.ask_serial(robot.port).robots
         assert found.note == "mode SAFE"
         assert robot.mode is Mode.SAFE
         with client(robot) as port:
-            assert eventually(lambda: bool(StreamParser().feed(port.read(64))))
+            until(lambda: bool(StreamParser().feed(port.read(64))))
 
 
 def test_a_held_port_is_not_touched_and_its_holder_named() -> None:
     with CreateEmulator() as robot, closing(CreateDriver(robot.url)) as driver:
         driver.open()
-        assert eventually(lambda: driver.state == "READY")
+        until(lambda: driver.state == "READY")
         asked = ask.ask_serial(robot.port)
         assert asked.robots == ()
         assert "held by" in asked.problem

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +11,8 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.base import Twist
-from fullswarm.emulators.create_oi.pty_port import PtyPort
+from fullswarm.emulators.base import Emulator
+from fullswarm.emulators.ports import PtyPort
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing import Rig, check_driver
 
@@ -20,72 +20,59 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to-add-a-driver.md"
 PERIOD_S, WATCHDOG_S = 0.02, 0.5
 
 
-class LineRobot:
-    """A robot on a pseudo-terminal: takes ``v LINEAR ANGULAR``, tells ``o X Y HEADING LINEAR ANGULAR`` at 50 Hz."""
+class LineFirmware:
+    """Takes ``v LINEAR ANGULAR``, sends ``o X Y HEADING LINEAR ANGULAR`` at 50 Hz."""
+
+    def __init__(self, body: FreeBody) -> None:
+        self.next_due_s = 0.0
+        self._body, self._rest, self._set_s = body, b"", 0.0
+        self._out: list[bytes] = []
+
+    def receive(self, data: bytes, now_s: float, _port: int) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            found = re.fullmatch(rb"v (-?[0-9.]+) (-?[0-9.]+)", line)
+            if found:
+                self._body.drive(float(found[1]), float(found[2]))
+                self._set_s = now_s
+
+    def step(self, now_s: float) -> bool:
+        if now_s >= self.next_due_s:
+            self.next_due_s = now_s + PERIOD_S
+            if now_s - self._set_s > WATCHDOG_S:
+                self._body.drive(0.0, 0.0)
+            now = self._body.state()
+            numbers = (now.x_m, now.y_m, now.heading_rad, now.speed_m_s, now.turn_rad_s)
+            self._out.append(("o " + " ".join(f"{each:.6f}" for each in numbers) + "\n").encode())
+        return False
+
+    def take(self, _port: int) -> list[bytes]:
+        out, self._out = self._out, []
+        return out
+
+    def hung_up(self, _port: int) -> None:
+        self._rest = b""
+
+
+class LineRobot(Emulator):
+    """A robot on a pseudo terminal."""
+
+    body: FreeBody
 
     def __init__(self) -> None:
-        self.body = FreeBody()
-        self.muted = False
-        self._clock, self._port, self._lock = MonotonicClock(), PtyPort(), threading.Lock()
-        self._heard, self._told_s = b"", 0.0
-        self._stopping = threading.Event()
-        self.replug()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        return f"line://{self._port.path}"
+        body, port = FreeBody(), PtyPort()
+        super().__init__(LineFirmware(body), [port], body, MonotonicClock())
+        self.url = f"line://{port.address}"
 
     def speed(self) -> Twist:
         now = self.body.state()
         return Twist(now.speed_m_s, now.turn_rad_s)
 
-    def unplug(self) -> None:
-        with self._lock:
-            self._port.pull()
-
-    def replug(self) -> None:
-        with self._lock:
-            self._port.plug()
-
-    def mute(self, on: bool) -> None:
-        self.muted = on
-
-    def garbage(self, data: bytes) -> None:
-        with self._lock:
-            self._port.say(data)
-
-    def close(self) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._port.close()
-
-    def _run(self) -> None:
-        while not self._stopping.wait(PERIOD_S):
-            with self._lock:
-                *lines, self._heard = (self._heard + self._port.hear()).split(b"\n")
-                for line in lines:
-                    self._obey(line)
-                if self._clock.now_s() - self._told_s > WATCHDOG_S:
-                    self.body.drive(0.0, 0.0)
-                if not self.muted:
-                    now = self.body.state()
-                    numbers = (now.x_m, now.y_m, now.heading_rad, now.speed_m_s, now.turn_rad_s)
-                    self._port.say(("o " + " ".join(f"{each:.6f}" for each in numbers) + "\n").encode())
-
-    def _obey(self, line: bytes) -> None:
-        found = re.fullmatch(rb"v (-?[0-9.]+) (-?[0-9.]+)", line)
-        if found:
-            self.body.drive(float(found[1]), float(found[2]))
-            self._told_s = self._clock.now_s()
-
 
 @pytest.fixture
 def robot() -> Iterator[LineRobot]:
-    robot = LineRobot()
-    yield robot
-    robot.close()
+    with LineRobot() as robot:
+        yield robot
 
 
 @pytest.fixture

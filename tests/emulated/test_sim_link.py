@@ -15,6 +15,7 @@ from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.sim.driver import SimDriver
+from fullswarm.drivers.sim.session import Session
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.launch.world import WorldNode
@@ -82,6 +83,12 @@ def bench() -> Iterator[Bench]:
     bench.close()
 
 
+def time_of(driver: SimDriver) -> float:
+    """Return the world's time in the newest reading, which stays unread."""
+    assert isinstance(driver._session, Session)
+    return driver._session._time_s
+
+
 def x_of(driver: SimDriver) -> float:
     reading = driver.read()
     return -math.inf if reading is None or reading.pose is None else reading.pose.x_m
@@ -123,12 +130,12 @@ def test_a_contact_that_is_over_before_the_driver_is_read_is_read_once(bench: Be
 
     bench.world.watchers.append(touch)
     sent_s = bench.world.time_s
-    bench.until(lambda: driver._time_s >= sent_s + 0.1)
+    bench.until(lambda: time_of(driver) >= sent_s + 0.1)
     reading = driver.read()
     assert reading is not None
     assert (reading.contacts, reading.hazards) == (2, Hazard.BUMP)
     read_s = bench.world.time_s
-    bench.until(lambda: driver._time_s > read_s)
+    bench.until(lambda: time_of(driver) > read_s)
     reading = driver.read()
     assert reading is not None
     assert (reading.contacts, reading.hazards) == (0, Hazard.NONE)

@@ -250,7 +250,7 @@ FAULTS = {
             "driver link lost", each(lambda rig, robot: rig.cut(robot, True)),
             each(lambda rig, robot: rig.cut(robot, False)),
             OWN,
-            notes={"c1": "rolls on until the cable is back: nobody can tell it anything", "s1": GUARDED["s1"], **ALONE},
+            notes={"c1": "moves on until the cable is back: no command reaches it", "s1": GUARDED["s1"], **ALONE},
         ),
         Fault(
             "estimator silent", each(lambda rig, robot: rig.hush(robot, True)),

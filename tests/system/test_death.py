@@ -11,8 +11,6 @@ from fullswarm.keys import Keys
 from fullswarm.messages import ControlRequest
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.alone
-
 PERIOD_S = 1 / 50
 TTL_S = 0.3
 CORE_SILENCE_S = 1.0

@@ -110,21 +110,6 @@ def test_ctrl_c_ends_the_demo_and_leaves_no_process() -> None:
 QUICK = ("--seconds", "6", "--set", "world.engine=kinematic")
 
 
-@pytest.mark.slow  # that it ends with its show and what it prints: as headless, and as one that stays
-def test_the_live_demo_with_a_console_ends_with_its_show() -> None:
-    done = fullswarm("demo", *QUICK)
-    assert done.returncode == 0, done.stderr
-    assert "Open " in done.stderr
-    assert "rendezvous_bc" in done.stdout
-
-
-@pytest.mark.slow  # headless it has no console either
-def test_without_a_console_nothing_is_said_of_one() -> None:
-    done = fullswarm("demo", "--no-console", *QUICK)
-    assert done.returncode == 0, done.stderr
-    assert "Open " not in done.stderr
-
-
 def test_a_demo_that_stays_prints_its_address_and_ends_in_order_with_ctrl_c() -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "fullswarm", "demo", "--stay", "--no-open", *QUICK],

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +15,12 @@ import msgspec
 import psutil
 import pytest
 
-from fullswarm.clock import MonotonicClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import load_experiment, plan
 from fullswarm.evaluate.experiment.run import Options, run
 from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS, Record, trial_id
 from tests.unit.experiment_work import Trouble, answer
+from tests.waiting import until
 
 CELL = "robots=4,empty,move_to_goal_bc"
 PROGRAM = """
@@ -53,20 +52,6 @@ def records(out: Path) -> dict[int, Record]:
         assert record.trial.seed not in found
         found[record.trial.seed] = record
     return found
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    clock, waiting = MonotonicClock(), subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    began_s = clock.now_s()
-    try:
-        while not condition():
-            assert clock.now_s() - began_s < timeout_s
-            try:
-                waiting.wait(0.02)
-            except subprocess.TimeoutExpired:
-                continue
-    finally:
-        waiting.communicate(b"\n")
 
 
 def fill_disk(path: Path) -> None:
@@ -158,10 +143,10 @@ def test_a_supervisor_that_is_ended_in_mid_sweep(tmp_path: Path, number: signal.
     command = [sys.executable, "-c", PROGRAM, str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     with process:
-        wait_for(lambda: len(notes.tries()) >= 6)
+        until(lambda: len(notes.tries()) >= 6)
         process.send_signal(number)
         _, err = process.communicate(timeout=10.0)
-    wait_for(lambda: all(gone(pid) for pid in notes.tries()), 10.0)
+    until(lambda: all(gone(pid) for pid in notes.tries()), 10.0)
     if number == signal.SIGINT:
         assert process.returncode == 130
         assert f"of 20 trials are done, they are in {out}; the same command goes on from there" in err
@@ -205,13 +190,9 @@ def test_shards_together_are_the_whole(tmp_path: Path, capsys: pytest.CaptureFix
         assert (asked["name"], asked["trials"]) == ("paper", [trial_id(trial) for trial in planned])
 
 
-# That kinematic trials repeat, test_shards_together_are_the_whole shows as well.
-@pytest.mark.parametrize(
-    "engine",
-    [pytest.param("kinematic", marks=pytest.mark.slow), "pybullet"],
-)
-def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path, engine: str) -> None:
-    assert run(options(tmp_path / "out", "3", engine=engine, cells=("robots=8,uniform,move_to_goal_bc",))) == 0
+# That kinematic trials repeat, test_shards_together_are_the_whole shows.
+def test_a_trial_repeats_to_the_byte_in_another_process(tmp_path: Path) -> None:
+    assert run(options(tmp_path / "out", "3", engine="pybullet", cells=("robots=8,uniform,move_to_goal_bc",))) == 0
     (folder,) = (tmp_path / "out" / TRIALS).iterdir()
     program = "from fullswarm.cli.experiment import experiment_app; experiment_app()"
     command = [sys.executable, "-c", program, "trial", str(folder), "--out", str(tmp_path / "again"), "--json"]

@@ -7,8 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -16,6 +15,7 @@ import pytest
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.messages import Heartbeat
 from fullswarm.runtime import Mailbox
+from tests.waiting import until
 
 DEADLINE_S = 5.0
 EXIT_S = 3.0  # the promise is 1 s; a noisy machine gets more
@@ -75,15 +75,6 @@ def process(script: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
             yield child
         finally:
             child.kill()
-
-
-def until(condition: Callable[[], bool]) -> float:
-    """Wait for `condition`; return how long it took, in seconds."""
-    start_s = time.monotonic()
-    while not condition():
-        time.sleep(0.001)
-        assert time.monotonic() - start_s < DEADLINE_S, "the condition never came"
-    return time.monotonic() - start_s
 
 
 @pytest.mark.parametrize(

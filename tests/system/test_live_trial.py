@@ -23,7 +23,7 @@ from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.network import on_free_ports
 from tests.system.live_room import FAR, nobody_new, processes_of, trial
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0  # 12 s of them are the trial's own time limit; the processes start on a machine that has other work
 
 
 @pytest.fixture(autouse=True)

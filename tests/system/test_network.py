@@ -14,8 +14,6 @@ import pytest
 
 from tests.system.live import LiveSwarm
 
-pytestmark = pytest.mark.alone
-
 PERIOD_S = 1 / 50
 CORE_SILENCE_S = 1.0
 LOOK_S = 0.2

@@ -15,8 +15,6 @@ from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.launch.network import on_free_ports
 
-pytestmark = pytest.mark.alone
-
 RING_M, ARRIVED_M = 2.5, 0.3
 LIMIT_S = 120.0  # 13 s on an idle machine; what is judged is whether they touch, not when they arrive
 CENTRE_M = 6.0

@@ -11,7 +11,7 @@ from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.session import Session
 from fullswarm.drivers.can.settings import Settings, parse
 from fullswarm.drivers.linked import CommandGate
-from fullswarm.emulators.can.emulator import Base
+from fullswarm.emulators.can.firmware import Base
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.simulation.bodies import FreeBody, wheels_rolled
 

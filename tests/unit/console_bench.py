@@ -80,7 +80,7 @@ class Page:
 
 
 class ConsoleBench:
-    """The gateway and who is around it."""
+    """The gateway with a bus, a core and pages."""
 
     def __init__(self, *, read_only: bool = False, core: bool = True) -> None:
         self.runtime = Runtime(SimClock(100.0))

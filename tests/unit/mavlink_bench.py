@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import Lifecycle, Limits, Pose, Twist
+from fullswarm.drivers.guardian import StopPlan
+from fullswarm.drivers.linked import CommandGate
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import StreamParser, decode, decoded_ids
 from fullswarm.drivers.mavlink.protocol import Mode, StatusText
@@ -31,6 +33,7 @@ class Bench:
 
     def __init__(self, clock: SimClock, body: FreeBody, session: Session) -> None:
         self.clock, self.body, self.session = clock, body, session
+        self.gate = CommandGate(session)
         self.texts: list[str] = []
         self.cut = False
 
@@ -68,11 +71,16 @@ class Bench:
     ) -> None:
         end_s = self.now_s + timeout_s
         while not condition():
-            assert self.now_s < end_s, f"waited in vain: {self.session.lifecycle} {self.session.fault}"
+            assert self.now_s < end_s, f"waited in vain: {self.session.state} {self.session.fault}"
             self.run(STEP_S, each)
 
     def drive(self, speed_m_s: float = 0.5, turn_rad_s: float = 0.0) -> Twist:
-        return self.session.command(Twist(speed_m_s, turn_rad_s), self.now_s)
+        return self.gate.command(Twist(speed_m_s, turn_rad_s), self.now_s)
+
+    def plan(self) -> StopPlan[bytes]:
+        plan = self.session.stop_plan(self.now_s)
+        assert plan is not None
+        return plan
 
     def insist(self) -> None:
         """Do what an agent does whose behaviour is on."""
@@ -80,12 +88,12 @@ class Bench:
         self.drive()
 
     def ready(self) -> None:
-        self.until(lambda: self.session.lifecycle is Lifecycle.READY, self.READY_S)
+        self.until(lambda: self.session.state is Lifecycle.READY, self.READY_S)
 
     def active(self) -> None:
         self.ready()
         self.session.activate(self.now_s)
-        self.until(lambda: self.session.lifecycle is Lifecycle.ACTIVE)
+        self.until(lambda: self.session.state is Lifecycle.ACTIVE)
 
 
 class ArduBench(Bench):
@@ -108,12 +116,13 @@ class ArduBench(Bench):
         self.clock.advance_to(self.now_s + STEP_S)
         for frame in self.rover.tick(self.now_s):
             self.hear(self._pass(frame, self._down))
+        self.gate.check(self.now_s)
         for frame in self.session.tick(self.now_s):
             for message in self._pass(frame, self._up):
                 self.rover.receive(message, self.now_s)
 
     def pilot(self, mode: int) -> None:
-        self.rover.pilot_mode(mode, self.now_s)
+        self.rover.pilot_mode(mode)
 
     @property
     def setpoint_m_s(self) -> float:
@@ -145,6 +154,7 @@ class Px4Bench(Bench):
         self.clock.advance_to(self.now_s + STEP_S)
         for frame in self.rover.tick(self.now_s):
             self.hear([] if self.cut else self._down.feed(frame))
+        self.gate.check(self.now_s)
         for frame in self.session.tick(self.now_s):
             for message in [] if self.cut or self.deaf else self._up.feed(frame):
                 self.rover.receive(message, self.now_s)

@@ -10,7 +10,15 @@ import numpy as np
 
 from fullswarm.evaluate.experiment.outcomes import Outcome
 from fullswarm.evaluate.experiment.plan import Cell, Trial
-from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS, Record, Trajectory, trial_id
+from fullswarm.evaluate.trial_folder import (
+    RESULT_FILE,
+    TRAJECTORY_FILE,
+    TRIALS,
+    Record,
+    Trajectory,
+    save_arrays,
+    trial_id,
+)
 
 PERIOD_S = 0.1
 
@@ -74,7 +82,7 @@ def write_trial(
     if at_s is not None:
         os.utime(beside / RESULT_FILE, (at_s, at_s))
     if trajectory is not None:
-        trajectory.save(beside / TRAJECTORY_FILE)
+        save_arrays(trajectory, beside / TRAJECTORY_FILE)
     if place.exists():
         place.rename(parts / f".old.{next(_NUMBERS)}")
     beside.rename(place)

@@ -21,6 +21,7 @@ from fullswarm.evaluate.trial_folder import (
     TRIALS,
     Record,
     Trajectory,
+    save_arrays,
     trial_id,
 )
 
@@ -124,7 +125,7 @@ def write_trial(out: Path, trial: Trial, failure: str = "", record: Record | Non
     (path / TRIAL_FILE).write_text(f"seed = {trial.seed}\n")
     if kept.outcome is not None:
         trajectory = a_trajectory(trial, samples)
-        trajectory.save(path / TRAJECTORY_FILE)
+        save_arrays(trajectory, path / TRAJECTORY_FILE)
         covered = np.zeros((40, 40), np.uint8)
         cells = (trajectory.pose[:, :, :2].reshape(-1, 2) / 0.5).astype(int)
         covered[cells[:, 1].clip(0, 39), cells[:, 0].clip(0, 39)] = 1

@@ -54,7 +54,7 @@ class SessionDriver:
 
     @property
     def state(self) -> Lifecycle:
-        return self.session.lifecycle
+        return self.session.state
 
     @property
     def fault(self) -> str:
@@ -73,7 +73,7 @@ class SessionDriver:
         self.session.deactivate(self._runtime.now_s())
 
     def read(self) -> Reading | None:
-        return self.session.reading()
+        return self.session.read()
 
     def command(self, twist: Twist) -> Twist:
         return self.session.command(twist, self._runtime.now_s())

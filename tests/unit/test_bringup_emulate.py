@@ -18,7 +18,7 @@ from fullswarm.bringup.emulate import (
     supported_faults,
 )
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.emulators.faults import LinkFaults
+from fullswarm.emulators.base import LinkFaults
 from fullswarm.errors import ConfigError, DriverError, FullswarmError
 from fullswarm.simulation.bodies import FreeBody
 

@@ -148,13 +148,13 @@ def test_an_axis_that_refuses_closed_loop() -> None:
 def test_lost_heartbeats(make: str) -> None:
     rig = Rig(make, "watchdog=0.5")
     rig.active(Twist(0.3, 0.0))
-    rig.wheels[0].mishaps.unplugged = True
+    rig.wheels[0].faults.unplugged = True
     assert 0.4 <= rig.until_state(Lifecycle.FAULT, 1.3) <= 0.6
     assert "no heartbeat from the left wheel (node 1)" in rig.session.fault
     rig.run(3.0)
     assert rig.session.fault
     assert max(map(abs, rig.speeds())) < 0.01
-    rig.wheels[0].mishaps.unplugged = False
+    rig.wheels[0].faults.unplugged = False
     rig.until_state(Lifecycle.READY, 2.0)
     rig.run(1.0)
     assert rig.session.state is Lifecycle.READY
@@ -184,7 +184,7 @@ def test_a_vesc_coasts_after_its_timeout() -> None:
 def test_no_motion_is_a_fault() -> None:
     rig = Rig()
     rig.active(Twist(0.3, 0.0))
-    rig.odrives[0].mishaps.silent_motion = True
+    rig.odrives[0].faults.silent_motion = True
     rig.until_state(Lifecycle.FAULT, 1.3)
     assert "no motion from the left wheel" in rig.session.fault
 
@@ -219,12 +219,12 @@ def test_a_vesc_with_speed_only_counts_by_its_speed() -> None:
 def test_nobody_there_becomes_a_fault_and_heals() -> None:
     rig = Rig()
     for each in rig.odrives:
-        each.mishaps.unplugged = True
+        each.faults.unplugged = True
     assert rig.until_state(Lifecycle.FAULT, 4.0) >= 2.9
     assert "node 1" in rig.session.fault
     assert "node 2" in rig.session.fault
     for each in rig.odrives:
-        each.mishaps.unplugged = False
+        each.faults.unplugged = False
     rig.until_state(Lifecycle.READY, 2.0)
 
 

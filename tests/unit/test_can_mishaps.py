@@ -28,10 +28,10 @@ def test_a_version_that_got_lost_is_asked_for_again() -> None:
     rig = Rig()
     version = odrive.request(1, odrive.Version), odrive.request(2, odrive.Version)
     for each in rig.odrives:
-        each.mishaps.muted = True
+        each.faults.muted = True
     rig.run(0.3)
     for each in rig.odrives:
-        each.mishaps.muted = False
+        each.faults.muted = False
     rig.until_state(Lifecycle.READY, 2.0)
     rig.run(1.2)
     assert rig.session.firmware == "ODrive 0.6.10"
@@ -105,12 +105,12 @@ def test_a_mute_robot_is_a_fault_and_comes_back_ready(make: str) -> None:
     rig = Rig(make)
     rig.active(Twist(0.3, 0.0))
     for each in rig.wheels:
-        each.mishaps.muted = True
+        each.faults.muted = True
     rig.until_state(Lifecycle.FAULT, 0.7)
     rig.until(lambda: max(rig.speeds()) == 0.0, 0.5)  # it still hears
     rig.run(3.0)
     for each in rig.wheels:
-        each.mishaps.muted = False
+        each.faults.muted = False
     rig.until_state(Lifecycle.READY, 2.0)
 
 
@@ -118,11 +118,11 @@ def test_a_mute_robot_is_a_fault_and_comes_back_ready(make: str) -> None:
 def test_a_stuck_sensor_is_a_fault(make: str) -> None:
     rig = Rig(make)
     rig.active(Twist(0.3, 0.0))
-    rig.wheels[1].mishaps.stuck_sensor = True
+    rig.wheels[1].faults.stuck_sensor = True
     rig.until_state(Lifecycle.FAULT, 0.7)
     assert "encoder of the right wheel (node 2) is stuck" in rig.session.fault
     rig.until(lambda: max(rig.speeds()) == 0.0, 0.5)
-    rig.wheels[1].mishaps.stuck_sensor = False
+    rig.wheels[1].faults.stuck_sensor = False
     rig.until_state(Lifecycle.READY, 2.0)
 
 
@@ -139,10 +139,10 @@ def test_a_lost_link_never_latches() -> None:
     for _ in range(4):
         rig.active(Twist(0.3, 0.0))
         for each in rig.wheels:
-            each.mishaps.unplugged = True
+            each.faults.unplugged = True
         rig.until_state(Lifecycle.FAULT, 0.7)
         for each in rig.wheels:
-            each.mishaps.unplugged = False
+            each.faults.unplugged = False
         rig.until_state(Lifecycle.READY, 2.0)
 
 

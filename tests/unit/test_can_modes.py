@@ -12,8 +12,8 @@ from fullswarm.drivers.can import odrive, vesc
 from fullswarm.drivers.can.odrive import AxisState
 from fullswarm.drivers.can.protocol import Frame
 from fullswarm.drivers.can.settings import parse
-from fullswarm.emulators.can.emulator import Base
-from fullswarm.emulators.can.spin import FRICTION_M_S2, STEP_S
+from fullswarm.emulators.can.firmware import Base
+from fullswarm.emulators.can.wheel import FRICTION_M_S2, STEP_S
 from fullswarm.simulation.bodies import FreeBody
 from tests.unit.can_rig import OPTIONS, URL, Wire
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from benchmarks.chaos_faults import DECK, conditions, plan
-from benchmarks.chaos_judge import Ask, Doing, Down, Ran, Record, Told
+from benchmarks.chaos_judge import Ask, Doing, Down, Published, Ran, Record
 from fullswarm.bus.network_faults import parse_network
 
 
@@ -20,7 +20,7 @@ def good() -> Record:
     record = Record(end_s=60.0, doing={"r1": Doing("flocking", "b")})
     for t, name in ((10.0, "a"), (20.0, "b")):
         record.asks[name] = Ask(t, "ann", name, "flocking", ("r1",))
-        record.told.append(Told(t + 0.1, name, "accepted", ("r1",)))
+        record.published.append(Published(t + 0.1, name, "accepted", ("r1",)))
         record.ran.append(ran(t + 0.2, name, int(t)))
     record.moved = [(10.0 + 0.1 * k, "r1") for k in range(3, 400)]
     return record
@@ -28,7 +28,7 @@ def good() -> Record:
 
 def stopped(record: Record, at_s: float) -> None:
     record.asks["s"] = Ask(at_s, "bob", "s", "", ("r1",))
-    record.told.append(Told(at_s + 0.1, "s", "running", ("r1",), ("r1",)))
+    record.published.append(Published(at_s + 0.1, "s", "running", ("r1",), ("r1",)))
     record.standing.append((at_s + 0.1, "r1", "s"))
 
 
@@ -39,9 +39,9 @@ def test_a_run_in_which_all_is_well() -> None:
 def test_a_motion_after_a_stop_or_without_an_agent_or_before_anything_was_asked() -> None:
     record = good()
     stopped(record, 30.0)
-    assert "nothing was asked of it since s" in record.judge().uncommanded[0]
+    assert "no request since s" in record.judge().uncommanded[0]
     record.moved = [(5.0, "r1")]
-    assert "nothing had been asked" in record.judge().uncommanded[0]
+    assert "no request before" in record.judge().uncommanded[0]
     for down in (Down("r1", 24.0), Down("hub", 24.0), Down("core", 24.0), Down("e-stop of r1", 24.0)):
         record = good()
         record.downs = [down]
@@ -82,7 +82,7 @@ def test_an_older_request_after_a_newer_one_of_the_same_operator() -> None:
     record.ran.append(ran(27.0, "late", 27))
     assert len(record.judge().older) == 1
     record.asks["late"] = Ask(15.0, "bob", "late", "rendezvous", ("r1",))
-    assert record.judge().older == [], "of two people the last one to be heard counts"
+    assert record.judge().older == [], "of two people the last request received counts"
 
 
 def test_a_request_that_is_never_executed() -> None:
@@ -92,13 +92,13 @@ def test_a_request_that_is_never_executed() -> None:
     assert record.judge().lost == [], "its core was down, and the next request came soon"
     record.downs = []
     record.asks["b"] = Ask(21.0, "ann", "b", "flocking", ("r1",))
-    record.told[1] = Told(21.0, "b", "accepted", ("r1",))
+    record.published[1] = Published(21.0, "b", "accepted", ("r1",))
     assert len(record.judge().lost) == 1
-    record.told.insert(0, Told(10.05, "a", "refused", ("r1",), refused_by=("r1",)))
+    record.published.insert(0, Published(10.05, "a", "refused", ("r1",), refused_by=("r1",)))
     assert record.judge().lost == [], "it was refused"
     record = good()
     record.asks["c"] = Ask(30.0, "ann", "c", "flocking", ("r1",))
-    assert len(record.judge().lost) == 1, "nobody answered"
+    assert len(record.judge().lost) == 1, "no status"
     record.killed["c"] = 30.1
     assert record.judge().lost == [], "who asked was killed"
 

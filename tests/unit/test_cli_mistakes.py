@@ -1,4 +1,4 @@
-"""What a new user gets wrong on the first day: each mistake is told with what it is, where, and what to do."""
+"""Mistakes of a new user: each error states what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("_lab")
 @pytest.mark.parametrize(("words", "code", "says"), MISTAKES, ids=[each[0] for each in MISTAKES])
-def test_a_mistake_is_told_with_what_to_do(words: str, code: int, says: str) -> None:
+def test_an_error_states_what_to_do(words: str, code: int, says: str) -> None:
     result = CliRunner().invoke(app, words.split(), env={"COLUMNS": "200", "FULLSWARM_HUB": "tcp/127.0.0.1:9"})
     assert (result.exit_code, result.stdout) == (code, ""), result.output
     assert says in result.stderr

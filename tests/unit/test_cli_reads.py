@@ -39,7 +39,7 @@ def test_every_command_that_reads_can_print_json() -> None:
     assert silent - DOERS == set()
 
 
-def test_every_command_and_option_says_what_it_is_for() -> None:
+def test_every_command_and_option_has_a_help_text() -> None:
     for name, each in commands(typer.main.get_command(app)):
         assert each.help, name
         for parameter in each.params:

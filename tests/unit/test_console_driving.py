@@ -79,7 +79,7 @@ def test_another_window_of_the_same_operator_does_not_end_the_driving(bench: Con
     assert not zeros_only(bench)
 
 
-def test_who_is_no_longer_driven_is_told_zero(bench: ConsoleBench) -> None:
+def test_a_robot_that_is_no_longer_driven_gets_zero(bench: ConsoleBench) -> None:
     page, session = bench.join()
     hold(bench, session, page, 0.3)
     bench.sent.clear()
@@ -91,7 +91,7 @@ def test_who_is_no_longer_driven_is_told_zero(bench: ConsoleBench) -> None:
     assert [each.parameters for each in bench.requests() if each.robots == ("r2",)][-1] == {"linear": 0.5}
 
 
-def test_a_robot_of_somebody_else_is_not_driven(bench: ConsoleBench) -> None:
+def test_a_robot_of_another_operator_is_not_driven(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.leases(r1="bert@lab")
     bench.run(0.05)
@@ -113,7 +113,7 @@ def test_losing_a_robot_ends_the_driving(bench: ConsoleBench) -> None:
     assert zeros_only(bench)
 
 
-def test_a_stop_blocks_the_stick_until_it_is_let_go(bench: ConsoleBench) -> None:
+def test_a_stop_blocks_the_stick_until_it_is_released(bench: ConsoleBench) -> None:
     page, session = bench.join()
     hold(bench, session, page, 0.3)
     assert bench.say(session, page, "stop", robots=["r2"])["ok"]
@@ -132,7 +132,7 @@ def test_a_stop_blocks_the_stick_until_it_is_let_go(bench: ConsoleBench) -> None
 
 
 @pytest.mark.parametrize("addressed", [(), ("r1",)])
-def test_a_release_of_the_e_stop_does_not_start_who_has_the_stick_held(
+def test_a_release_of_the_e_stop_does_not_start_robots_whose_stick_is_held(
     bench: ConsoleBench, addressed: tuple[str, ...]
 ) -> None:
     page, session = bench.join()
@@ -166,7 +166,7 @@ def test_only_what_lapses_by_itself_can_be_driven(bench: ConsoleBench) -> None:
     assert bench.requests() == []
 
 
-def test_nobody_drives_before_the_core_has_spoken() -> None:
+def test_driving_is_refused_before_the_core_has_answered() -> None:
     bench = ConsoleBench(core=False)
     page, session = bench.join()
     assert "core" in drive(bench, session, page, ["r1"])["reason"]

@@ -69,7 +69,7 @@ def test_a_word_that_is_not_json_is_answered() -> None:
         assert read_hello(text) is None
 
 
-def test_a_greeting_needs_a_session_nobody_can_guess_at_once() -> None:
+def test_a_greeting_needs_a_session_that_is_hard_to_guess() -> None:
     good = {"t": "hello", "token": "x", "session": "a1-_b2c3", "name": "Anna K."}
     assert read_hello(json.dumps(good)) is not None
     for wrong in ({"session": "short"}, {"session": "a/b/c/d/e"}, {"name": "<b>"}, {"token": "x" * 600}, {"more": 1}):

@@ -43,7 +43,7 @@ def test_a_default_that_stands_in_the_database_is_filled_in(bench: ConsoleBench)
     assert page.frames[0]["behaviours"]["move_to_goal_bc"]["parameters"]["gain"]["default"] == 2.5
 
 
-def test_a_console_without_a_core_says_so_and_catches_up() -> None:
+def test_a_console_without_a_core_reports_it_and_catches_up() -> None:
     bench = ConsoleBench(core=False)
     page, _ = bench.join()
     bench.run(3.0)
@@ -57,7 +57,7 @@ def test_a_console_without_a_core_says_so_and_catches_up() -> None:
     assert page.log("link") == ["the core is running"]
 
 
-def test_states_come_at_20_hz_while_something_is_heard(bench: ConsoleBench) -> None:
+def test_states_come_at_20_hz_while_messages_arrive(bench: ConsoleBench) -> None:
     page, _ = bench.join()
     before = len(page.all("state"))
     for _ in range(40):
@@ -116,7 +116,7 @@ def test_advice_is_given_only_where_the_cause_is_certain(
     assert page.last("fleet")["robots"][0]["advice"] == said
 
 
-def test_a_core_that_falls_silent_is_told_within_one_and_a_half_seconds(bench: ConsoleBench) -> None:
+def test_a_core_that_falls_silent_is_reported_within_one_and_a_half_seconds(bench: ConsoleBench) -> None:
     page, _ = bench.join()
     for _ in range(10):
         bench.beat()
@@ -137,7 +137,7 @@ def test_a_core_that_was_started_again_is_asked_again(bench: ConsoleBench) -> No
     assert page.last("world")["groups"] == {"rear": ["r4"], "scouts": ["r1", "r2"]}
 
 
-def test_a_change_in_the_database_is_told(bench: ConsoleBench) -> None:
+def test_a_change_in_the_database_is_sent(bench: ConsoleBench) -> None:
     page, _ = bench.join()
     bench.change("world/bounds", [[0, 0], [4, 4]])
     bench.run(0.2)
@@ -176,7 +176,7 @@ def test_the_goal_of_a_centralised_behaviour_is_that_of_its_request(bench: Conso
     assert page.last("goals")["robots"]["r1"]["goal"] == [2.0, 2.0]
 
 
-def test_interventions_are_joined_and_end_also_when_nobody_says_so(bench: ConsoleBench) -> None:
+def test_interventions_are_joined_and_expire(bench: ConsoleBench) -> None:
     page, _ = bench.join()
     for host in ("a", "b"):
         bench.bus.publish(
@@ -252,7 +252,7 @@ def test_obstacles_that_two_robots_have_seen_are_one(bench: ConsoleBench) -> Non
 
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, 1e308])
-def test_an_obstacle_that_cannot_be_ends_nothing_and_is_told_once(bench: ConsoleBench, wild: float) -> None:
+def test_an_impossible_obstacle_ends_nothing_and_is_reported_once(bench: ConsoleBench, wild: float) -> None:
     page, session = bench.join()
     good, bad = (1.0, 2.0, 0.5, 0.5, 0.0, 0.0), (3.0, 2.0, wild, 0.5, 0.0, 0.0)
     for _ in range(3):  # as handlers get it: no bus is needed to reach them

@@ -1,4 +1,4 @@
-"""The console's server on a real port: who gets in, who is thrown out, and that nobody holds up the others."""
+"""The console's server on a real port: access, closed connections, and that no page delays the others."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(folder: Path, story: Callable[[Served], Awaitable[None]], **options: Any) -> None:
-    """Serve while a story is told."""
+    """Serve while a scenario runs."""
 
     async def main() -> None:
         served = Served(folder, **options)
@@ -189,7 +189,7 @@ def test_a_page_of_another_origin_cannot_open_a_line(folder: Path) -> None:
         "no json",
     ],
 )
-def test_a_wrong_greeting_ends_the_line_before_anything_is_told(folder: Path, first: Any) -> None:
+def test_a_wrong_greeting_closes_the_socket_before_anything_is_sent(folder: Path, first: Any) -> None:
     async def story(served: Served) -> None:
         async with served.connect() as line:
             await line.send(first if isinstance(first, str) else json.dumps(first))
@@ -209,7 +209,7 @@ def test_a_line_without_a_greeting_ends(folder: Path) -> None:
     run(folder, story)
 
 
-def test_a_page_hears_the_sign_of_life_and_stops_the_swarm(folder: Path) -> None:
+def test_a_page_gets_frames_and_stops_the_swarm(folder: Path) -> None:
     async def story(served: Served) -> None:
         async with served.page() as line:
             for _ in range(3):

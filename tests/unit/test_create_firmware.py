@@ -9,8 +9,7 @@ import pytest
 from fullswarm.clock import SimClock
 from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation, Mode, Op, Sensors, encoder_delta
-from fullswarm.emulators.create_oi.firmware import BOOT_S, SLEEP_S, Firmware, Quirks
-from fullswarm.emulators.create_oi.waits import happens
+from fullswarm.emulators.create_oi.firmware import BOOT_S, SLEEP_S, Firmware, Quirks, happens
 from fullswarm.simulation.bodies import BodyState, FreeBody, wheels_rolled
 
 BASE_M = CREATE2.wheel_base_m

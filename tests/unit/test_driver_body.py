@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.drivers.base import Pose
-from fullswarm.emulators.faults import BadLink, LinkFaults
+from fullswarm.emulators.base import FaultyWire, LinkFaults
 from fullswarm.simulation.bodies import FreeBody, drive_wheels, wheels_rolled
 from fullswarm.testing import FakeClock
 
@@ -47,7 +47,7 @@ def test_a_push_rolls_and_a_press_is_felt() -> None:
 
 
 def test_a_good_link_changes_nothing() -> None:
-    link = BadLink(LinkFaults())
+    link = FaultyWire(LinkFaults())
     link.put(b"one", 0.0)
     link.put(b"two", 0.0)
     assert link.due(0.0) == [b"one", b"two"]
@@ -56,7 +56,7 @@ def test_a_good_link_changes_nothing() -> None:
 
 def test_a_bad_link_drops_mangles_and_delays() -> None:
     faults = LinkFaults(drop=0.3, corrupt=0.5, delay_s=0.2)
-    link = BadLink(faults, seed=1)
+    link = FaultyWire(faults, seed=1)
     for _ in range(1000):
         link.put(b"\0\0\0\0", 1.0)
     assert link.due(1.1) == []

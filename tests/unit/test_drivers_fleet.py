@@ -26,7 +26,7 @@ class Rover:
 
     @property
     def state(self) -> Lifecycle:
-        return self.bench.session.lifecycle
+        return self.bench.session.state
 
     @property
     def fault(self) -> str:
@@ -46,7 +46,7 @@ class Rover:
         self.bench.session.deactivate(self.bench.now_s)
 
     def read(self) -> Reading | None:
-        return self.bench.session.reading()
+        return self.bench.session.read()
 
     def command(self, twist: Twist) -> Twist:
         return self.bench.session.command(twist, self.bench.now_s)

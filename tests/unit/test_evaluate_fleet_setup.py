@@ -124,7 +124,7 @@ def test_the_wider_margin_holds(ours: float, theirs: float) -> None:
 def test_the_trial_keeps_the_time_itself(stop: Any, limit_s: float | None, trial_s: float, wanted: str) -> None:
     trial = one(stop=stop, time_limit_s=limit_s)
     scenario = scenario_of(trial)
-    config, found_s, reason = terms(trial, scenario, fit(trial, scenario, fleet(4))[0])
+    config, (found_s, reason) = terms(trial, scenario, fit(trial, scenario, fleet(4))[0])
     assert (found_s, reason) == (trial_s, wanted)
     assert config.performance.max_execution_s is None
     assert config.performance.arrive_radius_m == 0.8

@@ -10,7 +10,7 @@ import pytest
 
 from fullswarm.bus.local import LocalBus
 from fullswarm.config import SwarmConfig, WorldConfig
-from fullswarm.evaluate.witness import HeardWitness, WorldWitness
+from fullswarm.evaluate.witness import ReportedWitness, WorldWitness
 from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, RobotHealth, RobotStates
 from fullswarm.runtime import Mailbox
@@ -25,7 +25,7 @@ class Robots:
     def __init__(self) -> None:
         self.mailbox = Mailbox()
         self.bus = LocalBus(self.mailbox)
-        self.witness = HeardWitness(
+        self.witness = ReportedWitness(
             self.bus, SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS]})
         )
 
@@ -64,9 +64,9 @@ def test_poses_are_unknown_until_they_are_told(robots: Robots) -> None:
 
 def test_what_robots_counted_before_does_not_count(robots: Robots) -> None:
     robots.report("a", 7)
-    assert robots.witness.events[1].tolist() == [0, 0, 0]
+    assert robots.witness.tally().obstacle_events.tolist() == [0, 0, 0]
     robots.report("a", 9)
-    assert robots.witness.events[1].tolist() == [2, 0, 0]
+    assert robots.witness.tally().obstacle_events.tolist() == [2, 0, 0]
 
 
 def test_a_contact_beside_another_robot_is_one_with_it_else_with_an_obstacle(robots: Robots) -> None:
@@ -78,7 +78,7 @@ def test_a_contact_beside_another_robot_is_one_with_it_else_with_an_obstacle(rob
     robots.stand("b", 0.6, 0.0)
     robots.report("b", 1)
     robots.report("c", 1)  # nobody knows where it is
-    robot_events, obstacle_events = robots.witness.events
+    robot_events, obstacle_events, *_ = robots.witness.tally()
     assert robot_events.tolist() == [1, 0, 0]
     assert obstacle_events.tolist() == [0, 1, 1]
 
@@ -89,8 +89,8 @@ def test_contacts_before_the_request_do_not_count(robots: Robots) -> None:
     robots.witness.begin()
     assert not robots.witness.touched().any()
     robots.report("a", 3)
-    assert robots.witness.events[1].tolist() == [1, 0, 0]
-    assert robots.witness.robots_touched == 1
+    assert robots.witness.tally().obstacle_events.tolist() == [1, 0, 0]
+    assert robots.witness.tally().robots_touched == 1
 
 
 def test_touched_is_asked_once(robots: Robots) -> None:
@@ -121,7 +121,7 @@ def test_a_world_is_seen_from_the_beginning_on_and_no_step_is_missed() -> None:
         # The first step has nothing to compare with: from the second on all is counted.
         assert way_m - 0.5 * world.dt_s <= witness.truth.distance_m[0] <= way_m
         assert not witness.touched().any()
-        assert witness.above_limits == 0
+        assert witness.tally().above_limits == 0
     finally:
         world.close()
 
@@ -137,8 +137,8 @@ def test_a_graze_between_two_looks_is_counted() -> None:
             world.set_twists(np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
             world.step()
         assert world.contacts.tolist() == [0, 0, 0]
-        assert [each.tolist() for each in witness.events] == [[1, 1, 0], [0, 0, 0]]
-        assert (witness.pairs_touched, witness.robots_touched) == (1, 2)
+        assert [each.tolist() for each in witness.tally()[:2]] == [[1, 1, 0], [0, 0, 0]]
+        assert (witness.tally().pairs_touched, witness.tally().robots_touched) == (1, 2)
         assert witness.touched().tolist() == [True, True, False]
         evidence = witness.evidence()
         assert evidence.closest_m[0] <= evidence.touch_m < evidence.closest_m[1:].min()
@@ -158,10 +158,10 @@ def test_contacts_and_commands_above_the_limits_of_a_world(emulated: bool) -> No
             world.set_twists(np.array([[0.6, 0.0], [0.0, 0.0]]))
             world.step()
             witness.look()
-        robot_events, obstacle_events = witness.events
+        robot_events, obstacle_events, *_ = witness.tally()
         assert robot_events.tolist() == [1, 1]
         assert obstacle_events.tolist() == [0, 0]
         assert witness.touched().all()
-        assert (witness.above_limits > 0) is not emulated
+        assert (witness.tally().above_limits > 0) is not emulated
     finally:
         world.close()

@@ -15,8 +15,9 @@ from fullswarm.clock import SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.pictures import Film
 from fullswarm.evaluate.pictures import replay as module
-from fullswarm.evaluate.pictures.replay import Replay, find_trial, read_record, replay
-from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS
+from fullswarm.evaluate.pictures.replay import Replay, replay
+from fullswarm.evaluate.results.folder import NAMED, find_trial
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRAJECTORY_FILE, TRIALS, read_record
 from tests.unit.pictures_world import a_trial, two_robots, write_trial
 
 app = typer.Typer()
@@ -63,7 +64,7 @@ def test_hundreds_of_trials_are_not_listed(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as none:
         find_trial(tmp_path, "zzz")
     assert "30 trials fit" in str(many.value)
-    assert str(many.value).count("navigate_bc") == module.NAMED
+    assert str(many.value).count("navigate_bc") == NAMED
     assert "there are 30" in str(none.value)
 
 
@@ -81,7 +82,7 @@ def test_a_picture_and_a_film_come_out(folder: Path, tmp_path: Path, capfd: pyte
 
 def test_progress_is_told_every_other_second(capfd: pytest.CaptureFixture[str]) -> None:
     clock = SimClock()
-    teller = module._Teller(clock)
+    teller = module._FrameProgress(clock)
     for number in range(1, 8):
         clock.advance_to(0.5 * number)
         teller(number, 7)

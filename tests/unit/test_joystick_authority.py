@@ -51,7 +51,7 @@ def test_a_take_over_that_the_core_does_not_grant_ends_in_a_refusal(bench: Bench
     assert bench.requests == []
 
 
-def test_robots_that_somebody_takes_are_let_go_and_he_is_named(bench: Bench) -> None:
+def test_robots_that_another_operator_takes_are_released_and_it_is_named(bench: Bench) -> None:
     bench.press(LB)
     bench.push(leftx=1.0)
     bench.run(0.5)
@@ -106,7 +106,7 @@ def test_a_stick_held_in_vain_does_not_queue(bench: Bench, lost: str) -> None:
     assert bench.newest().behaviour == "move_right_bc"
 
 
-def test_a_core_lost_while_driving_ends_the_drive_until_the_dead_man_is_pressed_anew(bench: Bench) -> None:
+def test_a_core_lost_while_driving_ends_the_drive_until_the_dead_man_is_pressed_again(bench: Bench) -> None:
     bench.press(LB)
     bench.push(leftx=1.0)
     bench.core = False
@@ -118,7 +118,7 @@ def test_a_core_lost_while_driving_ends_the_drive_until_the_dead_man_is_pressed_
     assert len(bench.requests) == count
 
 
-def test_stop_stands_the_chosen_robots_and_the_dead_man_must_be_pressed_anew(bench: Bench) -> None:
+def test_stop_stops_the_selected_robots_and_the_dead_man_must_be_pressed_again(bench: Bench) -> None:
     bench.tap("dpright")
     bench.press(LB)
     bench.push(leftx=1.0)
@@ -141,7 +141,9 @@ def test_stop_stands_the_chosen_robots_and_the_dead_man_must_be_pressed_anew(ben
         (EStop(id="e", engaged=False, source="ben"), True),
     ],
 )
-def test_who_somebody_else_stops_or_releases_is_let_go(bench: Bench, order: StopRequest | EStop, stands: bool) -> None:
+def test_robots_that_another_operator_stops_or_clears_are_released(
+    bench: Bench, order: StopRequest | EStop, stands: bool
+) -> None:
     bench.press(LB)
     bench.push(leftx=1.0)
     bench.bus.publish(bench.keys.stop if isinstance(order, StopRequest) else bench.keys.estop, order)

@@ -51,7 +51,7 @@ def test_the_bindings_that_come_with_the_package_bind_every_role() -> None:
     assert {button for _, button in bindings.buttons} <= set(BUTTONS)
 
 
-def test_all_that_is_wrong_is_told_at_once_with_its_line() -> None:
+def test_all_errors_are_reported_at_once_with_their_lines() -> None:
     text = """[motion]
 dead_zone = 2
 [buttons]
@@ -94,7 +94,7 @@ def test_bindings_that_contradict_themselves_are_refused(text: str, what: str) -
     assert what in str(caught.value)
 
 
-def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_missing_or_no_text_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no\.toml: cannot be read: No such file.*copy .*bindings\.toml"):
         load_bindings(tmp_path / "no.toml")
     (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
@@ -150,7 +150,7 @@ def test_writing_replaces_the_line_of_the_same_pad_and_keeps_everything_else(tmp
     assert [each.name for each in path.parent.iterdir()] == [path.name]
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be written"):
         mapping.write_file(tmp_path / "file" / "db.txt", mapping.build("a" * 32, "Pad", {}, "Linux"))

@@ -67,7 +67,7 @@ def test_any_listing_is_read(machine: Machine, text: str) -> None:
     assert machine.checks() == [("ok", "none is plugged in", "")]
 
 
-def test_a_machine_without_input_devices_is_told_so(tmp_path: Path) -> None:
+def test_a_machine_without_input_devices_is_reported(tmp_path: Path) -> None:
     [check] = gamepads(tmp_path / "none", tmp_path / "none")
     assert check.what == f"none: there is no {tmp_path}/none"
 

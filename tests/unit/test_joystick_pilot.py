@@ -19,7 +19,7 @@ def test_a_stick_without_the_dead_man_asks_for_nothing(bench: Bench) -> None:
     assert bench.requests == []
 
 
-def test_left_stick_with_the_dead_man_asks_for_move_left_of_the_whole_swarm(bench: Bench) -> None:
+def test_left_stick_with_the_dead_man_requests_move_left_of_the_whole_swarm(bench: Bench) -> None:
     bench.press(LB)
     bench.push(leftx=-1.0)
     request = bench.newest()
@@ -56,7 +56,7 @@ def test_a_diagonal_does_not_flutter_between_two_behaviours(bench: Bench) -> Non
     assert bench.newest().behaviour == "move_forward_bc"
 
 
-def test_it_streams_at_20_hz_and_tells_a_moved_stick_at_once(bench: Bench) -> None:
+def test_it_streams_at_20_hz_and_sends_a_moved_stick_at_once(bench: Bench) -> None:
     bench.press(LB)
     bench.push(lefty=-0.6)
     began_s = bench.time_s
@@ -65,7 +65,7 @@ def test_it_streams_at_20_hz_and_tells_a_moved_stick_at_once(bench: Bench) -> No
 
 
 @pytest.mark.parametrize("after_s", [0.005, 0.01, 0.015, 0.02, 0.03, 0.045])
-def test_a_moved_stick_is_told_within_20_ms_and_a_look_whenever_the_last_frame_was(
+def test_a_moved_stick_is_sent_within_20_ms_and_a_poll_whenever_the_last_frame_was(
     bench: Bench, after_s: float
 ) -> None:
     bench.press(LB)
@@ -138,7 +138,7 @@ def test_unplugging_while_driving_is_zero_and_a_stop_of_those_robots(bench: Benc
     assert len(bench.requests) == count
 
 
-def test_unplugging_a_pad_that_does_not_drive_stops_nobody(bench: Bench) -> None:
+def test_unplugging_a_pad_that_does_not_drive_stops_no_robot(bench: Bench) -> None:
     bench.press(LB)
     bench.unplug()
     bench.run(0.5)
@@ -196,7 +196,7 @@ def test_the_cross_steps_through_robots_groups_and_makes(bench: Bench) -> None:
     assert set(bench.holders) == {"r1", "r3"}
 
 
-def test_a_group_that_is_gone_is_nobody_instead_of_everybody(bench: Bench) -> None:
+def test_a_group_that_is_gone_is_empty_and_not_the_whole_swarm(bench: Bench) -> None:
     bench.tap("dpup")
     bench.groups = {}
     bench.pilot._roster._groups.clear()
@@ -290,7 +290,7 @@ def test_only_the_robots_that_were_named_are_driven() -> None:
     assert bench.newest().robots == ("r1", "r2", "r3")
 
 
-def test_a_pad_that_sdl_does_not_know_is_told_how_to_be_taught(bench: Bench) -> None:
+def test_the_note_of_an_unknown_pad_names_the_command_that_maps_it(bench: Bench) -> None:
     bench.pads.plug(known=False)
     bench.run(0.1)
     assert "joystick map" in bench.note()

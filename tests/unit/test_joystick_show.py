@@ -29,7 +29,7 @@ def test_a_pilot_sees_pad_selection_dead_man_behaviour_magnitude_and_reason() ->
         assert part in text
 
 
-def test_without_a_pad_it_says_what_to_do() -> None:
+def test_without_a_pad_it_shows_what_to_do() -> None:
     text = drawn(status_text(PilotStatus(pad="", selection="whole swarm", robots=0, dead_man=False, behaviour="")))
     assert "no gamepad: plug one in" in text
     assert "dead-man up" in text

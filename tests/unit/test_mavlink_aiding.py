@@ -178,15 +178,15 @@ def test_px4_tells_the_same_by_its_own_messages() -> None:
     bench = Px4Bench()
     bench.ready()
     bench.run(2.0)
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert (reading.position_sigma_m or 0.0) < SIGMA_M + 0.03
     bench.rover.gps = False
     bench.run(2.0)
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert (reading.position_sigma_m or 0.0) > SIGMA_M + 0.1
-    assert bench.session.lifecycle is Lifecycle.READY
+    assert bench.session.state is Lifecycle.READY
     assert "satellite receiver" in bench.session.unaided(bench.now_s)
     bench.rover.gps = True
     bench.run(0.5)

@@ -15,8 +15,8 @@ from fullswarm.drivers.mavlink.maps import SphereMap
 from fullswarm.drivers.mavlink.session import Session
 from fullswarm.drivers.mavlink.settings import Options
 from fullswarm.emulators.mavlink.firmware import Firmware
+from fullswarm.emulators.mavlink.position import Chart
 from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware
-from fullswarm.emulators.mavlink.rover.chart import Chart
 from fullswarm.simulation.bodies import FreeBody
 from tests.unit.mavlink_bench import LIMITS, STEP_S
 
@@ -57,11 +57,11 @@ class Bench:
                     self.rover.receive(message, now_s)
 
     def ready(self) -> bool:
-        return self.session.lifecycle is Lifecycle.READY
+        return self.session.state is Lifecycle.READY
 
     @property
     def pose(self) -> tuple[float, float, float] | None:
-        reading = self.session.reading()
+        reading = self.session.read()
         told = None if reading is None else reading.pose
         return None if told is None else (told.x_m, told.y_m, told.heading_rad)
 
@@ -148,7 +148,7 @@ def test_a_leap_of_the_map_is_not_believed_until_the_origin_is_told_anew() -> No
             told.append(bench.pose[0])
     assert told
     assert max(abs(x_m - 8.0) for x_m in told) < 2.0 * RESOLUTION_M
-    assert bench.session.reading() is not None
+    assert bench.session.read() is not None
 
 
 def test_a_swarm_on_another_continent_is_refused_with_both_places() -> None:

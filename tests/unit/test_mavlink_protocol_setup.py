@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from fullswarm.drivers.mavlink import codec
-from fullswarm.drivers.mavlink.link import parse_url
-from fullswarm.drivers.mavlink.settings import LIMITS
+from fullswarm.drivers.mavlink.settings import LIMITS, parse_url
 from fullswarm.errors import ConfigError, MissingExtra
 
 

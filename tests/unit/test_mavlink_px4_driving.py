@@ -26,12 +26,12 @@ def test_it_is_recognised_and_driven_in_offboard() -> None:
     bench.run(2.0, bench.drive)
     assert bench.body.state().speed_m_s == pytest.approx(0.5, abs=0.01)
     assert bench.body.state().heading_rad == pytest.approx(0.7, abs=0.01)
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert reading.twist.linear_m_s == pytest.approx(0.5, abs=0.02)
     assert not any("invalid" in text or "unsupported" in text for text in bench.texts)
     bench.session.deactivate(bench.now_s)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 4.0)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 4.0)
     assert (bench.rover.mode, bench.rover.armed) == (HOLD, False)
     assert bench.body.state().speed_m_s < 0.1
 
@@ -88,4 +88,4 @@ def test_silence_of_the_agent_is_a_stop_but_no_loss_of_offboard() -> None:
     bench.run(1.0, bench.drive)
     bench.run(3.0)
     assert bench.body.state().speed_m_s < 0.01
-    assert (bench.session.lifecycle, bench.rover.mode) == (Lifecycle.ACTIVE, OFFBOARD)
+    assert (bench.session.state, bench.rover.mode) == (Lifecycle.ACTIVE, OFFBOARD)

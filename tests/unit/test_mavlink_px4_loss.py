@@ -21,13 +21,13 @@ def test_a_lost_link_is_a_stop_of_its_own_after_a_second_and_a_fault_that_heals_
     assert bench.rover.mode == OFFBOARD
     bench.run(0.9, bench.drive)
     assert (bench.rover.mode, bench.body.state().speed_m_s) == (HOLD, 0.0)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 4.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 4.0, bench.drive)
     assert bench.session.fault
     bench.run(3.0, bench.drive)
     bench.cut = False
     seen: set[Lifecycle] = set()
     since_s = bench.now_s
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 5.0, lambda: seen.add(bench.session.lifecycle))
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 5.0, lambda: seen.add(bench.session.state))
     assert Lifecycle.ACTIVE not in seen
     assert not bench.rover.armed
     assert bench.now_s - since_s < 3.5  # disarmed first; a heartbeat a second is all that PX4 gives
@@ -38,7 +38,7 @@ def test_a_long_timeout_of_its_own_keeps_it_open() -> None:
     bench = Px4Bench()
     bench.rover.parameters["COM_OF_LOSS_T"] = (60.0, p.PARAM_REAL32)
     bench.run(4.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "COM_OF_LOSS_T" in bench.session.why
 
 

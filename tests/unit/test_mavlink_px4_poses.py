@@ -41,13 +41,13 @@ def indoors(**options: Any) -> Px4Bench:
 def test_fixes_become_odometry_and_make_it_ready() -> None:
     bench = indoors(origin=ORIGIN)
     bench.run(3.0)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "no pose fix has come in yet" in bench.session.why
     look = locating(bench)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 4.0, look)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 4.0, look)
     assert bench.rover.origin == (525163000, 133777000, 34000)
     bench.session.activate(bench.now_s)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, 5.0, look)
+    bench.until(lambda: bench.session.state is Lifecycle.ACTIVE, 5.0, look)
 
     def drive() -> None:
         look()
@@ -112,7 +112,7 @@ def test_without_the_parameters_for_it_it_is_not_ready() -> None:
     bench = indoors()
     bench.rover.parameters["EKF2_EV_CTRL"] = (1, p.PARAM_INT32)
     bench.run(4.0, locating(bench))
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "EKF2_EV_CTRL" in bench.session.why
 
 

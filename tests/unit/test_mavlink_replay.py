@@ -75,14 +75,14 @@ class Replay:
         session = self.session
         for message in StreamParser(decoded_ids() | {SIM_STATE}).feed(packet):
             session.receive(message, at_s)
-            reading = session.reading()
+            reading = session.read()
             if reading is not None and (not self.readings or reading is not self.readings[-1]):
                 self.readings.append(reading)
             if message.get_type() == "SIM_STATE" and reading is not None:
                 vehicle = session._vehicle
                 self.moments.append(Moment(at_s, reading, truth_of(message), vehicle.mode, vehicle.armed))
         session.tick(at_s)
-        self.lifecycles.add(session.lifecycle)
+        self.lifecycles.add(session.state)
         self.faults.add(session.fault)
 
 
@@ -178,7 +178,7 @@ def test_standstill_of_the_recorded_vehicle_is_recognised_and_nothing_else() -> 
                 moves = math.hypot(message.vn, message.ve) > 0.03 or abs(message.zgyro) > 0.1
                 motion_s = min(motion_s, at_s) if moves else math.inf
                 rest_s = math.inf if moves else min(rest_s, at_s)
-            reading = session.reading()
+            reading = session.read()
             if reading is None or reading.stamp_s == seen:
                 continue
             elapsed_s, seen = reading.stamp_s - max(seen, 0.0), reading.stamp_s

@@ -21,7 +21,7 @@ def test_setpoints_go_out_at_20_hz_while_commanded_and_zero_after_300_ms() -> No
     zeros = [record.at_s - silent_s for record in after if record.speed_m_s == 0.0]
     assert 0.25 < zeros[0] < 0.4
     assert len(zeros) > 10  # said again and again
-    assert bench.session.lifecycle is Lifecycle.ACTIVE
+    assert bench.session.state is Lifecycle.ACTIVE
 
 
 def test_a_stop_does_not_wait_for_its_turn() -> None:
@@ -47,7 +47,7 @@ def test_spin_uses_the_turn_mask() -> None:
     bench.run(1.0, lambda: bench.drive(0.0, 0.6))
     assert bench.rover.setpoints[-1].mask == 1535
     assert bench.body.state().turn_rad_s == pytest.approx(0.6)
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert reading.twist.angular_rad_s == pytest.approx(0.6, abs=0.05)
 
@@ -57,7 +57,7 @@ def test_reverse_is_a_negative_speed_in_any_direction() -> None:
     bench.active()
     bench.run(2.0, lambda: bench.drive(0.0, 0.8))
     bench.run(1.0, lambda: bench.drive(-0.5))
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert reading.twist.linear_m_s == pytest.approx(-0.5, abs=0.05)
 
@@ -79,7 +79,7 @@ def test_the_safety_switch_is_an_emergency_stop() -> None:
     for pressed in (True, False):
         bench.rover.safety = pressed
         bench.run(0.6)
-        reading = bench.session.reading()
+        reading = bench.session.read()
         assert reading is not None
         assert bool(reading.hazards & Hazard.ESTOP_BUTTON) is pressed
         assert bool(reading.hazards & Hazard.MOTORS_OFF) is pressed

@@ -8,7 +8,7 @@ from fullswarm.drivers.base import STAND, Hazard, Lifecycle
 from fullswarm.drivers.guardian_process import Frames
 from fullswarm.drivers.mavlink.codec import Encoder, StreamParser, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
-from fullswarm.emulators.mavlink.rover import parameters
+from fullswarm.emulators.mavlink import parameters
 from tests.unit.mavlink_bench import STEP_S, ArduBench
 
 
@@ -17,12 +17,12 @@ def test_after_a_cut_it_is_ready_within_two_seconds_never_active_and_disarmed_fi
     bench.active()
     bench.run(1.0, bench.drive)
     bench.cut = True
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 1.5, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 1.5, bench.drive)
     bench.run(4.0, bench.drive)
     assert "no heartbeat" in bench.session.fault
     bench.cut = False
     back_s, seen = bench.now_s, set()
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 2.0, lambda: seen.add(bench.session.lifecycle))
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 2.0, lambda: seen.add(bench.session.state))
     assert Lifecycle.ACTIVE not in seen
     assert bench.now_s - back_s < 2.0
     assert (bench.rover.armed, bench.drive()) == (False, STAND)
@@ -36,7 +36,7 @@ def test_attitude_lost_while_driving_is_a_fault_although_heartbeats_go_on() -> N
         bench.rover.set_interval(30, -1.0, bench.now_s)
         bench.drive()
 
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 1.3, drive_without_attitude)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 1.3, drive_without_attitude)
     assert "position or attitude" in bench.session.fault
     bench.until(lambda: bench.rover.mode == Mode.HOLD, 5.0, drive_without_attitude)
 
@@ -46,13 +46,13 @@ def test_a_link_lost_for_long_stops_the_rover_by_its_own_failsafe_and_comes_back
     bench.active()
     bench.run(1.0, bench.drive)
     bench.cut = True
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 3.5, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 3.5, bench.drive)
     bench.run(8.0, bench.drive)
     assert bench.rover.failsafe
     assert (bench.rover.mode, bench.rover.armed) == (Mode.HOLD, True)
     assert bench.body.state().speed_m_s < 0.05
     bench.cut = False
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, each=bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, each=bench.drive)
     assert (bool(bench.rover.failsafe), bool(bench.rover.armed)) == (False, False)
 
 
@@ -75,7 +75,7 @@ def test_what_else_is_aboard_is_not_the_vehicle(kind: int, component: int) -> No
     def drive() -> None:
         beat(bench, kind, 3, component=component)
         bench.drive()
-        seen.add((bench.session.lifecycle, bench.session.fault))
+        seen.add((bench.session.state, bench.session.fault))
 
     bench.run(2.0, drive)
     assert seen == {(Lifecycle.ACTIVE, "")}
@@ -93,7 +93,7 @@ def test_what_is_no_rover_of_ours_any_more_is_stopped_before_it_is_left_alone(
     count = len(bench.rover.setpoints)
     beat(bench, kind, autopilot, mode)
     bench.run(0.05, bench.drive)
-    assert bench.session.lifecycle is Lifecycle.FAULT
+    assert bench.session.state is Lifecycle.FAULT
     assert words in bench.session.fault
     assert [record.speed_m_s for record in bench.rover.setpoints][count:][-1] == 0.0
     assert (bench.rover.mode, bench.rover.armed) == (Mode.HOLD, False)
@@ -121,8 +121,8 @@ def test_a_failsafe_s_action_that_is_changed_while_driving_stops_the_rover() -> 
     bench.active()
     bench.run(1.0, bench.drive)
     bench.rover.parameters["FS_ACTION"] = 1.0
-    bench.rover.tell(parameters.value_of(bench.rover.parameters, "FS_ACTION"))
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.FAULT, 0.2, bench.drive)
+    bench.rover.broadcast(parameters.value_of(bench.rover.parameters, "FS_ACTION"))
+    bench.until(lambda: bench.session.state is Lifecycle.FAULT, 0.2, bench.drive)
     assert "FS_ACTION 1 is RTL" in bench.session.fault
     bench.until(lambda: not bench.rover.armed and bench.rover.mode == Mode.HOLD, 3.0, bench.drive)
 
@@ -139,23 +139,23 @@ def test_what_a_guardian_is_left_with_holds_and_then_disarms_what_we_drive_and_n
     bench = ArduBench()
 
     def watched() -> bool:
-        return bench.session.stop_kind is not None
+        return bench.session.stop_plan(bench.now_s) is not None
 
     bench.ready()
     assert not watched()  # a pilot may drive it
     bench.session.activate(bench.now_s)
     bench.run(0.02)
-    arming = bench.session.stop_plan()  # before the arm command is on its way
+    arming = bench.plan()  # before the arm command is on its way
     assert watched()
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE)
-    plan = bench.session.stop_plan()
+    bench.until(lambda: bench.session.state is Lifecycle.ACTIVE)
+    plan = bench.plan()
     assert len(arming.stop) < len(plan.stop)  # a set-point would be stored, and driven when it arms
     bench.run(1.0, bench.drive)
     stopped_with(bench, plan.stop)
     assert (bench.rover.mode, bench.rover.armed) == (Mode.HOLD, True)
     stopped_with(bench, plan.leave)
     assert not bench.rover.armed
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 3.0)
     assert not watched()  # it is somebody else's now
 
 
@@ -163,16 +163,16 @@ def test_our_own_guardian_s_stop_is_a_fault_that_says_so_and_no_pilot_s() -> Non
     bench = ArduBench()
     bench.active()
     bench.run(1.0, bench.drive)
-    stopped_with(bench, bench.session.stop_plan().stop)
+    stopped_with(bench, bench.plan().stop)
     bench.session.stopped_by_guardian(bench.now_s)  # its word comes before the vehicle's
     assert "its guardian stopped it" in bench.session.fault
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 3.0, bench.drive)
     assert not bench.rover.armed
-    reading = bench.session.reading()
+    reading = bench.session.read()
     assert reading is not None
     assert not reading.hazards & Hazard.ESTOP_BUTTON
     bench.session.stopped_by_guardian(bench.now_s)  # a late word of a guardian changes nothing for one that stands
-    assert bench.session.lifecycle is Lifecycle.READY
+    assert bench.session.state is Lifecycle.READY
 
 
 def test_a_rover_that_nothing_watches_over_is_not_driven() -> None:
@@ -181,8 +181,8 @@ def test_a_rover_that_nothing_watches_over_is_not_driven() -> None:
     bench.run(1.0, bench.drive)
     bench.session.unguarded = "its guardian has ended"
     bench.run(0.02, bench.drive)
-    assert bench.session.lifecycle is Lifecycle.FAULT
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.OPEN, 5.0, bench.insist)
+    assert bench.session.state is Lifecycle.FAULT
+    bench.until(lambda: bench.session.state is Lifecycle.OPEN, 5.0, bench.insist)
     assert "its guardian has ended" in bench.session.unfit
     assert not bench.rover.armed
     bench.session.unguarded = ""
@@ -201,7 +201,7 @@ class MuteBench(ArduBench):
             for answer in self.session.tick(self.now_s):
                 for message in self._pass(answer, self._up):
                     self.rover.receive(message, self.now_s)
-            self.ready_with_a_fault |= self.session.lifecycle is Lifecycle.READY and bool(
+            self.ready_with_a_fault |= self.session.state is Lifecycle.READY and bool(
                 self.session.fault or self.session.unaided(self.now_s)
             )
 
@@ -216,8 +216,8 @@ def test_a_vehicle_that_speaks_again_is_ready_once_its_receiver_is_heard_and_not
     bench.run(1.0, bench.drive)
     bench.mute = True
     bench.run(silent_s, bench.drive)
-    assert bench.session.lifecycle in (Lifecycle.FAULT, Lifecycle.OPEN)
+    assert bench.session.state in (Lifecycle.FAULT, Lifecycle.OPEN)
     bench.mute = False
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 4.0, bench.drive)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 4.0, bench.drive)
     bench.run(0.5, bench.drive)
     assert not bench.ready_with_a_fault

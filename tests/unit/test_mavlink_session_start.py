@@ -12,7 +12,7 @@ from tests.unit.mavlink_bench import ArduBench
 def test_a_real_boot_takes_its_time_and_early_acks_are_not_believed() -> None:
     bench = ArduBench(boot_s=42.4)
     bench.run(41.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "position" in bench.session.why
     assert not bench.rover.armed
     bench.ready()
@@ -24,7 +24,7 @@ def test_no_vehicle_is_a_fault_after_three_seconds_and_heals() -> None:
     bench = ArduBench()
     bench.cut = True
     bench.run(3.2)
-    assert bench.session.lifecycle is Lifecycle.FAULT
+    assert bench.session.state is Lifecycle.FAULT
     assert "no heartbeat from system 1" in bench.session.fault
     bench.cut = False
     bench.ready()
@@ -36,14 +36,14 @@ def test_rates_are_asked_within_the_cap_and_lowered_when_denied() -> None:
     bench.ready()
     bench.run(1.0)
     stamps = set()
-    bench.run(2.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
+    bench.run(2.0, lambda: stamps.add(getattr(bench.session.read(), "stamp_s", 0.0)))
     assert 17 <= len(stamps) <= 22  # 10 Hz
     assert any("too fast" in text for text in bench.texts)
 
 
 def test_lost_frames_only_cost_time() -> None:
     bench = ArduBench(loss=0.3)
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.ACTIVE, 60.0, bench.insist)
+    bench.until(lambda: bench.session.state is Lifecycle.ACTIVE, 60.0, bench.insist)
     bench.run(2.0, bench.drive)
     assert bench.body.state().speed_m_s > 0.4
     assert all(record.armed for record in bench.rover.setpoints)
@@ -56,7 +56,7 @@ def test_a_failsafe_that_would_not_watch_us_keeps_it_open(name: str, value: floa
     bench = ArduBench()
     bench.rover.parameters[name] = value
     bench.run(4.0)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert name in bench.session.why
 
 
@@ -64,7 +64,7 @@ def test_without_the_failsafe_parameter_it_is_never_ready() -> None:
     bench = ArduBench()
     del bench.rover.parameters["FS_GCS_ENABLE"]
     bench.run(6.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert "FS_GCS_ENABLE=1 is not confirmed: the vehicle does not answer" in bench.session.why
 
 
@@ -82,7 +82,7 @@ def test_rates_that_were_forgotten_are_asked_again() -> None:
         bench.rover.set_interval(message, 0.0, bench.now_s)  # back to 1 Hz
     bench.run(5.0)
     stamps = set()
-    bench.run(1.0, lambda: stamps.add(getattr(bench.session.reading(), "stamp_s", 0.0)))
+    bench.run(1.0, lambda: stamps.add(getattr(bench.session.read(), "stamp_s", 0.0)))
     assert len(stamps) > 15
 
 
@@ -91,13 +91,13 @@ def test_a_failsafe_that_would_not_end_standing_is_not_switched_on_until_a_perso
     bench = ArduBench()
     bench.rover.parameters["FS_ACTION"] = float(action)
     bench.run(4.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert f"FS_ACTION {action} " in bench.session.why
     assert "set it to 2 (HOLD)" in bench.session.why
     assert bench.session.unfit == f"bench: {bench.session.why}"  # the driver's fault: so that operators see it
     assert (bench.rover.parameters["FS_GCS_ENABLE"], bench.rover.parameters["FS_ACTION"]) == (0.0, action)
     bench.rover.parameters["FS_ACTION"] = 2.0
-    bench.until(lambda: bench.session.lifecycle is Lifecycle.READY, 3.0)
+    bench.until(lambda: bench.session.state is Lifecycle.READY, 3.0)
     assert (bench.rover.parameters["FS_GCS_ENABLE"], bench.session.unfit) == (1.0, "")
 
 
@@ -112,6 +112,6 @@ def test_a_failsafe_s_action_that_is_never_told_does_not_count_as_hold() -> None
     bench = ArduBench()
     del bench.rover.parameters["FS_ACTION"]
     bench.run(6.0, bench.insist)
-    assert bench.session.lifecycle is Lifecycle.OPEN
+    assert bench.session.state is Lifecycle.OPEN
     assert bench.session.why == "FS_ACTION=2 is not confirmed: the vehicle does not answer"
     assert bench.rover.parameters["FS_GCS_ENABLE"] == 0.0

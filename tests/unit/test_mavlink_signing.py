@@ -187,7 +187,7 @@ def test_a_port_that_is_not_there_does_not_push_the_signing_clock_ahead(tmp_path
     key.chmod(0o600)
     driver = MavlinkDriver(f"mavlink+serial:///dev/no-such-rover?sign_key={key}&sign_state={state}")
     for _ in range(3):
-        with pytest.raises(DriverError, match="plugged in"):
+        with pytest.raises(DriverError, match="plug the robot in"):
             driver.open()
     assert int(state.read_text()) / TICKS_S + EPOCH_S - wall_time_s() < 1.0
 
@@ -240,7 +240,7 @@ def test_the_fault_says_why_a_vehicle_is_not_believed(signer: FrameSigner | None
     ours = signing()
     session = Session(Options(1, Limits(1.0, 2.0, 1.0, 2.0), "bench"), 0.0, ours)
     talk(session, StreamParser(decoded_ids(), ours.accept), signer, 0.0)
-    assert session.lifecycle is Lifecycle.FAULT
+    assert session.state is Lifecycle.FAULT
     assert doubt in session.fault
     talk(session, StreamParser(decoded_ids(), ours.accept), signing().signer(), 4.0)
     assert session.autopilot.key == ArduPilot.key

@@ -98,7 +98,7 @@ def test_a_request_is_repeated_with_one_id_until_the_first_status(swarm: Swarm) 
     assert asked.status == got[0]
 
 
-def test_all_statuses_are_heard_until_a_final_one(swarm: Swarm) -> None:
+def test_all_statuses_are_received_until_a_final_one(swarm: Swarm) -> None:
     got: list[str] = []
     swarm.operator.request("flocking", on_status=lambda status: got.append(status.phase))
     phases: list[Phase] = ["accepted", "accepted", "running", "superseded", "running"]
@@ -109,7 +109,7 @@ def test_all_statuses_are_heard_until_a_final_one(swarm: Swarm) -> None:
     assert len(swarm.heard) == 1
 
 
-def test_a_forgotten_request_is_neither_sent_nor_heard_of(swarm: Swarm) -> None:
+def test_a_forgotten_request_is_neither_sent_nor_reported(swarm: Swarm) -> None:
     got: list[RequestStatus] = []
     asked = swarm.operator.request("flocking", on_status=got.append)
     swarm.runtime.after(0.3, lambda: swarm.operator.forget(asked))
@@ -183,7 +183,7 @@ def test_a_release_is_confirmed_by_robots_that_are_released(swarm: Swarm) -> Non
     assert estop(swarm, engaged=False, robots=("a", "stuck")).unconfirmed() == ("stuck",)
 
 
-def test_an_estop_that_nobody_hears_concerns_nobody(swarm: Swarm) -> None:
+def test_an_estop_that_no_robot_receives_concerns_none(swarm: Swarm) -> None:
     order = estop(swarm)
     assert (order.concerned(), order.sent) == ((), 20)
 
@@ -249,7 +249,7 @@ def test_teleop_streams_at_20_hz_and_ends_with_zeros(swarm: Swarm) -> None:
     assert done == [0.62]
 
 
-def test_teleop_hears_a_refusal_and_keeps_only_recent_frames(swarm: Swarm) -> None:
+def test_teleop_gets_a_refusal_and_keeps_only_recent_frames(swarm: Swarm) -> None:
     got: list[str] = []
     teleop = Teleop(swarm.operator, swarm.runtime, on_status=lambda status: got.append(status.request_id))
     teleop.hold("drive", {"linear": 1.0, "angular": 0.0})

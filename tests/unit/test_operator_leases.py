@@ -13,7 +13,7 @@ ANNA, BOB = "anna@lab", "bob@lab"
 
 
 class Desk:
-    """One operator's holder on a swarm with a real core, and what it was told."""
+    """One operator's holder on a swarm with a real core, and its callbacks."""
 
     def __init__(self, swarm: Swarm, name: str) -> None:
         self.lost: list[tuple[tuple[str, ...], str]] = []
@@ -71,7 +71,7 @@ def test_it_holds_for_as_long_as_it_lives(swarm: Swarm, anna: Desk) -> None:
     assert [lease for message in swarm.sent(Leases)[-1:] for lease in getattr(message, "leases", ())] == []
 
 
-def test_a_take_over_is_told_to_both_once(swarm: Swarm, anna: Desk, bob: Desk) -> None:
+def test_a_take_over_is_reported_to_both_once(swarm: Swarm, anna: Desk, bob: Desk) -> None:
     anna.holder.hold(["r0", "r1"])
     swarm.run(2.0)
     bob.holder.hold(["r0"], take=True)
@@ -82,7 +82,7 @@ def test_a_take_over_is_told_to_both_once(swarm: Swarm, anna: Desk, bob: Desk) -
     assert (anna.refused, bob.lost, bob.refused) == ([], [], [])
 
 
-def test_whoever_lost_a_robot_does_not_get_it_back_unasked(swarm: Swarm, anna: Desk, bob: Desk) -> None:
+def test_a_lost_robot_does_not_come_back_without_a_request(swarm: Swarm, anna: Desk, bob: Desk) -> None:
     anna.holder.hold(["r0"])
     swarm.run(1.0)
     bob.holder.hold(["r0"], take=True)
@@ -99,7 +99,7 @@ def test_whoever_lost_a_robot_does_not_get_it_back_unasked(swarm: Swarm, anna: D
 
 
 def test_a_word_that_was_under_way_does_not_end_a_take_over(swarm: Swarm, bob: Desk) -> None:
-    """The core has not heard of it yet when it says, once more, that anna holds the robot."""
+    """The core has not received it yet when it reports once more that anna holds the robot."""
     swarm.core.close()
     say(swarm, 1, r0=ANNA)
     bob.holder.hold(["r0"], take=True)
@@ -111,7 +111,7 @@ def test_a_word_that_was_under_way_does_not_end_a_take_over(swarm: Swarm, bob: D
     assert (renewal.operator, renewal.robots, renewal.take) == (BOB, ("r0",), False)  # type: ignore[attr-defined]  # a LeaseRequest
 
 
-def test_a_take_over_whose_word_was_lost_is_said_again(swarm: Swarm, anna: Desk, bob: Desk) -> None:
+def test_a_lost_take_over_is_sent_again(swarm: Swarm, anna: Desk, bob: Desk) -> None:
     anna.holder.hold(["r0"])
     swarm.run(1.0)
     swarm.bus.drop = lambda _key, message: isinstance(message, LeaseRequest) and message.take
@@ -122,7 +122,7 @@ def test_a_take_over_whose_word_was_lost_is_said_again(swarm: Swarm, anna: Desk,
     assert anna.lost == [(("r0",), BOB)]
 
 
-def test_a_refusal_is_told_once_and_nothing_is_waited_for(swarm: Swarm, anna: Desk, bob: Desk) -> None:
+def test_a_refusal_is_reported_once_and_nothing_is_waited_for(swarm: Swarm, anna: Desk, bob: Desk) -> None:
     anna.holder.hold(["r0"])
     swarm.run(0.5)
     bob.holder.hold(["r0", "r2"])

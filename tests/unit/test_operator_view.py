@@ -121,7 +121,7 @@ def test_a_snapshot_is_json_without_nan(listening: Listening) -> None:
     assert plain["request"] is None
 
 
-def test_a_closed_view_hears_nothing(listening: Listening) -> None:
+def test_a_closed_view_receives_nothing(listening: Listening) -> None:
     listening.view.close()
     listening.report("h", health("r1"))
     listening.runtime.run(0.1)
@@ -155,17 +155,17 @@ def said(seen: RobotRow) -> tuple[str, bool]:
         ({"battery": 0.1}, ("standing, BATTERY 10%", True)),
     ],
 )
-def test_states_are_said_in_words(fields: dict[str, object], state: tuple[str, bool]) -> None:
+def test_states_are_shown_as_text(fields: dict[str, object], state: tuple[str, bool]) -> None:
     assert said(row("r1", 0.1, **fields)) == state
 
 
-def test_who_stands_already_is_not_said_to_roll() -> None:
+def test_a_robot_at_standstill_is_not_shown_as_rolling() -> None:
     reported = row("r1", 0.1, estop=True, moving=True)
     assert said(replace(reported, speed_m_s=0.0)) == ("E-STOP", True)
     assert said(replace(reported, speed_m_s=-0.1)) == ("E-STOP, still rolling", True)
 
 
-def test_silence_comes_before_what_was_last_heard() -> None:
+def test_silence_precedes_what_was_last_received() -> None:
     assert said(row("r1", 7.0, moving=True)) == ("SILENT for 7 s", True)
     assert said(RobotRow("r1", 0.1, 0.0, 0.0, 0.0, 0.0, None)) == ("no health report", True)
 
@@ -189,7 +189,7 @@ def full_snapshot() -> Snapshot:
     )
 
 
-def test_the_table_says_all_of_it_in_80_columns() -> None:
+def test_the_table_shows_everything_in_80_columns() -> None:
     text = text_of(full_snapshot())
     lines = [line.rstrip() for line in text.splitlines()]
     assert max(map(len, lines)) <= 80
@@ -208,7 +208,7 @@ def test_the_table_says_all_of_it_in_80_columns() -> None:
     ]
 
 
-def test_an_empty_swarm_says_what_is_not_there() -> None:
+def test_an_empty_swarm_shows_what_is_missing() -> None:
     text = text_of(Snapshot("lab", connected=False))
     assert text.splitlines()[0].rstrip() == "swarm lab: 0 robots, HUB LOST, NO CORE"
 
@@ -232,7 +232,7 @@ def test_trouble_comes_first_and_r2_before_r10() -> None:
     assert [line.split()[0] for line in lines] == ["r9", "r1", "r2", "r10"]
 
 
-def test_who_holds_robots_is_shown_when_anybody_does() -> None:
+def test_holders_are_shown_when_there_are_any() -> None:
     snapshot = replace(full_snapshot(), leases=(Lease(robot="r1", operator="anna@lab1", age_s=2.0),))
     lines = [line.rstrip() for line in text_of(snapshot).splitlines()]
     assert max(map(len, lines)) <= 80
@@ -253,7 +253,7 @@ def test_forty_robots_in_trouble_stay_legible_in_80_columns() -> None:
         assert line.split()[1:6] == ["voronoi_coverage_bc", "1.00", "-2.50", "0.25", "0"]
 
 
-def test_leases_that_the_core_no_longer_says_are_not_shown(listening: Listening) -> None:
+def test_leases_that_the_core_no_longer_reports_are_not_shown(listening: Listening) -> None:
     lease = Lease(robot="r1", operator="anna@lab1", age_s=2.0)
     listening.bus.publish(KEYS.leases, Leases(leases=(lease,)))
     listening.runtime.run(1.0)
@@ -262,7 +262,7 @@ def test_leases_that_the_core_no_longer_says_are_not_shown(listening: Listening)
     assert listening.view.snapshot().leases == ()
 
 
-def test_what_is_said_twice_is_not_shown_and_a_share_is_named_right() -> None:
+def test_repeated_values_are_not_shown_and_a_share_is_labelled() -> None:
     summaries = (
         Summary(metric="arrival", values={"fraction": 0.75, "truth_fraction": 0.5, "elapsed_s": 3.0}),
         Summary(metric="loop", values={"elapsed_s": 3.0}),

@@ -53,9 +53,10 @@ def tally_of(*messages: RobotMeasurement, robots: str = "") -> RobotTally:
 
 def test_each_quantity_follows_its_rule() -> None:
     tally = tally_of(
-        numbers("a", energy_j=2.0, gap_m=0.5, arrived_s=NAN, goal_m=3.0, draws=1, ticks=10.0, worst_late_s=0.2),
+        numbers("a", energy_j=2.0, gap_m=0.5, arrived_s=NAN, goal_m=3.0, deadlock_count=1,
+                ticks=10.0, worst_late_s=0.2),
         numbers("h", robots="bc", energy_j=[1.0, 6.0], gap_m=[0.3, math.inf], arrived_s=[4.0, 8.0], goal_m=[4.0, 0.0],
-                draws=[0, 2], ticks=5.0, worst_late_s=0.1),
+                deadlock_count=[0, 2], ticks=5.0, worst_late_s=0.1),
     )  # fmt: skip
     results = tally.results()
     assert results["energy"].values == {"total_j": 9.0, "mean_j": 3.0, "max_j": 6.0}
@@ -64,7 +65,7 @@ def test_each_quantity_follows_its_rule() -> None:
     assert results["separation"].per_robot == {"a": 0.5, "b": 0.3}  # c has met nobody
     assert results["arrival"].values == {"fraction": pytest.approx(2 / 3), "mean_s": 6.0, "last_s": 8.0}
     assert results["formation"].values == {"error_m": pytest.approx(math.sqrt(25.0 / 3.0))}
-    assert results["deadlocks"].values == {"draws": 3.0}
+    assert results["deadlocks"].values == {"deadlock_count": 3.0}
     assert results["loop"].values == {"ticks": 15.0, "worst_late_s": 0.2}
 
 

@@ -17,7 +17,7 @@ from fullswarm.evaluate.pictures import Scene, Timeline, svg_text, write_still
 from fullswarm.evaluate.pictures import scene as colours
 from fullswarm.evaluate.pictures.scene import corners
 from fullswarm.evaluate.pictures.timeline import onsets
-from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory, save_arrays
 from tests.unit.pictures_world import two_robots
 
 BLUE, SKY = (colours.rgb(each) for each in colours.ROBOTS[:2])
@@ -198,7 +198,7 @@ def test_equal_trials_give_equal_files(tmp_path: Path) -> None:
 
 
 def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"cannot write it"):
+    with pytest.raises(ConfigError, match=r"cannot write"):
         write_still(two_robots(), tmp_path / "none" / "a.png")
     with pytest.raises(ConfigError, match=r"ends in \.png or \.svg"):
         write_still(two_robots(), tmp_path / "a.jpg")
@@ -213,7 +213,7 @@ def test_the_palette_holds_every_colour_of_a_frame() -> None:
 
 
 def test_a_trajectory_survives_its_file(tmp_path: Path) -> None:
-    two_robots().save(tmp_path / "t.npz")
+    save_arrays(two_robots(), tmp_path / "t.npz")
     again = Trajectory.load(tmp_path / "t.npz")
     one, two = (Scene(Timeline(each), width_px=400) for each in (two_robots(), again))
     for each in (one, two):

@@ -12,9 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from fullswarm.cli.results import results_app
-from fullswarm.evaluate.scenarios.maps import FREE, OCCUPIED, occupied_cells, read_map
+from fullswarm.evaluate.scenarios.maps import FREE, OCCUPIED, occupied_cells
 from fullswarm.evaluate.trial_folder import COVERAGE_FILE, RESULT_FILE, TRAJECTORY_FILE, TRIALS, Trajectory
 from tests.unit.results_fixture import FAILURE, a_trial, write_folder, write_trial
+from tests.unit.ros_map import read_map
 
 run = CliRunner()
 

@@ -29,7 +29,7 @@ from fullswarm.agent.safety.filter import (
 )
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.mavlink.settings import LIMITS as ROVER
-from fullswarm.emulators.mavlink.rover.dynamics import Motors
+from fullswarm.emulators.mavlink.driving import Motors
 
 RADIUS_M, MARGIN_M, PERIOD_S, LOOKS = 0.17, 0.03, 0.02, 10
 BOUNDS = np.array([0.0, 0.0, 6.0, 6.0])

@@ -10,7 +10,8 @@ from typer.testing import CliRunner, Result
 
 from fullswarm.cli.scenario import scenario_app
 from fullswarm.evaluate.scenarios import boxes_for, load_scenario, scenario_names
-from fullswarm.evaluate.scenarios.maps import BOX, GOAL, ROBOT, START, read_map, text_map
+from fullswarm.evaluate.scenarios.maps import BOX, GOAL, ROBOT, START, text_map
+from tests.unit.ros_map import read_map
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")

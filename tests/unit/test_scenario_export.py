@@ -33,12 +33,12 @@ from fullswarm.evaluate.scenarios.maps import (
     UNKNOWN,
     Map,
     coverage_map,
-    read_map,
     scenario_map,
     write_map,
 )
 from fullswarm.evaluate.scenarios.model import scenario_to_toml
 from fullswarm.perf.coverage import GridFrame
+from tests.unit.ros_map import read_map
 
 pytest.importorskip("defusedxml")
 pytest.importorskip("yaml")
@@ -210,19 +210,3 @@ def test_wrong_grids_and_files_are_told(tmp_path: Path) -> None:
         coverage_map(frame, np.zeros((3, 2)))
     with pytest.raises(ConfigError, match="cannot write"):
         write_map(Map(frame, np.zeros((2, 3), np.uint8)), tmp_path / "nowhere" / "map")
-    picture, sidecar = write_map(Map(frame, np.zeros((2, 3), np.uint8)), tmp_path / "map")
-    picture.write_bytes(picture.read_bytes()[:-1])
-    with pytest.raises(ConfigError, match="pixels"):
-        read_map(sidecar)
-    picture.write_bytes(b"P2\n1 1\n255\n0")
-    with pytest.raises(ConfigError, match="binary PGM"):
-        read_map(sidecar)
-    sidecar.write_text("image: map.pgm")
-    with pytest.raises(ConfigError, match="map_server"):
-        read_map(sidecar)
-
-
-def test_a_pgm_with_comments_is_read(tmp_path: Path) -> None:
-    _, sidecar = write_map(Map(GridFrame(0.0, 0.0, 1.0, 1, 2), np.zeros((1, 2), np.uint8)), tmp_path / "map")
-    (tmp_path / "map.pgm").write_bytes(b"P5\n# CREATOR: map_saver\n2 1\n255\n\x0a\x20")
-    assert read_map(sidecar).pixels.tolist() == [[10, 32]]

@@ -51,7 +51,7 @@ from tests.unit.tethered import (
 
 BROKEN: list[tuple[type[Tethered], str]] = [
     (NoFault, r"it is ACTIVE, not FAULT, 0\.4 s after unplugging"),
-    (SaysNothing, "says nothing; say why"),
+    (SaysNothing, "without a text; state why"),
     (BackActive, "ACTIVE again after unplugging"),
     (NotBack, r"it is FAULT, not READY, 0\.3 s after the end of unplugging"),
     (KeepsFault, "READY after unplugging with a fault: there was something"),
@@ -64,12 +64,12 @@ BROKEN: list[tuple[type[Tethered], str]] = [
     (LosesItsThread, "thread 'link' ended with IndexError: pop from empty list"),
     (Deaf, "neither READY nor ACTIVE, .* after garbage .not a word"),
     (WrongScale, "check wheel radius"),
-    (FeelsNothing, "a bump is not told"),
-    (FeelsForEver, "still tells a bump"),
+    (FeelsNothing, "a bump is not reported"),
+    (FeelsForEver, "still reports a bump"),
     (Mirrored, r"the body is at Pose\(x_m=1\.0, y_m=2\.0"),
-    (SeesNothing, "senses_obstacles, but an obstacle is not told"),
-    (Reverses, "says that it cannot reverse, but"),
-    (CountsTheHour, "odometry goes on by .* at a jump of the clock"),
+    (SeesNothing, "senses_obstacles, but an obstacle is not reported"),
+    (Reverses, "denies reversing, but"),
+    (CountsTheHour, "odometry grows by .* at a jump of the clock"),
     (DrivesThroughTheHour, "still moves .* after a jump of the clock"),
     (TrustsTheWall, "not FAULT, .* and the wall clock was set back"),
     (MindsTheWall, "after the wall clock was set by 3600 s"),
@@ -81,7 +81,7 @@ BROKEN: list[tuple[type[Tethered], str]] = [
     (Rival, "constructing a second driver disturbs the first"),
     (TenPercent, r"10% apart, more than 6%; check wheel radius"),
     (TurnsTenPercent, r"10% apart, more than 6%; check wheel base"),
-    (DeadBand, r"applies 0\.050 m/s, but the robot moves with 0\.000 m/s"),
+    (DeadBand, r"returns 0\.050 m/s, but the robot moves with 0\.000 m/s"),
 ]
 
 
@@ -195,7 +195,7 @@ def test_the_obstacles_of_a_driver_that_sees_them_are_enough(monkeypatch: pytest
         def look(self, reading: Reading) -> Reading:
             return replace(reading, obstacles=np.ones((1, 6)))
 
-    assert check_driver(rig(Sees), settle_s=0.3, deadline_s=0.3).checked["senses_obstacles"] == "told"
+    assert check_driver(rig(Sees), settle_s=0.3, deadline_s=0.3).checked["senses_obstacles"] == "reported"
 
 
 def test_what_is_late_on_a_busy_machine_is_no_fault_of_the_driver(monkeypatch: pytest.MonkeyPatch) -> None:

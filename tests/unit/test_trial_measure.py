@@ -12,6 +12,7 @@ import pytest
 
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
 from fullswarm.evaluate.lockstep_swarm import measure, run_trial
+from fullswarm.evaluate.trial_folder import save_arrays
 
 WALL = ("robots=4,scenario=concave,engine=kinematic,behaviour=move_to_goal",)
 OPEN = ("robots=8,scenario=empty_dense,engine=kinematic,behaviour=move_to_goal_bc",)
@@ -163,7 +164,7 @@ def test_an_outsider_counts_the_same_contacts_from_what_is_stored(cell: str, lim
     (one,) = plan(load_experiment("paper"), (2,), (cell,), engine=engine)
     found = measure(replace(one, time_limit_s=limit_s))
     assert found.contacts is not None
-    found.contacts.save(tmp_path / "contacts.npz")
+    save_arrays(found.contacts, tmp_path / "contacts.npz")
     again, outcome = recounted(tmp_path / "contacts.npz"), found.outcome
     assert outcome.pairs_touched is not None
     assert outcome.pairs_touched > 3

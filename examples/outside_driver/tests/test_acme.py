@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm_acme.driver import AcmeDriver
-from fullswarm_acme.emulator import AcmeEmulator
+from fullswarm_acme.emulator import Firmware
 from fullswarm_acme.protocol import LineParser, State, drive, line, parse_drive, parse_state, quantised, state
 from fullswarm_acme.rig import rig
 from fullswarm_acme.session import Session
@@ -35,37 +35,35 @@ def test_the_entry_point_leads_to_the_driver() -> None:
 
 # ---------------------------------------------------------------- what the check cannot know of
 def test_a_pressed_button_is_a_fault_that_says_so_and_a_reboot_moves_no_odometry() -> None:
-    with AcmeEmulator() as robot:
-        session = Session("here")
-        parser = LineParser()
-        firmware = robot._firmware
-        session.linked(0.0)
+    body = FreeBody()
+    session, firmware = Session("here"), Firmware(body)
+    session.linked(0.0)
 
-        def talk(now_s: float) -> None:
-            for text in parser.feed(b"".join(session.tick(now_s))):
-                session.received(line(firmware.obey(text, now_s)), now_s)
-            session.received(line(firmware.step(now_s)), now_s)
+    def talk(now_s: float) -> None:
+        firmware.receive(b"".join(session.tick(now_s)), now_s, 0)
+        firmware.step(now_s)
+        for chunk in firmware.take(0):
+            session.received(chunk, now_s)
 
-        talk(0.0)
-        talk(0.02)
-        assert session.state is Lifecycle.READY
-        firmware.estop = True
-        talk(0.3)
-        assert session.state is Lifecycle.FAULT
-        assert "button" in session.fault
-        firmware.estop = False
-        talk(0.4)
-        assert session.state is Lifecycle.READY
-        assert isinstance(robot.body, FreeBody)
-        robot.body.push(1.0, 0.5)
-        talk(0.5)
-        before = session.reading
-        session.received(line("ROBOT Scout 2.3 7"), 0.6)
-        session.received(line(state(State("IDLE", Pose(9.0, 9.0, 3.0), STAND, False, 1.0))), 0.6)
-        assert before is not None
-        assert session.reading is not None
-        assert session.reading.odometry.x_m == pytest.approx(before.odometry.x_m)
-        assert session.reading.odometry.heading_rad == pytest.approx(before.odometry.heading_rad)
+    talk(0.0)
+    talk(0.02)
+    assert session.state is Lifecycle.READY
+    firmware.estop = True
+    talk(0.3)
+    assert session.state is Lifecycle.FAULT
+    assert "button" in session.fault
+    firmware.estop = False
+    talk(0.4)
+    assert session.state is Lifecycle.READY
+    body.push(1.0, 0.5)
+    talk(0.5)
+    before = session.reading
+    session.received(line("ROBOT Scout 2.3 7"), 0.6)
+    session.received(line(state(State("IDLE", Pose(9.0, 9.0, 3.0), STAND, False, 1.0))), 0.6)
+    assert before is not None
+    assert session.reading is not None
+    assert session.reading.odometry.x_m == pytest.approx(before.odometry.x_m)
+    assert session.reading.odometry.heading_rad == pytest.approx(before.odometry.heading_rad)
 
 
 def test_nobody_there() -> None:

@@ -138,8 +138,8 @@ class MetricSampler:
             "arrived_s": arrived,
             "still_s": still_s.tolist(),
             "gap_m": gap,
-            "draws": self._deadlocks.deadlock_count.tolist(),
-            "aside_s": sidestepping,
+            "deadlock_count": self._deadlocks.deadlock_count.tolist(),
+            "sidestep_s": sidestepping,
             **{name: column.tolist() for name, column in counted.items()},
         }
         totals = {

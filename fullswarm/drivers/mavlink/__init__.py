@@ -2,10 +2,9 @@
 
 ::
 
-    driver.py        MavlinkDriver: the HAL contract; owns the link thread
-      settings.py    what the URL asks for
+    driver.py        MavlinkDriver: a session on UDP, TCP or a serial port
+    settings.py      what the URL asks for, and which port it names
     probe.py         which vehicle is on a port, asked without moving it
-      link.py        bytes in and out: UDP, TCP, serial port
       session.py     the conversation as a state machine; no I/O, no clock of its own
         autopilot.py what differs between autopilots; ArduPilot's Rover
         px4.py       PX4's: velocity vectors that lead the heading
@@ -16,8 +15,8 @@
         external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
         aiding.py    whether its position is still measured, and how uncertain it is
-        vehicle.py   what the vehicle has told so far, and the reading made of it
-      signing.py     MAVLink 2 signing: key, timestamps over restarts, whom to believe
+        vehicle.py   what the vehicle has reported so far, and the reading made of it
+      signing.py     MAVLink 2 signing: key, timestamps over restarts, which frames to accept
       codec.py       frames ↔ messages (pymavlink's dialect)
       stream.py      bytes → frames: tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU

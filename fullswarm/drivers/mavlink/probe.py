@@ -18,7 +18,8 @@ from fullswarm.clock import Clock
 from fullswarm.drivers.make import Scope
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser
-from fullswarm.drivers.mavlink.link import Address, Transport, open_transport, parse_url
+from fullswarm.drivers.mavlink.settings import Address, parse_url
+from fullswarm.drivers.ports import Port
 from fullswarm.drivers.probe.found import Asked, Found, unasked
 from fullswarm.drivers.probe.line import SerialPort
 from fullswarm.errors import ConfigError, DriverError, LinkLost, MissingExtra
@@ -267,15 +268,15 @@ def ask_url(url: str, clock: Clock) -> Asked:
     if address.scheme == "mavlink+udp":
         return replace(ask_udp(address.host, address.port, clock), port=str(address))
     try:
-        transport = open_transport(address, lambda _: True)
+        opened = address.open(lambda _: True)
     except DriverError as error:
         return unasked(str(address), error)
     try:
-        robots = ask(_Connected(transport), str(address), _base_url(address), clock)
+        robots = ask(_Connected(opened), str(address), _base_url(address), clock)
     except LinkLost as error:
         return Asked(str(address), problem=error.what)
     finally:
-        transport.close()
+        opened.close()
     return Asked(str(address), robots=robots, problem="" if robots else SILENCE)
 
 
@@ -285,13 +286,14 @@ def _base_url(address: Address) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Connected:
-    """A driver's transport, waited on."""
+    """A driver's port, waited on."""
 
-    transport: Transport
+    port: Port[bytes]
 
     def receive(self, timeout_s: float) -> bytes:
-        ready, _, _ = select.select([self.transport.fileno()], [], [], timeout_s)
-        return self.transport.receive() if ready else b""
+        descriptor = self.port.fileno()
+        ready = descriptor is not None and select.select([descriptor], [], [], timeout_s)[0]
+        return b"".join(self.port.read()) if ready else b""
 
     def send(self, data: bytes) -> None:
-        self.transport.send(data)
+        self.port.write(data)

@@ -1,21 +1,23 @@
-"""The conversation with one rover, as a state machine: messages and ticks in, frames and state out.
+"""The conversation with one rover as a state machine: bytes and time in, frames and state out.
 
-No I/O, no thread, no clock: the driver's link thread feeds it, so it can be replayed and tested in lockstep.
-Time is monotonic seconds.
+No I/O, no thread, no clock: it can be replayed, and tested in lockstep.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
+from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.guardian import SILENCE_S, StopPlan
+from fullswarm.drivers.linked import LinkSession
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.arming import SETPOINT_S, Activation, Controls, StandDown, left_armed, stop_plan
 from fullswarm.drivers.mavlink.autopilot import STATION, ArduPilot, Autopilot, unsupported
-from fullswarm.drivers.mavlink.codec import StationEncoder, decode
+from fullswarm.drivers.mavlink.codec import StationEncoder, StreamParser, decode, decoded_ids
 from fullswarm.drivers.mavlink.external import ExternalPose
 from fullswarm.drivers.mavlink.frame import SwarmFrame
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
@@ -24,53 +26,67 @@ from fullswarm.drivers.mavlink.settings import Options as Options
 from fullswarm.drivers.mavlink.signing import Signing
 from fullswarm.drivers.mavlink.startup import Startup
 from fullswarm.drivers.mavlink.vehicle import LINK_SILENCE_S, Vehicle
-from fullswarm.reasons import Code
+from fullswarm.errors import DriverError
+from fullswarm.reasons import Code, Reason, given
 
 STATION_COMPONENT, AUTOPILOT_COMPONENT = 190, 1
 HEARTBEAT_S = 1.0
-COMMAND_TTL_S = 0.3
 FAULT_DWELL_S = 0.5  # long enough for an agent's loop to see it
 RETRY_S = 1.0  # between two attempts to arm
 STAND_DOWN_S = 5.0
+RESIGN_S = 5.0
+"""The guardian's frames are signed anew: a vehicle accepts a new link for a minute after the signature."""
 
 
-class Session:
+class Session(LinkSession[bytes]):
     """One rover, from silence to driving and back.
 
     Parameters
     ----------
     signing
-        Signs what goes out and knows whom not to believe; None: nothing is signed. Whoever feeds the session drops
-        what is not to be believed.
+        Signs what is sent and checks what is received; closed with the session. None: nothing is signed.
+    describe
+        Returns what is known of a rover with an autopilot.
     """
 
-    def __init__(self, options: Options, now_s: float, signing: Signing | None = None) -> None:
-        self._options, self.signing = options, signing
+    closing_s = 4.0
+
+    def __init__(
+        self,
+        options: Options,
+        now_s: float,
+        signing: Signing | None = None,
+        describe: Callable[[Autopilot], Description] | None = None,
+    ) -> None:
+        self._options, self.signing, self._describe = options, signing, describe
+        self._parser: StreamParser | None = None  # from the first connection on
         signer = None if signing is None else signing.signer()
         self._encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, signer)
         guardian = None if signing is None else signing.signer(guardian=True)
         self._guardian_encoder = StationEncoder(STATION, STATION_COMPONENT, options.system, guardian)
-        self.unguarded = ""  # why nothing would stop the vehicle if this process died: bars motion
+        self._plan: StopPlan[bytes] | None = None
+        self._plan_kind: tuple[str, bool] | None = None
+        self._resign_s = now_s
         self._vehicle = Vehicle(receiver=not options.external, filtered=not options.ekf_ignored)
         self._fly_by(options.autopilot or ArduPilot())
         self._activation: Activation | None = None
         self._stand_down: StandDown | None = None
-        self.lifecycle = Lifecycle.OPEN
-        self.fault = ""
         self.why = f"no heartbeat from system {options.system} yet"
         self._opened_s = now_s
         self._fault_s = -math.inf
         self._heartbeat_due_s = now_s
         self._setpoint_due_s = self._stop_due_s = now_s
-        self._wish = self._taken_over = self._armed_by_us = False
-        self._wished_s = self._retry_s = -math.inf
-        self._command, self._command_s = STAND, -math.inf
+        self._activating = self._taken_over = self._armed_by_us = False
+        self._asked_s = self._retry_s = -math.inf
+        self._command = STAND
         self._moving_sent_s = -math.inf
         self._confirm = False
 
     def _fly_by(self, autopilot: Autopilot) -> None:
         options = self._options
         self.autopilot = autopilot
+        if self._describe is not None:
+            self.description = self._describe(autopilot)
         self._startup = Startup(self._encoder, autopilot, ekf_ignored=options.ekf_ignored, external=options.external)
         blank = autopilot.blank_velocity
         self._external = (
@@ -89,12 +105,16 @@ class Session:
     @property
     def unfit(self) -> str:
         """What keeps an OPEN vehicle from READY and does not pass by itself, or not soon; empty if nothing."""
-        unfit = (self._startup.unfit or self.unguarded) if self.lifecycle is Lifecycle.OPEN else ""
+        unfit = (self._startup.unfit or self.unguarded) if self.state is Lifecycle.OPEN else ""
         return f"{self._options.where}: {unfit}" if unfit else ""
+
+    def trouble(self, now_s: float) -> Reason:
+        """Return why it is in FAULT or not ACTIVE, what a person must set, or what aid is lost."""
+        return given(self.fault or self.unfit or self.unaided(now_s))
 
     def unaided(self, now_s: float) -> str:
         """Return what is lost of a vehicle whose position is dead reckoning by now; empty while it is measured."""
-        if self.lifecycle not in (Lifecycle.READY, Lifecycle.ACTIVE):
+        if self.state not in (Lifecycle.READY, Lifecycle.ACTIVE):
             return ""
         problem = self._vehicle.aiding.problem(now_s)
         return f"{self._options.where}: {problem}" if problem else ""
@@ -114,9 +134,9 @@ class Session:
     @property
     def standing_down(self) -> bool:
         """Whether the vehicle may still be moving or armed because of us."""
-        return self._stand_down is not None or self._activation is not None or self.lifecycle is Lifecycle.ACTIVE
+        return self._stand_down is not None or self._activation is not None or self.state is Lifecycle.ACTIVE
 
-    def reading(self) -> Reading | None:
+    def read(self) -> Reading | None:
         """Return the newest reading; a pilot's take-over and the safety switch are the emergency-stop hazard."""
         reading = self._vehicle.reading
         pressed = self.autopilot.tells_safety and self._vehicle.motors_off
@@ -126,45 +146,68 @@ class Session:
         return reading
 
     def activate(self, now_s: float) -> None:
-        """Wish to drive. Calls less than a second apart are one wish, which a pilot's take-over ends."""
-        same_wish = now_s - self._wished_s < RETRY_S
-        self._wished_s = now_s
-        if self.lifecycle is not Lifecycle.READY or (self._taken_over and same_wish):
+        """Begin to drive. Calls less than a second apart are one request, which a pilot's take-over ends."""
+        same_request = now_s - self._asked_s < RETRY_S
+        self._asked_s = now_s
+        if self.state is not Lifecycle.READY or (self._taken_over and same_request):
             return
         if self._activation is not None:
             return
         self._taken_over = False
-        self._wish = True
+        self._activating = True
 
     def deactivate(self, now_s: float) -> None:
-        """Stand down: zero set-point, HOLD, disarm; withdraws a wish. A pilot who has taken over is left in charge."""
-        self._wish, self._command = False, STAND
-        pending = self.lifecycle is Lifecycle.ACTIVE or self._activation is not None
-        if pending and self._stand_down is None:  # said again and again, it must not begin anew each time
+        """Stand down: zero set-point, HOLD, disarm; ends an activation. A pilot who has taken over stays in charge."""
+        self._activating, self._command = False, STAND
+        pending = self.state is Lifecycle.ACTIVE or self._activation is not None
+        if pending and self._stand_down is None:  # asked again and again, it must not begin anew each time
             self._begin_stand_down(now_s)
 
     def command(self, twist: Twist, now_s: float) -> Twist:
-        """Take a set-point; return what the vehicle will be told.
-
-        Raises
-        ------
-        ValueError
-            Not finite; the rover is told to stand.
-        """
-        if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
-            self._command, self._setpoint_due_s = STAND, now_s
-            raise ValueError(f"a set-point must be finite, not {twist}")
-        if self.lifecycle is not Lifecycle.ACTIVE or self._stand_down is not None:
+        """Take a set-point; return what will be sent of it."""
+        if self._stand_down is not None:
             return STAND
         applied = self.autopilot.applied(twist, self._options.limits, self._startup.known)
         if applied == STAND and self._command != STAND:
             self._setpoint_due_s = now_s  # a stop does not wait for its turn
-        self._command, self._command_s = applied, now_s
+        self._command = applied
         return applied
 
+    def halt(self, why: str, now_s: float) -> None:
+        """Stand, at once."""
+        del why
+        if self._command != STAND:
+            self._command, self._setpoint_due_s = STAND, now_s
+
+    def closing(self, now_s: float) -> None:
+        """Stand down before the port is closed."""
+        self.deactivate(now_s)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the vehicle stands, held and disarmed, as far as it was driven from here."""
+        return not self.standing_down
+
+    def closed(self) -> None:
+        """Keep the signing clock for the next time."""
+        if self.signing is not None:
+            with contextlib.suppress(DriverError):
+                self.signing.close()
+
     # ------------------------------------------------------------ for the link thread
-    def is_our_vehicle(self, message: Any) -> bool:
-        """Whether a dialect's message is the heartbeat of the vehicle we look for."""
+    def linked(self, now_s: float) -> None:
+        """Begin a new stream of bytes."""
+        del now_s
+        self._parser = StreamParser(decoded_ids(), None if self.signing is None else self.signing.accept)
+
+    def accepts(self, datagram: bytes) -> bool:
+        """Return whether a listening port shall take the sender of a datagram for the vehicle."""
+        if self._vehicle.heartbeat is not None:
+            return False
+        believe = None if self.signing is None else self.signing.authentic
+        return any(map(self._is_heartbeat, StreamParser(decoded_ids(), believe).feed(datagram)))
+
+    def _is_heartbeat(self, message: Any) -> bool:
         received = decode(message)
         return received is not None and self._is_ours(received) and isinstance(received.body, p.Heartbeat)
 
@@ -172,6 +215,11 @@ class Session:
         # The autopilot itself, not a gimbal or a receiver beside it: some say they are ArduPilot too.
         ours = received.system == self._options.system and received.component == AUTOPILOT_COMPONENT
         return ours and not (isinstance(received.body, p.Heartbeat) and not received.body.is_vehicle)
+
+    def received(self, chunk: bytes, now_s: float) -> None:
+        """Take bytes from the port."""
+        for message in () if self._parser is None else self._parser.feed(chunk):
+            self.receive(message, now_s)
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take one of the dialect's messages; those of other systems are ignored."""
@@ -199,30 +247,25 @@ class Session:
             self._frame.receive(body)
         if self._activation is not None:
             self._activation.receive(body, now_s)
-        driving = self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None
+        driving = self.state is Lifecycle.ACTIVE and self._stand_down is None
         if isinstance(body, p.Heartbeat) and driving and not self._unsupported(body):
             self._watch_mode(body, now_s)
 
     def _recognise(self, heartbeat: p.Heartbeat) -> None:
         """Take the vehicle for what it says it is, unless the URL has said what it must be, or while we drive it."""
-        told = AUTOPILOTS.get(heartbeat.autopilot)
+        found = AUTOPILOTS.get(heartbeat.autopilot)
         settled = self._options.autopilot is not None or self.standing_down
-        if told is not None and not settled and told.number != self.autopilot.number:
-            self._fly_by(told)
+        if found is not None and not settled and found.number != self.autopilot.number:
+            self._fly_by(found)
 
     def _unsupported(self, heartbeat: p.Heartbeat) -> str:
         driven = self.autopilot if self.standing_down else None
         return unsupported(heartbeat, AUTOPILOTS, self._options.autopilot, driven)
 
-    @property
-    def alone(self) -> bool:
-        """Whether nothing is heard of the vehicle: any port may be its new one."""
-        return self._vehicle.heartbeat is None
-
     def next_due_s(self, now_s: float) -> float:
         """Return when :meth:`tick` has something to send at the latest."""
         due_s = self._heartbeat_due_s
-        if self.lifecycle is Lifecycle.ACTIVE and self._stand_down is None:
+        if self.state is Lifecycle.ACTIVE and self._stand_down is None:
             due_s = min(due_s, self._setpoint_due_s)
         if self._activation is not None:
             due_s = min(due_s, self._activation.next_due_s)
@@ -230,34 +273,33 @@ class Session:
             due_s = min(due_s, self._external.next_due_s(now_s))
         return due_s
 
-    def link_lost(self, reason: str, now_s: float) -> None:
-        """Take note that the port is gone; the driver opens it again."""
+    def lost(self, reason: str, now_s: float) -> None:
+        """Note that the port is gone; the driver opens it again."""
         self._fail(reason, now_s)
         self._forget()
 
-    @property
-    def stop_kind(self) -> tuple[str, bool] | None:
-        """What :meth:`stop_plan` depends on; None while the vehicle is not driven by us."""
-        return (self.autopilot.key, self.lifecycle is Lifecycle.ACTIVE) if self.standing_down else None
-
-    def stop_plan(self) -> StopPlan[bytes]:
-        """Return what stops a vehicle that we drive, for a guardian to send in our place."""
-        controls = Controls(self.autopilot, self._guardian_encoder, self._startup.known)
-        return stop_plan(controls, drives=self.lifecycle is Lifecycle.ACTIVE)
+    def stop_plan(self, now_s: float) -> StopPlan[bytes] | None:
+        """Return what stops a vehicle that is driven from here; None: it is not."""
+        kind = (self.autopilot.key, self.state is Lifecycle.ACTIVE) if self.standing_down else None
+        if kind != self._plan_kind or (self._plan is not None and self.signing is not None and now_s >= self._resign_s):
+            self._plan_kind, self._resign_s = kind, now_s + RESIGN_S
+            controls = Controls(self.autopilot, self._guardian_encoder, self._startup.known)
+            self._plan = None if kind is None else stop_plan(controls, drives=kind[1])
+        return self._plan
 
     def stopped_by_guardian(self, now_s: float) -> None:
-        """Take note that our own guardian has stopped the vehicle: not a pilot."""
+        """Note that the guardian, and not a pilot, has stopped the vehicle."""
         if self.standing_down:
             self._fail(f"its guardian stopped it: this process stood still for more than {SILENCE_S:g} s", now_s)
             if self._stand_down is None:
                 self._begin_stand_down(now_s)
 
-    def emergency(self) -> list[bytes]:
-        """Return what stops a vehicle that we drive, for the moment when nothing else works any more."""
+    def final_stop(self) -> list[bytes]:
+        """Return what stops a vehicle that is still driven from here."""
         if not self.standing_down:
             return []
         stop = self._controls.stop()
-        return stop if self.lifecycle is Lifecycle.ACTIVE else stop[1:]
+        return stop if self.state is Lifecycle.ACTIVE else stop[1:]
 
     @property
     def _controls(self) -> Controls:
@@ -277,8 +319,8 @@ class Session:
             self._fail("the autopilot restarted", now_s)
             self._forget()
         if vehicle.heartbeat is None or vehicle.silent(now_s):
-            if self.lifecycle is Lifecycle.ACTIVE:
-                frames.append(self._controls.stand())  # it may still hear us
+            if self.state is Lifecycle.ACTIVE:
+                frames.append(self._controls.stand())  # it may still receive
             self._watch_silence(now_s)
             return frames
         problem = self._unsupported(vehicle.heartbeat)
@@ -292,20 +334,20 @@ class Session:
         self._watch_problem(now_s)
         if self._stand_down is not None:
             frames += self._continue_stand_down(self._stand_down, now_s)
-        elif self.lifecycle is Lifecycle.ACTIVE:
+        elif self.state is Lifecycle.ACTIVE:
             frames += self._setpoint(now_s)
-        elif self.lifecycle is Lifecycle.READY:
-            frames += self._pursue_wish(now_s)
+        elif self.state is Lifecycle.READY:
+            frames += self._pursue_activation(now_s)
         return frames
 
     # ------------------------------------------------------------ transitions
     def _fail(self, reason: str, now_s: float) -> None:
-        self.lifecycle, self.fault, self._fault_s = Lifecycle.FAULT, f"{self._options.where}: {reason}", now_s
-        self._wish, self._command = False, STAND
+        self.state, self.fault, self._fault_s = Lifecycle.FAULT, f"{self._options.where}: {reason}", now_s
+        self._activating, self._command = False, STAND
 
     def _give_up(self, problem: str, now_s: float) -> list[bytes]:
         """Stop a vehicle that turns out not to be ours to drive, for a while, and then leave it alone."""
-        if self.lifecycle is not Lifecycle.FAULT:
+        if self.state is not Lifecycle.FAULT:
             driven, self._stop_due_s = self.standing_down, now_s
             self._fail(problem, now_s)
             if driven and self._stand_down is None:
@@ -331,34 +373,34 @@ class Session:
         system = self._options.system
         if self._vehicle.heartbeat is not None:
             doubt = "" if self.signing is None else self.signing.doubt(system)
-            what = f"it is heard, but {doubt}" if doubt else f"no heartbeat from system {system}"
+            what = f"it is received, but {doubt}" if doubt else f"no heartbeat from system {system}"
             self._fail(f"link lost: {what} for {LINK_SILENCE_S:g} s", now_s)
             self._forget()
-        elif self.lifecycle is Lifecycle.OPEN and now_s - self._opened_s > LINK_SILENCE_S:
+        elif self.state is Lifecycle.OPEN and now_s - self._opened_s > LINK_SILENCE_S:
             doubt = "" if self.signing is None else self.signing.doubt(system)
-            hint = f"it is heard, but {doubt}" if doubt else "check power, cable, baud rate and ?sysid="
+            hint = f"it is received, but {doubt}" if doubt else "check power, cable, baud rate and ?sysid="
             self._fail(f"no heartbeat from system {system} ({hint})", now_s)
 
     def _watch_problem(self, now_s: float) -> None:
         """Move between OPEN, READY and FAULT as the vehicle's condition changes."""
         self.why = self._problem(now_s)
         settled = self._stand_down is None
-        if self.lifecycle is Lifecycle.ACTIVE and settled and self.why:
+        if self.state is Lifecycle.ACTIVE and settled and self.why:
             self._fail(self.why, now_s)
             self._begin_stand_down(now_s)
-        elif self.lifecycle is Lifecycle.READY and self.why:
-            self.lifecycle, self._wish = Lifecycle.OPEN, False
+        elif self.state is Lifecycle.READY and self.why:
+            self.state, self._activating = Lifecycle.OPEN, False
             if self._activation is not None:
                 self._begin_stand_down(now_s)
-        elif self.lifecycle is Lifecycle.FAULT and settled and now_s - self._fault_s > FAULT_DWELL_S:
-            self.lifecycle, self.fault, self._opened_s = Lifecycle.OPEN, "", now_s
-        elif self.lifecycle is Lifecycle.OPEN and settled:
+        elif self.state is Lifecycle.FAULT and settled and now_s - self._fault_s > FAULT_DWELL_S:
+            self.state, self.fault, self._opened_s = Lifecycle.OPEN, "", now_s
+        elif self.state is Lifecycle.OPEN and settled:
             if left_armed(self._vehicle, self.autopilot, by_us=self._armed_by_us):
                 self._begin_stand_down(now_s)
             elif not self.why and self._vehicle.aiding.unheard(now_s):
-                self.why = "its satellite receiver has not been heard again yet"  # the vehicle was silent as a whole
+                self.why = "its satellite receiver has not reported again yet"  # the vehicle was silent as a whole
             elif not self.why:
-                self.lifecycle = Lifecycle.READY
+                self.state = Lifecycle.READY
 
     def _problem(self, now_s: float) -> str:
         found = self._startup.problem(now_s, self._vehicle)
@@ -387,8 +429,8 @@ class Session:
             f"{f' ({texts})' if texts else ''}: ask for a behaviour again to take it back to "
             f"{autopilot.mode_name(autopilot.drive_mode)}"
         )
-        self.lifecycle, self._command, self._wished_s = Lifecycle.READY, STAND, now_s
-        self._taken_over, self._armed_by_us, self._wish = True, False, False
+        self.state, self._command, self._asked_s = Lifecycle.READY, STAND, now_s
+        self._taken_over, self._armed_by_us, self._activating = True, False, False
 
     def _watch_hand_back(self, heartbeat: p.Heartbeat) -> None:
         drive_mode = self.autopilot.drive_mode
@@ -398,15 +440,15 @@ class Session:
     def _begin_stand_down(self, now_s: float) -> None:
         pending = self._activation is not None and self._activation.arm_may_take_effect
         self._stand_down = StandDown(self._controls, self._vehicle, now_s, arm_pending=pending)
-        self._activation, self._wish, self._command = None, False, STAND
+        self._activation, self._activating, self._command = None, False, STAND
 
     def _continue_stand_down(self, stand_down: StandDown, now_s: float) -> list[bytes]:
         frames = stand_down.tick(now_s)
         if stand_down.done:
             self._stand_down, self._armed_by_us = None, False
-            if self.lifecycle is Lifecycle.ACTIVE:
-                self.lifecycle = Lifecycle.READY
-        elif now_s - stand_down.start_s > STAND_DOWN_S and self.lifecycle is not Lifecycle.FAULT:
+            if self.state is Lifecycle.ACTIVE:
+                self.state = Lifecycle.READY
+        elif now_s - stand_down.start_s > STAND_DOWN_S and self.state is not Lifecycle.FAULT:
             self._fail("the vehicle does not confirm hold and disarm; still trying", now_s)
         return frames
 
@@ -414,30 +456,28 @@ class Session:
         if now_s < self._setpoint_due_s:
             return []
         self._setpoint_due_s = now_s + SETPOINT_S
-        if now_s - self._command_s > COMMAND_TTL_S:
-            self._command = STAND
         if self._command != STAND:
             self._moving_sent_s = now_s
         return [self.autopilot.setpoint(self._encoder, self._command, self._startup.known)]
 
-    def _pursue_wish(self, now_s: float) -> list[bytes]:
+    def _pursue_activation(self, now_s: float) -> list[bytes]:
         if self._activation is None:
             autopilot = self.autopilot
             stored = self._vehicle.mode == autopilot.drive_mode and now_s - self._moving_sent_s < autopilot.stores_s
-            if not self._wish or now_s < self._retry_s or stored:
+            if not self._activating or now_s < self._retry_s or stored:
                 return []
-            self._wish = False
+            self._activating = False
             self._activation = Activation(self._controls, self._vehicle, now_s)
         attempt = self._activation
         frames = attempt.tick(now_s)
         self._armed_by_us = self._armed_by_us or attempt.arm_may_take_effect
         if attempt.refusal:
             self.fault, self._retry_s = f"{self._options.where}: {attempt.refusal}", now_s + RETRY_S
-            self._taken_over, self._wished_s = attempt.taken_over, now_s
+            self._taken_over, self._asked_s = attempt.taken_over, now_s
             self._begin_stand_down(now_s)
         elif attempt.armed:
-            self._activation, self.lifecycle, self.fault = None, Lifecycle.ACTIVE, ""
-            self._command, self._command_s = STAND, -math.inf
+            self._activation, self.state, self.fault = None, Lifecycle.ACTIVE, ""
+            self._command = STAND
             self._setpoint_due_s = now_s
             frames += self._setpoint(now_s)
         return frames

@@ -1,8 +1,26 @@
-"""What a URL asks of the driver, checked before anything is touched."""
+"""What a URL asks of the driver, checked before anything is touched.
+
+URLs::
+
+    mavlink+udp://127.0.0.1:14550          listen there for the vehicle
+    mavlink+udpout://10.0.0.7:14550        send to it first
+    mavlink+tcp://127.0.0.1:5760
+    mavlink+serial:///dev/ttyACM0?baud=115200
+
+Options: ``sysid=1`` the vehicle's system id; ``autopilot=ardupilot|px4`` what it must run (default: what its
+heartbeat reports; name it, for `description` is read before there is one); ``ekf=ignore`` do not wait for the position
+filter's own approval; ``speed=``, ``turn=`` (m/s, rad/s) limits below the vehicle's own; ``radius=`` of the footprint
+in metres; ``sign_key=`` the file with the key of MAVLink 2 signing, ``sign_state=`` the file with its timestamps,
+``sign_link=0`` the link id; ``pose=external`` hand the poses that `MavlinkDriver.locate` gets to the vehicle,
+``origin=lat,lon,alt`` where its local frame begins then (see ``external.py`` for the parameters it needs);
+``guardian=0`` or ``1`` whether a process of its own holds and disarms the rover when this one is paused or killed
+(agents and `robots test` start one unless it is 0); signed, its frames bear the link id ``sign_link`` + 128.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
@@ -15,6 +33,7 @@ from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot
 from fullswarm.drivers.mavlink.external import parse_origin
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps, read_key, state_path
+from fullswarm.drivers.ports import Port, SerialPort, TcpPort, UdpPort
 from fullswarm.errors import ConfigError, did_you_mean
 
 # ArduRover's defaults (ATC_STR_RAT_MAX, ATC_STR_ACC_MAX); the speed is our caution, not WP_SPEED. ATC_ACCEL_MAX is
@@ -22,10 +41,78 @@ from fullswarm.errors import ConfigError, did_you_mean
 # decay with a time constant of 0.38 s, which 0.7 m/s² does not cover: 0.066 m instead of 0.016.
 LIMITS = Limits(speed_m_s=1.0, turn_rad_s=2.0, accel_m_s2=0.7, turn_accel_rad_s2=2.0, overrun_s=0.45, overrun_m=0.06)
 RADIUS_M = 0.35
+SCHEMES = ("mavlink+udp", "mavlink+udpout", "mavlink+tcp", "mavlink+serial")
+DEFAULT_BAUD = 115200
 KNOWN = {
     "autopilot", "ekf", "guardian", "origin", "pose", "radius", "sign_key", "sign_link", "sign_state", "speed", "sysid",
     "turn",
 }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where the vehicle is: scheme, host and port, or a serial device with its baud rate."""
+
+    scheme: str
+    host: str = ""
+    port: int = 0
+    device: str = ""
+    baud: int = DEFAULT_BAUD
+
+    def open(self, accepts: Callable[[bytes], bool]) -> Port[bytes]:
+        """Open the port; where it listens, `accepts` tells whether the sender of a datagram is taken for the vehicle.
+
+        Raises
+        ------
+        DriverError
+            The port cannot be had; says what to do.
+        """
+        if self.device:
+            return SerialPort(self.device, self.baud)
+        if self.scheme == "mavlink+tcp":
+            return TcpPort(self.host, self.port)
+        return UdpPort(self.host, self.port, accepts=accepts if self.scheme == "mavlink+udp" else None)
+
+    def __str__(self) -> str:
+        return self.device or f"{self.scheme.removeprefix('mavlink+')} {self.host}:{self.port}"
+
+
+def parse_url(url: str) -> tuple[Address, dict[str, str]]:
+    """Split a driver URL into its address and its options.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scheme, no port, no device or an option twice.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname or "", parts.port
+    except ValueError as error:
+        raise ConfigError(f"not a URL: {error}", where=url) from error
+    pairs = parse_qsl(parts.query, keep_blank_values=True)
+    options = dict(pairs)
+    if len(options) != len(pairs):
+        raise ConfigError("an option is given twice", where=url)
+    if parts.scheme not in SCHEMES:
+        raise ConfigError(
+            f"'{parts.scheme}' is not a MAVLink link", where=url, hint=did_you_mean(parts.scheme, SCHEMES)
+        )
+    if parts.scheme == "mavlink+serial":
+        if not parts.path.strip("/") or host:
+            raise ConfigError("no serial device", where=url, hint="e.g. mavlink+serial:///dev/ttyACM0?baud=115200")
+        return Address(parts.scheme, device=parts.path, baud=_baud(options.pop("baud", ""), url)), options
+    if not host or not port or parts.path.strip("/"):
+        raise ConfigError("host and port are needed", where=url, hint=f"e.g. {parts.scheme}://127.0.0.1:14550")
+    return Address(parts.scheme, host=host, port=port), options
+
+
+def _baud(text: str, url: str) -> int:
+    if not text:
+        return DEFAULT_BAUD
+    if not text.isdecimal() or int(text) <= 0:
+        raise ConfigError(f"'{text}' is not a baud rate", where=url, hint="e.g. ?baud=115200")
+    return int(text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """The simulated make: a robot in a world process, reached over UDP. The world itself is in :mod:`fullswarm.simulation`.
 
-``driver.py``    The driver of one simulated robot
+``driver.py``    The session on UDP
 ``protocol.py``  The datagrams between driver and world
+``session.py``   The conversation with the world as a state machine
 ``settings.py``  ``sim://[host:port/]robot[?option=value&...]``: where a simulated robot is and what it can do
 """
 

@@ -1,8 +1,8 @@
 """Emulated CAN bases; here, what their records name.
 
-- ``emulator.py``: two wheels and a body on a bus
-- ``odrive.py``, ``vesc.py``: one wheel's motor controller as its wire shows it; ``spin.py``: how a wheel gains speed
-- ``wire.py``: the bus through python-can; ``adapter.py``: a serial adapter on a pseudo terminal instead
+- ``emulator.py``: a base on the bus of a driver's URL, or behind a serial adapter
+- ``firmware.py``: two controllers and the body that both move, as chunks of that link
+- ``odrive.py``, ``vesc.py``: one wheel's motor controller as its wire shows it; ``wheel.py``: what both have in common
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import replace
 from fullswarm.drivers.can import odrive
 from fullswarm.drivers.can.odrive import AxisState, Firmware, error_bit
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.emulators.can.spin import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
+from fullswarm.emulators.can.wheel import BOOT_S, DRIVEN_S, STEP_S, STOPS_M, ControllerFaults, Sender, Spin
 
 HEARTBEAT_S = 0.1
 COUNTS_PER_TURN = 8192
@@ -46,16 +46,16 @@ class ODriveEmulator:
         self._firmware, self._limit_turn_s, self._watchdog_s = firmware, limit_turn_s, watchdog_s
         self.volts = volts
         self.spin = Spin()
-        self.mishaps = Mishaps()
+        self.faults = ControllerFaults()
         self.state = AxisState.IDLE
         self.error = self._disarm_reason = 0
-        self.cyclic_motion = True  # sends encoder estimates by itself, not only when asked
+        self.cyclic_motion = True  # sends encoder estimates by itself, not only on request
         self.refuses = False  # never enters closed loop, as an axis that is not calibrated
         self._control, self._input = POSITION_CONTROL, odrive.PASSTHROUGH  # as delivered
         self._set = odrive.SetPosition(0.0)  # input position, velocity and torque
         self._position_gain, self._cruise_turn_s = POSITION_GAIN, CRUISE_TURN_S
         self._zero_turn = 0.0
-        self._told = odrive.Encoder(0.0, 0.0)
+        self._reported = odrive.Encoder(0.0, 0.0)
         self._fed_s = self._beat_s = self._encoder_s = -math.inf
 
     @property
@@ -71,12 +71,12 @@ class ODriveEmulator:
         self.drop_out()
 
     def drop_out(self) -> None:
-        """Leave closed loop without saying why."""
+        """Leave closed loop without an error."""
         self.state, self._set = AxisState.IDLE, odrive.SetPosition(0.0)
 
     def press_estop(self, on: bool) -> None:
         """Press the button, or free it and clear the error at the controller, as its owner would."""
-        self.mishaps.estop = on
+        self.faults.estop = on
         if on:
             self.inject("ESTOP_REQUESTED")
         else:
@@ -87,14 +87,14 @@ class ODriveEmulator:
         self.error, self._zero_turn = 0, self._turns()
         self._control, self._input = POSITION_CONTROL, odrive.PASSTHROUGH  # as delivered
         self.drop_out()
-        self.mishaps.booting_until_s = now_s + BOOT_S
-        if self.mishaps.estop:
+        self.faults.booting_until_s = now_s + BOOT_S
+        if self.faults.estop:
             self.inject("ESTOP_REQUESTED")
 
     # ------------------------------------------------------------ the bus
     def receive(self, frame: Frame, now_s: float) -> None:
         """Obey one frame; short payloads are accepted as far as they go."""
-        if self.mishaps.deaf(now_s) or frame.extended or frame.id >> 5 != self.node:
+        if not self.faults.receives(now_s) or frame.extended or frame.id >> 5 != self.node:
             return
         if self._firmware == "0.5":
             self._fed_s = now_s
@@ -128,7 +128,7 @@ class ODriveEmulator:
             case odrive.SetLinearCount(count=count):
                 self._zero_turn = self._turns() - count / COUNTS_PER_TURN
             case odrive.ClearErrors():
-                self.error = error_bit("ESTOP_REQUESTED", self._firmware) if self.mishaps.estop else 0
+                self.error = error_bit("ESTOP_REQUESTED", self._firmware) if self.faults.estop else 0
             case odrive.Estop():
                 self.inject("ESTOP_REQUESTED")
             case odrive.Reboot():
@@ -151,12 +151,12 @@ class ODriveEmulator:
             self._send(message, now_s)
 
     def _known(self, kind: type[object]) -> object | None:
-        """Return what it tells when asked for a message of this kind; None for what is only told to it."""
+        """Return the answer to a request for a message of this kind; None for one that it only receives."""
         turns, turn_s = self._turns() - self._zero_turn, self._wheel.turns(self.spin.measured_m_s)
         if kind is odrive.Encoder:
-            if not self.mishaps.stuck_sensor:
-                self._told = odrive.Encoder(turns, turn_s)
-            return None if self.mishaps.silent_motion else self._told
+            if not self.faults.stuck_sensor:
+                self._reported = odrive.Encoder(turns, turn_s)
+            return None if self.faults.silent_motion else self._reported
         if kind is odrive.EncoderCount:
             count = math.floor(turns * COUNTS_PER_TURN)
             return odrive.EncoderCount((count + 2**31) % 2**32 - 2**31, count % COUNTS_PER_TURN)
@@ -219,7 +219,7 @@ class ODriveEmulator:
         return max(-most_turn_s, min(most_turn_s, turn_s))
 
     def _send(self, message: object, now_s: float) -> None:
-        if not self.mishaps.dumb(now_s):
+        if self.faults.sends(now_s):
             self._bus.send(odrive.encode(self.node, message, self._firmware))
 
     def _turns(self) -> float:

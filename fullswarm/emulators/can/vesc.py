@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fullswarm.drivers.can import vesc
 from fullswarm.drivers.can.protocol import Frame, Wheel
-from fullswarm.emulators.can.spin import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, STOPS_M, Mishaps, Sender, Spin
+from fullswarm.emulators.can.wheel import BOOT_S, BRAKED_S, DRIVEN_S, STEP_S, STOPS_M, ControllerFaults, Sender, Spin
 
 STATUS_S, SLOW_STATUS_S = 0.02, 0.2
 FULL_DUTY_ERPM = 50_000.0
@@ -15,7 +15,7 @@ FULL_DUTY_ERPM = 50_000.0
 CURRENT_LIMIT_A = 60.0
 """Greatest motor current, the firmware's default ``l_current_max``; relative currents are shares of it."""
 MIN_DUTY, MIN_CURRENT_A = 0.005, 0.05
-"""Below these the firmware lets the motor go: its defaults ``l_min_duty`` and ``cc_min_current``."""
+"""Below these the firmware gives no torque: its defaults ``l_min_duty`` and ``cc_min_current``."""
 ACCEL_PER_AMPERE = 0.6
 """What a motor current does to the wheel, (m/s²)/A: 10 A are 6 m/s², less friction."""
 POSITION_GAIN_PER_S = 10.0
@@ -26,7 +26,7 @@ _BRAKES = (vesc.SetBrake, vesc.SetRelativeBrake, vesc.SetHandbrake, vesc.SetRela
 
 @dataclass(frozen=True, slots=True)
 class _Order:
-    """What the newest SET command asks for, with relative currents in amperes."""
+    """What the newest SET command requests, with relative currents in amperes."""
 
     message: object = vesc.SetCurrent(0.0)
     amperes: float = 0.0  # motor or brake current
@@ -56,16 +56,16 @@ class VescEmulator:
         self._min_erpm, self._timeout_s, self.statuses = min_erpm, timeout_s, statuses
         self.volts = volts
         self.spin = Spin()
-        self.mishaps = Mishaps()
+        self.faults = ControllerFaults()
         self._order = _Order()
         self._zero_m = 0.0
-        self._told: tuple[int, int] = (0, 0)  # ERPM and tachometer
+        self._reported: tuple[int, int] = (0, 0)  # ERPM and tachometer
         self._set_s = self._status_s = self._slow_s = -math.inf
 
     @property
     def driving(self) -> bool:
-        """Whether an order turns the motor now, and nothing lets it go."""
-        return self.energised and not isinstance(self._order.message, _BRAKES) and not self.mishaps.estop
+        """Whether an order turns the motor now, and it has torque."""
+        return self.energised and not isinstance(self._order.message, _BRAKES) and not self.faults.estop
 
     @property
     def energised(self) -> bool:
@@ -73,17 +73,17 @@ class VescEmulator:
         return self._order.message != vesc.SetCurrent(0.0)
 
     def press_estop(self, on: bool) -> None:
-        """Press or free the kill switch: the motor is let go; no message tells that."""
-        self.mishaps.estop = on
+        """Press or free the kill switch: the motor loses its torque; no message reports that."""
+        self.faults.estop = on
 
     def reboot(self, now_s: float) -> None:
-        """Start anew: silent for a while, motor let go, tachometer zero."""
+        """Start anew: silent for a while, motor without torque, tachometer zero."""
         self._order, self._zero_m = _Order(), self.spin.travelled_m
-        self.mishaps.booting_until_s = now_s + BOOT_S
+        self.faults.booting_until_s = now_s + BOOT_S
 
     def receive(self, frame: Frame, now_s: float) -> None:
         """Obey one frame."""
-        if self.mishaps.deaf(now_s) or frame.id & 0xFF not in (self.node, vesc.EVERYBODY):
+        if not self.faults.receives(now_s) or frame.id & 0xFF not in (self.node, vesc.EVERYBODY):
             return
         message = vesc.decode(frame)
         if isinstance(message, vesc.Ping):
@@ -97,19 +97,19 @@ class VescEmulator:
         if now_s - self._set_s > self._timeout_s:
             self._order = _Order()
         self._turn(now_s)
-        if not self.mishaps.stuck_sensor:
-            self._told = round(self._wheel.erpm(self.spin.measured_m_s)), self._tachometer()
+        if not self.faults.stuck_sensor:
+            self._reported = round(self._wheel.erpm(self.spin.measured_m_s)), self._tachometer()
         if now_s - self._status_s >= STATUS_S - STEP_S / 2.0:
             self._status_s = now_s
-            self._tell(now_s, self.statuses.difference(_SLOW))
+            self._send_statuses(now_s, self.statuses.difference(_SLOW))
         if now_s - self._slow_s >= SLOW_STATUS_S - STEP_S / 2.0:
             self._slow_s = now_s
-            self._tell(now_s, self.statuses.intersection(_SLOW))
+            self._send_statuses(now_s, self.statuses.intersection(_SLOW))
 
     def _turn(self, now_s: float) -> None:
-        """Turn the wheel as the newest order has it; let it roll out where there is none to obey."""
+        """Turn the wheel as the newest order has it; let it roll out where there is none."""
         spin, wheel, amperes = self.spin, self._wheel, self._order.amperes
-        if self.mishaps.estop:
+        if self.faults.estop:
             spin.step(0.0, None, now_s)
             return
         match self._order.message:
@@ -140,11 +140,11 @@ class VescEmulator:
         speed_m_s = POSITION_GAIN_PER_S * left_m if abs(left_m) > STOPS_M else 0.0
         return max(-POSITION_SPEED_M_S, min(POSITION_SPEED_M_S, speed_m_s))
 
-    def _tell(self, now_s: float, statuses: frozenset[int]) -> None:
-        erpm, tachometer = self._told
+    def _send_statuses(self, now_s: float, statuses: frozenset[int]) -> None:
+        erpm, tachometer = self._reported
         duty = max(-1.0, min(1.0, erpm / FULL_DUTY_ERPM))
         drives = isinstance(self._order.message, vesc.SetCurrent | vesc.SetRelativeCurrent)
-        amperes = self._order.amperes if drives and not self.mishaps.estop else 0.0
+        amperes = self._order.amperes if drives and not self.faults.estop else 0.0
         messages: dict[int, object] = {
             1: vesc.Status1(erpm, amperes, duty),
             2: vesc.Status2(0.0, 0.0),
@@ -154,7 +154,7 @@ class VescEmulator:
             6: vesc.Status6(0.0, 0.0, 0.0, 0.0),
         }
         for status in sorted(statuses):
-            if not (self.mishaps.silent_motion and status in (1, 5)):
+            if not (self.faults.silent_motion and status in (1, 5)):
                 self._send(self.node, messages[status], now_s)
 
     def _tachometer(self) -> int:
@@ -163,12 +163,12 @@ class VescEmulator:
         return (counts + 2**31) % 2**32 - 2**31
 
     def _send(self, address: int, message: object, now_s: float) -> None:
-        if not self.mishaps.dumb(now_s):
+        if self.faults.sends(now_s):
             self._bus.send(vesc.encode(address, message))
 
 
 def _amperes(message: object) -> float:
-    """Return the motor or brake current that an order asks for, within the limit; zero for other orders."""
+    """Return the motor or brake current that an order requests, within the limit; zero for other orders."""
     match message:
         case (
             vesc.SetCurrent(current_a=amperes) | vesc.SetBrake(current_a=amperes) | vesc.SetHandbrake(current_a=amperes)

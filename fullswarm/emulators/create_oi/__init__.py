@@ -1,8 +1,8 @@
 """Emulated Creates and Roombas; here, what their record names.
 
-- ``emulator.py``: puts the firmware on a port and over a body; ``pty_port.py``: that port, a pseudo terminal
-- ``firmware.py``: the robot's end of the Open Interface, with ``counters.py`` (encoders, battery), ``panel.py``
-  (lamps, songs), ``surroundings.py`` (light, infrared and cliff sensors) and ``waits.py`` (Create 1)
+- ``emulator.py``: the firmware at the end of a serial line, and what hands can do to the robot
+- ``firmware.py``: the robot's end of the Open Interface
+- ``hardware.py``: what its computer is connected to: encoders, battery, lamps, buttons, sensors
 """
 
 from __future__ import annotations

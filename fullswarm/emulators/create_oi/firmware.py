@@ -1,12 +1,13 @@
 """The robot's end of the Open Interface: bytes and time in, bytes out, over any body. No port, no thread.
 
 What it does with the wheels, the modes and the counters follows the specifications and the defects known of real
-robots. Cleaning and docking only drive straight on; the schedule and the clock are heard and forgotten.
+robots. Cleaning and docking only drive straight on; the schedule and the clock are ignored.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fullswarm.drivers.create_oi.packets import LONGEST_STREAM, MEMBERS, encode, frame, frame_size
@@ -21,10 +22,7 @@ from fullswarm.drivers.create_oi.protocol import (
     Mode,
     Op,
 )
-from fullswarm.emulators.create_oi.counters import Battery, Counters
-from fullswarm.emulators.create_oi.panel import Panel
-from fullswarm.emulators.create_oi.surroundings import Surroundings
-from fullswarm.emulators.create_oi.waits import WAITS, Wait
+from fullswarm.emulators.create_oi.hardware import Battery, Counters, Panel, Surroundings
 from fullswarm.simulation.bodies import Body, drive_wheels, wheels_rolled
 
 BANNER = (
@@ -35,7 +33,7 @@ BANNER = (
 
 BOOT_S = 1.0
 SLEEP_S = 300.0
-"""So long it stays awake in Passive mode with nobody there."""
+"""So long it stays awake in Passive mode without commands."""
 BUFFER = 256
 """Bytes that it keeps while it waits; what comes on top is lost."""
 STRAIGHT = (-32768, 32767)
@@ -50,6 +48,18 @@ _NEED_CONTROL = (
     Op.PLAY, Op.LEDS, Op.SCHEDULING_LEDS, Op.DIGIT_LEDS, Op.DIGIT_LEDS_RAW, Op.MOTORS, Op.MOTORS_PWM,
     Op.DIGITAL_OUTPUTS, Op.SEND_IR,
 )  # fmt: skip
+WAITS = (Op.WAIT_TIME, Op.WAIT_DISTANCE, Op.WAIT_ANGLE, Op.WAIT_EVENT)
+
+# Event number to (packet, bits) that mean it; 22 is the mode. Source: Create Open Interface, command 158.
+_EVENTS: dict[int, tuple[str, int]] = {
+    1: ("bumps_drops", 0b11100), 2: ("bumps_drops", 0b10000), 3: ("bumps_drops", 0b01000), 4: ("bumps_drops", 0b00100),
+    5: ("bumps_drops", 0b11), 6: ("bumps_drops", 0b10), 7: ("bumps_drops", 0b01), 8: ("virtual_wall", 1),
+    9: ("wall", 1), 11: ("cliff_left", 1), 12: ("cliff_front_left", 1), 13: ("cliff_front_right", 1),
+    14: ("cliff_right", 1), 15: ("chargers", 0b10), 16: ("buttons", 0b100), 17: ("buttons", 0b001),
+    18: ("digital_inputs", 0b0001), 19: ("digital_inputs", 0b0010), 20: ("digital_inputs", 0b0100),
+    21: ("digital_inputs", 0b1000),
+}  # fmt: skip
+_CLIFFS = ("cliff_left", "cliff_front_left", "cliff_front_right", "cliff_right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +116,7 @@ class Firmware:
         self._inbox = bytearray()
         self._script = b""
         self._wait: Wait | None = None
-        self._wheels = (0, 0)  # as told, mm/s
+        self._wheels = (0, 0)  # as commanded, mm/s
         self._buttons = 0  # as pressed at the last step
         self._velocity, self._radius = 0, 0
         self._stream: tuple[int, ...] = ()
@@ -115,18 +125,18 @@ class Firmware:
 
     @property
     def wheels_mm_s(self) -> tuple[int, int]:
-        """Left and right wheel as last told."""
+        """Left and right wheel as last commanded."""
         return self._wheels
 
     @property
     def due_s(self) -> float:
-        """When it will next say something by itself."""
+        """When it will next send something by itself."""
         booting = self._boot_s if self._boot_s != -math.inf else math.inf
-        talks = self._streaming and self._wait is None and self.mode is not Mode.OFF
-        return min(booting, self._due_s if talks else math.inf)
+        streams = self._streaming and self._wait is None and self.mode is not Mode.OFF
+        return min(booting, self._due_s if streams else math.inf)
 
     def reboot(self, now_s: float) -> None:
-        """Start anew: everything forgotten, the counts too; hears and says nothing until it has started."""
+        """Start anew: the counts too; receives and sends nothing until it has started."""
         self._turn((0, 0), now_s)
         self._power_on()
         self.panel = Panel()
@@ -139,7 +149,7 @@ class Firmware:
             self.reboot(now_s)
 
     def stick(self, stuck: bool, now_s: float) -> None:
-        """Tell the present sensor values for ever, or true ones again."""
+        """Repeat the present sensor values from now on, or report true ones again."""
         self._frozen = self._values(now_s) if stuck else None
 
     def receive(self, data: bytes, now_s: float) -> bytes:
@@ -151,11 +161,11 @@ class Firmware:
         return self._work(now_s)
 
     def step(self, now_s: float, budget: int = LONGEST_STREAM + 3) -> bytes:
-        """Look at the world, react, and return the stream frame that is due; longer than `budget` is cut off."""
-        said = b""
+        """Read the sensors, react, and return the stream frame that is due; longer than `budget` is cut off."""
+        out = b""
         if self._boot_s != -math.inf and now_s >= self._boot_s:
             self._boot_s = -math.inf
-            said = BANNER if self.generation is not CREATE1 else b""
+            out = BANNER if self.generation is not CREATE1 else b""
         self._measure(now_s)
         self._press(now_s)
         self._guard(now_s)
@@ -163,15 +173,15 @@ class Firmware:
         self.battery.step(now_s, charges, self._wheels != (0, 0))
         if self._wait is not None and self._wait.over(now_s, *self._gone(), self._values(now_s)):
             self._wait = None
-        said += self._work(now_s)
+        out += self._work(now_s)
         if not self._streaming or self.mode is Mode.OFF or self._wait is not None or now_s < self._due_s:
-            return said
+            return out
         self._due_s += PERIOD_S
         if self._due_s <= now_s:
             self._due_s = now_s + PERIOD_S
-        told = frame(self._stream, self._values(now_s), header_in_sum=self._quirks.header_in_sum)
-        self._asked(self._stream)
-        return said + told[:budget]
+        sent = frame(self._stream, self._values(now_s), header_in_sum=self._quirks.header_in_sum)
+        self._reported(self._stream)
+        return out + sent[:budget]
 
     # ------------------------------------------------------------ commands
     def _work(self, now_s: float) -> bytes:
@@ -180,7 +190,7 @@ class Firmware:
         while taken < len(self._inbox) and self._wait is None:
             byte = self._inbox[taken]
             taken += 1
-            if self.mode is Mode.OFF:  # deaf, but for one byte
+            if self.mode is Mode.OFF:  # ignores all but one byte
                 if byte == Op.START:
                     self._enter(Mode.PASSIVE, now_s)
                 continue
@@ -188,7 +198,7 @@ class Firmware:
             if command is None:
                 continue
             if command.op is Op.PLAY_SCRIPT:
-                # The rest waits for the next step: a script that plays itself goes on for ever, but not in here.
+                # The rest waits for the next step: a script that plays itself never ends, but must not hold this loop.
                 self._inbox[:taken] = self._script
                 return answer
             answer += self._obey(command, now_s)
@@ -226,7 +236,7 @@ class Firmware:
         return b""
 
     def _start_stream(self, ids: bytes, now_s: float) -> None:
-        """Stream the packets that it knows, as many as the length byte of a frame can count."""
+        """Stream the packets that it has, as many as the length byte of a frame can count."""
         stream: list[int] = []
         for each in ids:
             if self.generation.has_packet(each) and frame_size([*stream, each]) <= LONGEST_STREAM + 3:
@@ -283,7 +293,7 @@ class Firmware:
     def _turn(self, wheels: tuple[int, int], now_s: float) -> None:
         self._measure(now_s)  # what was rolled until now counts for the old direction
         self._wheels = wheels
-        self._counters.told(*wheels, now_s)
+        self._counters.commanded(*wheels, now_s)
         step = self._quirks.speed_quantum_mm_s
         left, right = (round(each / step) * step if step else float(each) for each in wheels)
         drive_wheels(self._body, left / 1000.0, right / 1000.0, self.generation.wheel_base_m)
@@ -336,12 +346,12 @@ class Firmware:
         self._measure(now_s)
         known = [each for each in ids if self.generation.has_packet(each)]
         answer = encode(known, self._values(now_s))
-        self._asked(known)
+        self._reported(known)
         return answer
 
-    def _asked(self, ids: tuple[int, ...] | list[int]) -> None:
-        told = {packet.id for each in ids for packet in MEMBERS[each]}
-        self._counters.asked(19 in told, 20 in told)
+    def _reported(self, ids: tuple[int, ...] | list[int]) -> None:
+        sent = {packet.id for each in ids for packet in MEMBERS[each]}
+        self._counters.reported(19 in sent, 20 in sent)
 
     def _values(self, now_s: float) -> dict[str, int]:
         if self._frozen is not None:
@@ -368,3 +378,40 @@ class Firmware:
 
 def _clip(speed: float) -> int:
     return max(-TOP_MM_S, min(TOP_MM_S, round(speed)))
+
+
+# ---------------------------------------------------------------- waits of a Create 1
+def happens(event: int, values: Mapping[str, int]) -> bool:
+    """Return whether an event of command 158 is there; 256 - n is the opposite of n. An unknown one always is."""
+    if event > 128:
+        return not happens(256 - event, values)
+    if event == 10:
+        return any(values.get(each, 0) for each in _CLIFFS)
+    if event == 22:
+        return values.get("mode", 0) == Mode.PASSIVE
+    packet, bits = _EVENTS.get(event, ("", 0))
+    return not packet or bool(values.get(packet, 0) & bits)
+
+
+class Wait:
+    """One wait that is under way.
+
+    Parameters
+    ----------
+    way_mm, angle_deg
+        What the robot had driven and turned in all when the wait began.
+    """
+
+    def __init__(self, command: Command, now_s: float, way_mm: float, angle_deg: float) -> None:
+        self._op, self._began_s = command.op, now_s
+        self._way_mm, self._angle_deg = way_mm, angle_deg
+        self._amount = int.from_bytes(command.data, "big", signed=command.op in (Op.WAIT_DISTANCE, Op.WAIT_ANGLE))
+
+    def over(self, now_s: float, way_mm: float, angle_deg: float, values: Mapping[str, int]) -> bool:
+        """Return whether it has happened."""
+        if self._op is Op.WAIT_TIME:
+            return now_s - self._began_s >= self._amount / 10.0
+        if self._op is Op.WAIT_EVENT:
+            return happens(self._amount, values)
+        gone = way_mm - self._way_mm if self._op is Op.WAIT_DISTANCE else angle_deg - self._angle_deg
+        return gone >= self._amount if self._amount >= 0 else gone <= self._amount

@@ -1,8 +1,10 @@
 """Emulated rovers; here, what their record names.
 
-- ``emulator.py``: an ArduPilot rover behind real ports; ``firmware.py``, ``rover/``: ArduRover as its wire shows it
-- ``px4_emulator.py``: a PX4 rover behind a real port; ``px4_firmware.py`` and ``px4_telemetry.py``: PX4 as its wire
-  shows it
+- ``emulator.py``: ArduPilot and PX4 rovers on real ports
+- ``firmware.py``: ArduRover as its wire shows it, with ``requests.py`` (what arrives, and how it is answered),
+  ``telemetry.py`` (what it sends), ``driving.py`` (set-points, sticks, motors) and ``parameters.py``
+- ``px4_firmware.py``: PX4 as its wire shows it
+- ``position.py``: what both know of their position: map, errors of the filter, sources
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ def on_bench(bench: Bench, body: Body) -> Emulator:
     if bench.url is not None:
         address = _other_end(bench.url)
     if bench.model == "px4":
-        from fullswarm.emulators.mavlink.px4_emulator import Px4Emulator
+        from fullswarm.emulators.mavlink.emulator import Px4Emulator
 
         return Px4Emulator(address, body).start()
     if bench.model not in (None, "rover"):
@@ -71,7 +73,7 @@ def on_bench(bench: Bench, body: Body) -> Emulator:
 
 def _other_end(url: str) -> str:
     """Return the vehicle's end of the link that a driver's URL names."""
-    from fullswarm.drivers.mavlink.link import parse_url
+    from fullswarm.drivers.mavlink.settings import parse_url
 
     address, _ = parse_url(url)
     if address.device:

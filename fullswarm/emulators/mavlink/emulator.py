@@ -1,62 +1,116 @@
-"""An emulated ArduPilot rover behind real ports: the driver cannot tell it from the firmware's own simulator.
+"""Emulated ArduPilot and PX4 rovers: their firmware in the shell of all emulators, over UDP, TCP or a serial device.
 
-Addresses::
-
-    udp://127.0.0.1:14550      sends to a station that listens there (driver: mavlink+udp)
-    udpin://127.0.0.1:14551    listens for a station (driver: mavlink+udpout)
-    tcp://127.0.0.1:5760       serves one station at a time (driver: mavlink+tcp)
-    pty: or pty:/tmp/rover     a serial device (driver: mavlink+serial)
-
-Port 0 lets the system choose; `url` then names the driver's end.
+The driver cannot tell them from the firmware's own simulators.
 """
 
 from __future__ import annotations
 
-import select
-import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Self
+from collections.abc import Callable, Sequence
 
-from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.clock import Clock
 from fullswarm.drivers.mavlink.codec import StreamParser
+from fullswarm.drivers.mavlink.maps import Degrees, SphereMap
+from fullswarm.drivers.mavlink.signing import Signing
 from fullswarm.earth import SITL_ORIGIN_DEG
-from fullswarm.emulators.faults import BadLink, LinkFaults
+from fullswarm.emulators.base import Emulator, LinkFaults, body_and_clock
 from fullswarm.emulators.mavlink.firmware import Firmware
-from fullswarm.emulators.mavlink.rover.chart import Chart
-from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
-from fullswarm.emulators.mavlink.rover.ports import Port, open_port, reopen
-from fullswarm.simulation.bodies import Body, FreeBody
+from fullswarm.emulators.mavlink.position import Chart
+from fullswarm.emulators.mavlink.px4_firmware import Px4Firmware, Px4Setpoint
+from fullswarm.emulators.mavlink.requests import SetpointRecord
+from fullswarm.emulators.ports import Port, PtyPort, TcpPort, UdpPort, port_at
+from fullswarm.simulation.bodies import Body
 
-__all__ = ["Port", "RoverEmulator", "open_port"]
-
-BURST = 64  # chunks taken from a port before the main loop has its turn
-
-
-@dataclass(slots=True)
-class _Link:
-    """A port with its two directions, which may be bad."""
-
-    port: Port
-    heard: BadLink
-    said: BadLink
-    parser: StreamParser = field(default_factory=StreamParser)
-
-    def clear(self) -> None:
-        self.heard.clear()
-        self.said.clear()
-        self.parser = StreamParser()
+Believe = Callable[[bytes | bytearray, int, int], bool]
 
 
-class RoverEmulator:
-    """A rover that runs from :meth:`start` to :meth:`close`, or as a context manager.
+class _OnLinks:
+    """An autopilot as chunks: one in is a piece of a stream of frames, one out is a frame."""
+
+    def __init__(self, autopilot: Firmware | Px4Firmware, ports: int, believe: Believe | None = None) -> None:
+        self.autopilot, self._believe = autopilot, believe
+        self._parsers = [StreamParser(believe=believe) for _ in range(ports)]
+        self._first: list[bytes] = []
+
+    @property
+    def next_due_s(self) -> float:
+        return self.autopilot.next_due_s
+
+    def receive(self, data: bytes, now_s: float, port: int) -> None:
+        for message in self._parsers[port].feed(data):
+            self.autopilot.receive(message, now_s, port)
+
+    def step(self, now_s: float) -> bool:
+        restarts = self.autopilot.restarts(now_s)
+        self._first = self.autopilot.tick(now_s)
+        return restarts
+
+    def take(self, port: int) -> list[bytes]:
+        return self._first if port == 0 else self.autopilot.take(port)
+
+    def hung_up(self, port: int) -> None:
+        self._parsers[port] = StreamParser(believe=self._believe)
+
+
+class _MavlinkEmulator(Emulator):
+    """What both autopilots have in common.
+
+    Attributes
+    ----------
+    url : what a driver is opened with (`urls`: of all ports)
+    firmware, body : for tests; outside of :meth:`do` for single reads only
+    """
+
+    firmware: Firmware | Px4Firmware
+
+    def __init__(
+        self,
+        firmware: _OnLinks,
+        addresses: Sequence[str | Port],
+        body: Body,
+        clock: Clock,
+        *,
+        faults: LinkFaults | None,
+        seeds: tuple[int, int],
+    ) -> None:
+        ports = [each if not isinstance(each, str) else port_at(each) for each in addresses]
+        super().__init__(firmware, ports, body, clock, faults=faults, seeds=seeds)
+        self.urls = tuple(_url(port) for port in ports)
+        self.url = self.urls[0]
+
+    def pilot_mode(self, mode: int) -> None:
+        """Turn the pilot's mode switch."""
+        self.do(lambda: self.firmware.pilot_mode(mode))
+
+    def reboot(self) -> None:
+        """Restart the autopilot (also one that has ended); connections drop, the ports stay."""
+
+        def restart() -> None:
+            self.drop()
+            self.firmware.power_on(self._clock.now_s(), again=True)
+
+        self.do(restart)
+
+    def set_battery(self, fraction: float) -> None:
+        """Charge the battery to this part, 0 to 1."""
+        self.firmware.charge = fraction
+
+    def stick_sensors(self, on: bool = True) -> None:
+        """Repeat the present measurements with new time stamps, or stop that."""
+        self.do(lambda: self.firmware.stick_sensors(on))
+
+    def _power_on(self, now_s: float) -> None:
+        self.firmware.power_on(now_s)
+
+
+class RoverEmulator(_MavlinkEmulator):
+    """An ArduPilot rover.
 
     Parameters
     ----------
     address, more
-        Its ports, see the module's docstring; the first one believes unsigned frames even when signing is set up.
+        Its ports; the first one accepts unsigned frames even when signing is set up.
     body
-        What it drives, and where it starts; default: alone on an endless floor.
+        What it drives, and where it starts; alone on an endless floor by default.
     system
         Its system id.
     boot_s
@@ -64,15 +118,9 @@ class RoverEmulator:
     seed
         Of its position filter's noise.
     traps_floats
-        Die of NaN in a set-point, as the firmware's own simulator does.
+        End by NaN in a set-point, as the firmware's own simulator does.
     origin
         Latitude and longitude of the body's (0, 0).
-
-    Attributes
-    ----------
-    url : what a driver is opened with (`urls`: of all ports)
-    faults : how bad the links are, both directions; may be changed at any time
-    firmware, body : for tests; use them under no lock for single reads only
 
     Raises
     ------
@@ -93,170 +141,80 @@ class RoverEmulator:
         traps_floats: bool = False,
         seed: int = 0,
         faults: LinkFaults | None = None,
-        origin: tuple[float, float] = SITL_ORIGIN_DEG,
+        origin: Degrees = SITL_ORIGIN_DEG,
         clock: Clock | None = None,
     ) -> None:
-        self.faults = faults or LinkFaults()
-        self._clock = clock or MonotonicClock()
-        self.body: Body = body or FreeBody(clock=self._clock)
-        self.firmware = Firmware(
-            self.body,
+        body, clock = body_and_clock(body, clock)
+        addresses = (address, *more)
+        self.firmware: Firmware = Firmware(
+            body,
             system=system,
             boot_s=boot_s,
-            ports=1 + len(more),
+            ports=len(addresses),
             traps_floats=traps_floats,
             seed=seed,
             chart=Chart(origin),
         )
-        self._links: list[_Link] = []
-        try:
-            for number, each in enumerate((address, *more)):
-                heard, said = (BadLink(self.faults, seed=2 * number + way) for way in (0, 1))
-                self._links.append(_Link(open_port(each), heard, said))
-        except BaseException:
-            self._close_ports()
-            raise
-        self.urls = tuple(link.port.url for link in self._links)
-        self.url = self.urls[0]
-        self._lock = threading.Lock()
-        self._waiting = threading.Lock()  # held while the thread waits on the ports: nobody may close one then
-        self._stopping = threading.Event()
-        self._muted = self._unplugged = False
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> Self:
-        """Power on."""
-        self._stopping.clear()
-        self.firmware.power_on(self._clock.now_s())
-        self._thread = threading.Thread(target=self._run, name=f"rover emulator {self.url}", daemon=True)
-        self._thread.start()
-        return self
-
-    def close(self) -> None:
-        """Power off and let go of the ports; closing twice is fine."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-            self.body.drive(0.0, 0.0)
-        self._close_ports()
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        super().__init__(_OnLinks(self.firmware, len(addresses)), addresses, body, clock, faults=faults, seeds=(0, 1))
 
     @property
     def setpoints(self) -> list[SetpointRecord]:
         """A copy of the set-points that arrived since the start (the newest 20 000)."""
-        with self._lock:
-            return list(self.firmware.setpoints)
-
-    # ------------------------------------------------------------ what may happen to a rover
-    def pilot_mode(self, mode: int) -> None:
-        """Turn the pilot's mode switch."""
-        with self._lock:
-            self.firmware.pilot_mode(mode, self._clock.now_s())
-
-    def reboot(self) -> None:
-        """Restart the autopilot (revives one that died, too); connections drop, the ports stay."""
-        with self._waiting, self._lock:
-            self._drop()
-            self.firmware.power_on(self._clock.now_s(), again=True)
-
-    def unplug(self) -> None:
-        """Pull the cables: the ports are gone. The rover goes on as it thinks fit."""
-        with self._waiting, self._lock:
-            self._unplugged = True
-            self._close_ports()
-
-    def replug(self) -> None:
-        """Put the cables back; each port has its old address.
-
-        Raises
-        ------
-        DriverError
-            Somebody else has taken a port meanwhile.
-        """
-        with self._waiting, self._lock:
-            if self._unplugged:
-                for link in self._links:
-                    reopen(link.port, link.port.url)
-                self._unplugged = False
-
-    def mute(self, on: bool = True) -> None:
-        """Let the rover hear, but say nothing."""
-        self._muted = on
-
-    def set_battery(self, fraction: float) -> None:
-        """Charge the battery to this part, 0 to 1."""
-        with self._lock:
-            self.firmware.charge = fraction
+        return self.do(lambda: list(self.firmware.setpoints))
 
     def press_estop(self, on: bool = True) -> None:
-        """Press the motor safety switch, or release it: no power for the motors, whatever mode and arming say."""
-        with self._lock:
-            self.firmware.safety = on
-
-    def stick_sensors(self, on: bool = True) -> None:
-        """Repeat the present measurements with new time stamps, or stop that."""
-        with self._lock:
-            self.firmware.stick_sensors(on)
+        """Press the motor safety switch, or release it: no power for the motors, whatever mode and arming are."""
+        self.firmware.safety = on
 
     def set_gps(self, on: bool) -> None:
         """Switch the GPS: 7 s without it the position is lost, 8.2 s without it the mode is HOLD."""
-        with self._lock:
-            self.firmware.set_gps(on)
+        self.firmware.set_gps(on)
 
-    # ------------------------------------------------------------ the rover's thread
-    def _run(self) -> None:
-        while not self._stopping.is_set():
-            with self._waiting:
-                self._wait()
-            with self._lock:
-                self._turn(self._clock.now_s())
 
-    def _wait(self) -> None:
-        """Wait for something to read, at most until the main loop's next turn."""
-        poll = select.poll()
-        for link in self._links:
-            if link.port.fileno() >= 0:
-                poll.register(link.port.fileno(), select.POLLIN)
-        left_s = self.firmware.next_step_s - self._clock.now_s()
-        poll.poll(1000.0 * min(max(left_s, 0.001), 0.02))
+class Px4Emulator(_MavlinkEmulator):
+    """A PX4 rover.
 
-    def _turn(self, now_s: float) -> None:
-        firmware = self.firmware
-        for number, link in enumerate(self._links):
-            self._listen(link)
-            for data in link.heard.due(now_s):
-                for message in link.parser.feed(data):
-                    firmware.receive(message, now_s, number)
-        restart = now_s >= firmware.reboot_due_s
-        if restart or firmware.aborted:
-            self._drop()
-        frames = firmware.tick(now_s)
-        for number, link in enumerate(self._links):
-            for frame in frames if number == 0 else firmware.channels[number].take():
-                if not (self._muted or self._unplugged):
-                    link.said.put(frame, now_s)
-            for frame in link.said.due(now_s):
-                link.port.send(frame)
+    Parameters
+    ----------
+    address
+        Its port.
+    body
+        What it drives; alone on an endless floor by default.
+    signing
+        Signs what it sends, and it accepts only frames that are signed alike; None: unsigned.
+    origin
+        Latitude and longitude of the body's (0, 0).
+    """
 
-    def _listen(self, link: _Link) -> None:
-        for _ in range(BURST):
-            data = b"" if self._unplugged else link.port.receive()
-            if not data:
-                return
-            link.heard.put(data, self._clock.now_s())
+    def __init__(
+        self,
+        address: str | Port,
+        body: Body | None = None,
+        *,
+        system: int = 1,
+        boot_s: float = 0.2,
+        signing: Signing | None = None,
+        origin: Degrees = SITL_ORIGIN_DEG,
+        clock: Clock | None = None,
+    ) -> None:
+        body, clock = body_and_clock(body, clock)
+        signer = None if signing is None else signing.signer()
+        chart = Chart(origin, SphereMap())
+        self.firmware: Px4Firmware = Px4Firmware(body, system=system, boot_s=boot_s, signer=signer, chart=chart)
+        believe = None if signing is None else signing.accept
+        super().__init__(_OnLinks(self.firmware, 1, believe), [address], body, clock, faults=None, seeds=(1, 2))
 
-    def _drop(self) -> None:
-        for link in self._links:
-            link.clear()
-            link.port.drop()
+    @property
+    def setpoints(self) -> list[Px4Setpoint]:
+        """A copy of the set-points that arrived since the start (the newest 20 000)."""
+        return self.do(lambda: list(self.firmware.setpoints))
 
-    def _close_ports(self) -> None:
-        for link in self._links:
-            link.clear()
-            link.port.close()
+
+def _url(port: Port) -> str:
+    """Return the URL with which a driver opens the other end of a port."""
+    if isinstance(port, PtyPort):
+        return f"mavlink+serial://{port.address}"
+    if isinstance(port, TcpPort):
+        return f"mavlink+tcp://{port.address}"
+    scheme = "udpout" if isinstance(port, UdpPort) and port.listens else "udp"
+    return f"mavlink+{scheme}://{port.address}"

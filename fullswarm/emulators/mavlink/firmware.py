@@ -3,7 +3,7 @@
 Faithful where drivers get hurt: early ACKs that prove nothing, an armed bit that comes with the next heartbeat,
 set-points stored while disarmed, frames and masks silently ignored, a rate cap, silence for unknown parameters,
 a 3 s set-point timeout, a ground-station failsafe that is off by default and latches HOLD, a pilot
-whose throttle wins.
+whose throttle overrides set-points.
 
 Its map begins where it was switched on.
 Left out: missions, fences, FILE_TRANSFER_PROTOCOL, tuning of its controllers; LOITER stands still, and SMART_RTL goes
@@ -19,16 +19,11 @@ from typing import Any
 
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.emulators.mavlink.rover import inbox, parameters, setpoints
-from fullswarm.emulators.mavlink.rover.channel import Channel, KeyRing
-from fullswarm.emulators.mavlink.rover.chart import Chart
-from fullswarm.emulators.mavlink.rover.dynamics import STAND, Motors
-from fullswarm.emulators.mavlink.rover.inbox import SetpointRecord
-from fullswarm.emulators.mavlink.rover.noise import FilterNoise
-from fullswarm.emulators.mavlink.rover.pilot import FULL_M_S, Sticks
-from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S, LOST_S, Position
-from fullswarm.emulators.mavlink.rover.setpoints import Limits, Target
-from fullswarm.emulators.mavlink.rover.streams import LOOP_HZ, Streams
+from fullswarm.emulators.mavlink import driving, parameters, requests
+from fullswarm.emulators.mavlink.driving import FULL_M_S, STAND, Limits, Motors, Sticks, Target
+from fullswarm.emulators.mavlink.position import FAILSAFE_S, LOST_S, Chart, FilterNoise, Position
+from fullswarm.emulators.mavlink.requests import SetpointRecord
+from fullswarm.emulators.mavlink.telemetry import LOOP_HZ, Channel, KeyRing, Streams
 from fullswarm.simulation.bodies import Body, BodyState
 
 LOOP_S = 1.0 / LOOP_HZ
@@ -70,9 +65,9 @@ class Firmware:
     refuse_arm
         Text with which arming is refused; empty: it is not.
     ports
-        How many ports it has; the first one (SERIAL0) believes unsigned frames even if signing is set up.
+        How many ports it has; the first one (SERIAL0) accepts unsigned frames even if signing is set up.
     traps_floats
-        Die of numbers that are none, as the firmware's simulator does by default and boards do not.
+        End by numbers that are none, as the firmware's simulator does by default and boards do not.
     seed
         Of its position filter's noise; rovers of one world have different ones.
     creep_m_s
@@ -149,19 +144,27 @@ class Firmware:
         return (now_s - self._booted_s) * REAL_BOOT_S / max(self.boot_s, 1e-3)
 
     @property
-    def next_step_s(self) -> float:
+    def next_due_s(self) -> float:
         """When :meth:`tick` has something to do."""
         return self._stepped_s + LOOP_S
 
+    def restarts(self, now_s: float) -> bool:
+        """Return whether the connections end now: it restarts, or its process has ended."""
+        return self.aborted or now_s >= self.reboot_due_s
+
     def tick(self, now_s: float) -> list[bytes]:
-        """Run the main loop up to `now_s`; return what goes out on the first port (others: `channels[n].take()`)."""
+        """Run the main loop up to `now_s`; return what goes out on the first port (others: :meth:`take`)."""
         if now_s >= self.reboot_due_s:
             self.power_on(now_s, again=True)
         self._stepped_s = max(self._stepped_s, now_s - LONGEST_GAP_S)
         while self._stepped_s + LOOP_S <= now_s + 1e-9 and not self.aborted:
             self._stepped_s += LOOP_S
             self._step(self._stepped_s)
-        return self.channels[0].take()
+        return self.take(0)
+
+    def take(self, port: int) -> list[bytes]:
+        """Return the frames that go out on a port, and forget them."""
+        return self.channels[port].take()
 
     def _step(self, now_s: float) -> None:
         self._announce(now_s)
@@ -180,7 +183,7 @@ class Firmware:
                 channel.send(message, now_s)
         if now_s >= self._timesync_s:
             self._timesync_s += TIMESYNC_S
-            self.tell(dialect().MAVLink_timesync_message(0, self.boot_ms(now_s) * 1_000_000))
+            self.broadcast(dialect().MAVLink_timesync_message(0, self.boot_ms(now_s) * 1_000_000))
 
     def _announce(self, now_s: float) -> None:
         while self._announced < len(BOOT) and self._up_s(now_s) >= BOOT[self._announced][0]:
@@ -193,7 +196,7 @@ class Firmware:
             self.text("Flight mode change failed")
 
     def _begin_map(self, now_s: float) -> None:
-        """Set the map's origin where the rover stands, once the receiver's fix is good; say so to all."""
+        """Set the map's origin where the rover stands, once the receiver's fix is good, and send it on all ports."""
         if not self.position.by_gps:
             self.chart.origin = None  # poses from outside are places on the map
         located = self.position.by_gps and self.position.gps and self._up_s(now_s) >= ORIGIN_S
@@ -221,14 +224,14 @@ class Firmware:
         if self.armed == (self.home_m is None):
             state = self.state()
             self.home_m = (state.x_m, state.y_m) if self.armed else None
-        wish = self._guided(now_s, limits) if guided else STAND
+        desired = self._guided(now_s, limits) if guided else STAND
         if not self.armed or self.safety:
             motors.cut(LOOP_S)
         elif guided:
             accel, turn_accel = (self.parameters[each] for each in ("ATC_ACCEL_MAX", "ATC_STR_ACC_MAX"))
             # 0 and below: no limit.
             motors.follow(
-                wish, accel if accel > 0 else 1e3, math.radians(turn_accel if turn_accel > 0 else 1e5), LOOP_S
+                desired, accel if accel > 0 else 1e3, math.radians(turn_accel if turn_accel > 0 else 1e5), LOOP_S
             )
         elif self.mode in BY_HAND:
             sticks = self.sticks
@@ -245,13 +248,13 @@ class Firmware:
             self.target = None
             self.text("target not received last 3secs, stopping")
             return STAND
-        wish = setpoints.steer(target, self.state(), limits)
-        if wish is None:
+        desired = driving.steer(target, self.state(), limits)
+        if desired is None:
             self.target = None
-            self.tell(dialect().MAVLink_mission_item_reached_message(0))
+            self.broadcast(dialect().MAVLink_mission_item_reached_message(0))
             return STAND
         cruise, throttle = self.parameters["CRUISE_SPEED"], self.parameters["CRUISE_THROTTLE"] / 100.0
-        return self.sticks.nudge(wish[0], cruise, throttle), wish[1]
+        return self.sticks.nudge(desired[0], cruise, throttle), desired[1]
 
     def aim(self, target: Target, now_s: float) -> None:
         """Take a target."""
@@ -270,7 +273,7 @@ class Firmware:
                 self._act(int(self.parameters["FS_ACTION"]), now_s)
 
     def _act(self, action: int, now_s: float) -> None:
-        """Do what FS_ACTION says: nothing, a mode (HOLD if that one cannot be), or disarm."""
+        """Perform FS_ACTION: nothing, a mode (HOLD if that one cannot be), or disarm."""
         if action == TERMINATE:
             self.armed = False
         elif action in FAILSAFE_MODES:
@@ -296,13 +299,12 @@ class Firmware:
             if channel.streams:
                 channel.streams.heartbeat_now()
 
-    def pilot_mode(self, mode: int, now_s: float) -> None:
+    def pilot_mode(self, mode: int) -> None:
         """Turn the pilot's mode switch."""
-        del now_s
         self._set_mode(mode)
 
     def request_mode(self, mode: int, now_s: float) -> p.Result:
-        """Change the mode as a station asks, if it can be."""
+        """Change the mode as a station requests, if it can be."""
         if self.mode == p.Mode.INITIALISING:
             self._refusal_s = now_s + self._scaled(0.55)
             return p.Result.ACCEPTED  # an early ACCEPTED proves nothing
@@ -325,11 +327,11 @@ class Firmware:
         return early or ("Hardware safety switch" if self.safety else self.refuse_arm)
 
     def reboot_soon(self, now_s: float) -> None:
-        """Restart when the links have had time to say so."""
+        """Restart when the links have had time to send the answer."""
         self.reboot_due_s = now_s + self._scaled(REBOOT_S)
 
     def abort(self) -> None:
-        """Die of a floating-point exception, if the trap is on: the process is gone until it is started again."""
+        """End by a floating-point exception, if the trap is on: the process is gone until it is started again."""
         self.aborted = self.aborted or self.traps_floats
         if self.aborted:
             self.body.drive(*STAND)
@@ -341,11 +343,11 @@ class Firmware:
         self.position.gps = on
 
     def cover_antenna(self, on: bool) -> None:
-        """Cover the GPS antenna: the receiver goes on and says that it has no fix."""
+        """Cover the GPS antenna: the receiver works and reports no fix."""
         self.position.covered = on
 
     def stick_sensors(self, on: bool) -> None:
-        """Repeat the present measurements for ever, with new time stamps; or stop that."""
+        """Repeat the present measurements with new time stamps; or stop that."""
         self._stuck = self.state() if on else None
 
     def set_interval(self, message: int, interval_us: float, now_s: float, port: int = 0) -> str:
@@ -365,11 +367,11 @@ class Firmware:
         if enforced and source[0] not in (self.system, int(self.parameters["SYSID_MYGCS"])):
             return
         channel = self.channels[port]
-        if channel.believes(message, now_s):
-            inbox.take(self, message, channel, now_s)
+        if channel.accepts(message, now_s):
+            requests.take(self, message, channel, now_s)
 
     def station_alive(self, now_s: float) -> None:
-        """Take note of a heartbeat of the controlling station: only those feed the failsafe."""
+        """Note a heartbeat of the controlling station: only those feed the failsafe."""
         self._station_s = now_s
         if self.failsafe:
             self.failsafe = False
@@ -382,9 +384,9 @@ class Firmware:
         chunks = [data[at : at + p.TEXT_CHUNK] for at in range(0, len(data), p.TEXT_CHUNK)]
         text_id = 0 if len(chunks) == 1 else 1 + len(data)
         for index, chunk in enumerate(chunks):
-            self.tell(dialect().MAVLink_statustext_message(severity, chunk, text_id, index))
+            self.broadcast(dialect().MAVLink_statustext_message(severity, chunk, text_id, index))
 
-    def tell(self, message: Any) -> None:
+    def broadcast(self, message: Any) -> None:
         """Send a message on all ports."""
         for channel in self.channels:
             channel.send(message, self._stepped_s)
@@ -404,8 +406,8 @@ class Firmware:
         return self.body.state()
 
     def state(self) -> BodyState:
-        """Return where the rover believes the body to be."""
-        return self._stuck or self.noise.seen(self.position.believed(self.body.state()))
+        """Return the state that the filter estimates."""
+        return self._stuck or self.noise.seen(self.position.measured(self.body.state()))
 
     def boot_ms(self, now_s: float) -> int:
         """Return milliseconds since power-on."""

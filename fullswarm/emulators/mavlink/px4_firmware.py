@@ -1,8 +1,8 @@
 """PX4 on a differential rover as its wire shows it. No I/O, no clock of its own.
 
 From PX4's sources and guides, not measured: see ``px4.py`` for what it makes of set-points. Faithful where drivers
-get hurt: no OFFBOARD without set-points, out of it 1.0 s after the last one, a heartbeat of 1 Hz whoever asks for
-more, integers bytewise in parameters, a zero velocity that turns it to the north.
+get hurt: no OFFBOARD without set-points, out of it 1.0 s after the last one, a heartbeat of 1 Hz whatever is
+requested, integers bytewise in parameters, a zero velocity that turns it to the north.
 
 Left out: missions, positions as set-points, radio input, magnetic interference.
 """
@@ -20,9 +20,7 @@ from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink import px4
 from fullswarm.drivers.mavlink.codec import Encoder, FrameSigner, dialect
 from fullswarm.drivers.mavlink.maps import SphereMap
-from fullswarm.emulators.mavlink.px4_telemetry import INTERVALS_S, MAKERS
-from fullswarm.emulators.mavlink.rover.chart import ALTITUDE_M, Chart
-from fullswarm.emulators.mavlink.rover.noise import FilterNoise
+from fullswarm.emulators.mavlink.position import ALTITUDE_M, Chart, FilterNoise
 from fullswarm.geometry import clamp, wrap
 from fullswarm.simulation.bodies import Body, BodyState
 
@@ -43,6 +41,16 @@ FRESH_PARAMETERS: dict[str, tuple[float, int]] = {
     "RD_TRANS_TRN_DRV": (0.0872665, REAL32), "EKF2_EV_CTRL": (0, INT32), "MAV_SYS_ID": (1, INT32),
     "NAV_DLL_ACT": (-1, INT32),
 }  # fmt: skip
+INTERVALS_S = {
+    p.MESSAGE_HEARTBEAT: 1.0,
+    p.MESSAGE_SYS_STATUS: 1.0,
+    p.MESSAGE_ATTITUDE: 0.05,
+    p.MESSAGE_LOCAL_POSITION: 0.1,
+    p.MESSAGE_BATTERY: 2.0,
+    p.MESSAGE_ESTIMATOR: 1.0,
+    p.MESSAGE_GPS: 1.0,
+}
+"""Which messages it sends unasked, and how often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +79,7 @@ class Px4Firmware:
     refuse_arm
         Text with which arming is refused; empty: it is not.
     gps
-        Whether it has GPS; without, it knows its position only from ODOMETRY.
+        Whether it has GPS; without, its position comes only from ODOMETRY.
     seed
         Of its position filter's noise, which is that of ArduRover here.
     """
@@ -87,7 +95,7 @@ class Px4Firmware:
     setpoints: deque[Px4Setpoint] = field(default_factory=lambda: deque(maxlen=RECORDS))
     fixes: deque[Any] = field(default_factory=lambda: deque(maxlen=RECORDS))  # ODOMETRY messages
     located: bool = True  # False: position estimate lost
-    battery: float = 0.87
+    charge: float = 0.87
     origin: tuple[int, int, int] | None = None
     chart: Chart = field(default_factory=lambda: Chart(map=SphereMap()))
     mode: int = px4.HOLD
@@ -115,8 +123,9 @@ class Px4Firmware:
         self._encoder = Encoder(self.system, 1, self.signer)
 
     # ------------------------------------------------------------ power and time
-    def power_on(self, now_s: float) -> None:
+    def power_on(self, now_s: float, *, again: bool = False) -> None:
         """Start from nothing; parameters are kept."""
+        del again  # it starts as fast
         self._booted_s = self._stepped_s = now_s
         self.mode, self.armed, self.failsafe, self.origin = px4.HOLD, False, False, None
         self.chart.origin = None
@@ -130,6 +139,16 @@ class Px4Firmware:
         """Whether it has finished starting."""
         return now_s - self._booted_s >= self.boot_s
 
+    @property
+    def next_due_s(self) -> float:
+        """When :meth:`tick` has something to do."""
+        return min(self._stepped_s + STEP_S, *self._due_s.values())
+
+    def restarts(self, now_s: float) -> bool:
+        """Return False: it never restarts by itself."""
+        del now_s
+        return False
+
     def tick(self, now_s: float) -> list[bytes]:
         """Run the main loop up to `now_s`; return what goes out."""
         while self._stepped_s + STEP_S <= now_s:
@@ -139,7 +158,12 @@ class Px4Firmware:
             if now_s >= due_s:
                 interval_s = self._interval_s[number]
                 self._due_s[number] = max(due_s, now_s - interval_s) + interval_s
-                self.tell(number, now_s)
+                self.send(number, now_s)
+        return self.take(0)
+
+    def take(self, port: int) -> list[bytes]:
+        """Return the frames that go out on its only port, and forget them."""
+        del port
         out, self._out = self._out, []
         return out
 
@@ -164,12 +188,12 @@ class Px4Firmware:
         self.body.drive(self._speed, self._turn)
 
     def _begin_map(self, now_s: float) -> None:
-        """Set the map's origin where the rover stands, and say so."""
+        """Set the map's origin where the rover stands, and send it."""
         truth = self.body.state()
         self.chart.begin(truth.x_m, truth.y_m)
         latitude, longitude = self.chart.origin or self.chart.world
         self.origin = round(latitude * 1e7), round(longitude * 1e7), round(ALTITUDE_M * 1e3)
-        self.tell(p.MESSAGE_ORIGIN, now_s)
+        self.send(p.MESSAGE_ORIGIN, now_s)
 
     @property
     def _by_vision(self) -> bool:
@@ -221,8 +245,9 @@ class Px4Firmware:
             self._send(dialect().MAVLink_statustext_message(severity, chunk, 0 if len(chunks) == 1 else 7, index))
 
     # ------------------------------------------------------------ what arrives
-    def receive(self, message: Any, now_s: float) -> None:
+    def receive(self, message: Any, now_s: float, port: int = 0) -> None:
         """Take one of the dialect's messages; those for other systems are dropped."""
+        del port
         if getattr(message, "target_system", 0) not in (0, self.system) or now_s < self._booted_s + 0.1 * self.boot_s:
             return
         handler = _HANDLERS.get(message.get_type())
@@ -287,10 +312,10 @@ class Px4Firmware:
 
     def command_request(self, values: list[float], now_s: float) -> p.Result:
         """Run REQUEST_MESSAGE."""
-        return p.Result.ACCEPTED if self.tell(int(values[0]), now_s) else p.Result.FAILED
+        return p.Result.ACCEPTED if self.send(int(values[0]), now_s) else p.Result.FAILED
 
     def on_parameter_read(self, message: Any, now_s: float) -> None:
-        """Answer for a known name; an unknown one is met with silence."""
+        """Answer for a known name; an unknown one has no answer."""
         del now_s
         if message.param_id in self.parameters:
             self._send_parameter(message.param_id)
@@ -335,7 +360,7 @@ class Px4Firmware:
             self._target = math.hypot(forward, right), p.heading_from_yaw(yaw)
 
     def on_odometry(self, message: Any, now_s: float) -> None:
-        """Take an external pose, in the one pair of frames that both autopilots know."""
+        """Take an external pose, in the one pair of frames that both autopilots accept."""
         self.fixes.append(message)
         if (message.frame_id, message.child_frame_id) == (p.FRAME_LOCAL_FRD, p.FRAME_BODY_FRD):
             self._fix_s = now_s
@@ -344,21 +369,21 @@ class Px4Firmware:
         """Take an origin, once."""
         if self.origin is None:
             self.origin = message.latitude, message.longitude, message.altitude
-        self.tell(p.MESSAGE_ORIGIN, now_s)
+        self.send(p.MESSAGE_ORIGIN, now_s)
 
     # ------------------------------------------------------------ what goes out
     def _send(self, message: Any) -> None:
         self._out.append(self._encoder.pack(message))
 
-    def tell(self, number: int, now_s: float) -> bool:
-        """Send a message as it is now; tell whether there was anything to tell."""
+    def send(self, number: int, now_s: float) -> bool:
+        """Send a message as it is now; return whether there was one."""
         message = MAKERS[number](self, now_s) if number in MAKERS else None
         if message is not None:
             self._send(message)
         return message is not None
 
     def state(self) -> BodyState:
-        """Return where it believes to be."""
+        """Return the state that its filter estimates."""
         return self._stuck or self.noise.seen(self.body.state())
 
     def fix(self, now_s: float) -> tuple[int, int]:
@@ -391,4 +416,74 @@ _COMMANDS: dict[int, Callable[[Px4Firmware, list[float], float], p.Result]] = {
     p.COMMAND_ARM: Px4Firmware.command_arm,
     p.COMMAND_MESSAGE_INTERVAL: Px4Firmware.command_interval,
     p.COMMAND_REQUEST_MESSAGE: Px4Firmware.command_request,
+}
+
+
+# ---------------------------------------------------------------- its messages, NED on the wire
+def _heartbeat(rover: Px4Firmware, now_s: float) -> Any:
+    base = p.BASE_MODE_CUSTOM | (p.BASE_MODE_ARMED if rover.armed else 0)
+    status = p.STATUS_CRITICAL if rover.failsafe else p.STATUS_ACTIVE if rover.armed else 3
+    if not rover.booted(now_s):
+        status = 1
+    return dialect().MAVLink_heartbeat_message(10, p.AUTOPILOT_PX4, base, rover.mode, status, 3)
+
+
+def _attitude(rover: Px4Firmware, now_s: float) -> Any:
+    state = rover.state()
+    yaw = p.heading_from_yaw(state.heading_rad)
+    return dialect().MAVLink_attitude_message(rover.boot_ms(now_s), 0, 0, yaw, 0, 0, -state.turn_rad_s)
+
+
+def _position(rover: Px4Firmware, now_s: float) -> Any:
+    if not rover.positioned(now_s):
+        return None
+    state = rover.state()
+    north_m_s = state.speed_m_s * math.sin(state.heading_rad)
+    east_m_s = state.speed_m_s * math.cos(state.heading_rad)
+    return dialect().MAVLink_local_position_ned_message(
+        rover.boot_ms(now_s), *rover.chart.local(state.x_m, state.y_m), 0.0, north_m_s, east_m_s, 0.0
+    )
+
+
+def _estimator(rover: Px4Firmware, now_s: float) -> Any:
+    flags = 831 if rover.positioned(now_s) else 1 | 4 | 32 | 128
+    return dialect().MAVLink_estimator_status_message(
+        rover.boot_ms(now_s) * 1000, flags, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.5, 0.5
+    )
+
+
+def _satellites(rover: Px4Firmware, now_s: float) -> Any:
+    fix, stamp_ms = rover.fix(now_s)
+    return dialect().MAVLink_gps_raw_int_message(1000 * stamp_ms, fix, 0, 0, 0, 121, 200, 0, 0, 10 if fix > 1 else 0)
+
+
+def _battery(rover: Px4Firmware, _: float) -> Any:
+    cells = [12600] + [65535] * 9
+    return dialect().MAVLink_battery_status_message(0, 0, 0, 32767, cells, 250, 0, 0, round(rover.charge * 100))
+
+
+def _status(rover: Px4Firmware, _: float) -> Any:
+    percent = round(rover.charge * 100)
+    return dialect().MAVLink_sys_status_message(0, 0, 0, 100, 12600, 250, percent, 0, 0, 0, 0, 0, 0)
+
+
+def _version(_: Px4Firmware, __: float) -> Any:
+    zeros = [0] * 8
+    return dialect().MAVLink_autopilot_version_message(0xE4EF, 0x011000FF, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
+
+
+def _origin(rover: Px4Firmware, _: float) -> Any:
+    return None if rover.origin is None else dialect().MAVLink_gps_global_origin_message(*rover.origin)
+
+
+MAKERS: dict[int, Callable[[Px4Firmware, float], Any]] = {
+    p.MESSAGE_HEARTBEAT: _heartbeat,
+    p.MESSAGE_SYS_STATUS: _status,
+    p.MESSAGE_ATTITUDE: _attitude,
+    p.MESSAGE_LOCAL_POSITION: _position,
+    p.MESSAGE_BATTERY: _battery,
+    p.MESSAGE_ESTIMATOR: _estimator,
+    p.MESSAGE_GPS: _satellites,
+    p.MESSAGE_VERSION: _version,
+    p.MESSAGE_ORIGIN: _origin,
 }

@@ -17,7 +17,7 @@ from typing import Any
 
 from fullswarm.errors import ConfigError, MissingExtra, Unreachable
 from fullswarm.evaluate.experiment import Trial, TrialResult
-from fullswarm.evaluate.experiment.pool import deaf_children
+from fullswarm.evaluate.experiment.pool import uninterruptible_children
 from fullswarm.evaluate.lockstep_swarm import measure
 from fullswarm.evaluate.trial import Measure, not_kept, perform, record_of
 from fullswarm.evaluate.trial_folder import Files, files_of, trial_id, write_files
@@ -83,7 +83,7 @@ class Cluster:
         self._cluster: Any = None
         if address == LOCAL:
             dask.config.set({"distributed.scheduler.allowed-failures": retries})
-            with deaf_children():  # Dask's thread is one, too, so that workers that it starts later are
+            with uninterruptible_children():  # Dask's thread is one, too, so that workers that it starts later are
                 self._cluster = library.LocalCluster(
                     n_workers=jobs,
                     threads_per_worker=1,

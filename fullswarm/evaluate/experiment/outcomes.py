@@ -61,7 +61,7 @@ class CellResult:
 
     @property
     def is_empty(self) -> bool:
-        """Nothing counts: all trials failed or began outside the safe set. Then nothing can be said of the cell."""
+        """Nothing counts: all trials failed or began outside the safe set. Then the cell has no figures."""
         return not self.outcomes
 
     @property
@@ -71,12 +71,12 @@ class CellResult:
 
     @property
     def pairs_touched(self) -> int:
-        """Pairs of robots that touched, of all trials that could tell."""
+        """Pairs of robots that touched, of all trials that know them."""
         return sum(each.pairs_touched or 0 for _, each in self.outcomes)
 
     @property
     def robots_touched(self) -> int:
-        """Robots that touched anything, of all trials that could tell."""
+        """Robots that touched anything, of all trials that know them."""
         return sum(each.robots_touched or 0 for _, each in self.outcomes)
 
     @property
@@ -112,7 +112,7 @@ class CellResult:
         return sum(times) / len(times) if times else math.nan
 
     def to_json(self) -> dict[str, Any]:
-        """Return the record of ``--json``; what nothing can be said of is null."""
+        """Return the record of ``--json``; what is not known is null."""
         cell, outcomes = self.cell, [each for _, each in self.outcomes]
         mean_s = self.mean_s()
         known = bool(outcomes)

@@ -108,7 +108,7 @@ def plan(
         for cell in _cells(group, shrunk, engine):
             fields = cell.fields()
             names |= fields.keys()
-            if all(_fits(fields, each) for each in filters):
+            if all(fits(fields, each) for each in filters):
                 body = tuple(experiment.limits[cell.limits].model_dump().items())
                 agent = tuple(group.agent.items())
                 few = wanted[: group.seeds_at_most]
@@ -165,7 +165,8 @@ def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
     ]
 
 
-def _fits(fields: dict[str, Parameter], text: str) -> bool:
+def fits(fields: dict[str, Parameter], text: str) -> bool:
+    """Return whether a cell's fields fit a filter: ``field=pattern``, or a pattern that any field fits."""
     name, equals, pattern = text.partition("=")
     if equals:
         return name in fields and fnmatch.fnmatchcase(str(fields[name]), pattern)

@@ -33,7 +33,7 @@ def serve(connection: Connection, work: Work, parent: int) -> None:
 
     os.setsid()  # a group of its own: ended with all that a trial has started, and out of reach of Ctrl-C
     _die_with(parent)
-    log_to_stderr(warnings_only=True)  # a thousand trials brake a thousand times: that is counted, not told
+    log_to_stderr(warnings_only=True)  # a thousand trials brake a thousand times: that is counted, not logged
     while True:
         try:
             trial, attempt = connection.recv()
@@ -54,7 +54,7 @@ def _die_with(parent: int) -> None:
 
 
 @contextmanager
-def deaf_children() -> Iterator[None]:
+def uninterruptible_children() -> Iterator[None]:
     """Start processes that Ctrl-C does not reach: they would end with stack traces, and we end them anyway."""
     resource_tracker.ensure_running()  # of multiprocessing; starting it unblocks the signal
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -142,7 +142,7 @@ class Pool:
     def _start(self) -> Worker:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=serve, args=(theirs, self._work, os.getpid()), daemon=True)
-        with deaf_children():
+        with uninterruptible_children():
             process.start()
         theirs.close()
         return Worker(process, ours)

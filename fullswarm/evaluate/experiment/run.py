@@ -58,8 +58,8 @@ from fullswarm.evaluate.trial_folder import (
 )
 from fullswarm.store import Store
 
-TELL_S = 5.0
-"""How often progress is told."""
+PROGRESS_S = 5.0
+"""How often progress is printed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +82,13 @@ class Options:
     live: bool = False  # real processes in real time
     emulate: str | None = None  # with `live`: the make behind whose emulated ports the robots are
     fleet: Path | None = None  # the robots of a fleet file, one trial after the other
-    yes: bool = False  # with `fleet`: nobody is asked whether it may drive
+    yes: bool = False  # with `fleet`: skip the confirmation prompt
     insecure_network: bool = False  # with `fleet`
 
 
 @dataclass(frozen=True, slots=True)
 class FleetTrials:
-    """Runs trials on the robots of a fleet file, in this process: somebody sets them up and is asked."""
+    """Runs trials on the robots of a fleet file, in this process: a person sets them up and confirms."""
 
     options: Options
     fleet: Path
@@ -146,7 +146,7 @@ def run(options: Options, run_one: Measure = measure) -> int:
         if options.folder is not None:
             with suppress(ConfigError):
                 sweep(options.folder)  # the trials that the workers were writing when they were ended
-        _say_interrupted(options, results, trials)
+        _print_interrupted(options, results, trials)
         return output.INTERRUPTED
     report = summarise(((trial, results[trial]) for trial in trials if trial in results), clock.now_s() - began_s)
     written = options.folder is None or _finish(options.folder)
@@ -241,11 +241,11 @@ def _how(options: Options) -> str:
 def _run_all(
     trials: list[Trial], experiment: Experiment, options: Options, run_one: Measure
 ) -> Iterator[tuple[Trial, TrialResult]]:
-    """Yield every trial with its result; tell on stderr how it goes."""
+    """Yield every trial with its result; print the progress on stderr."""
     if not trials:
         return
     clock = MonotonicClock()
-    began_s = told_s = clock.now_s()
+    began_s = printed_s = clock.now_s()
     collisions = failed = 0
     with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as runner:
         for done, (trial, result) in enumerate(runner.run(trials), 1):
@@ -253,10 +253,10 @@ def _run_all(
                 result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
             failed += result.outcome is None
             collisions += result.outcome.events if result.outcome and result.outcome.safe_start else 0
-            _tell_trouble(trial, result)
+            _print_trouble(trial, result)
             now_s = clock.now_s()
-            if now_s - told_s >= TELL_S or done == len(trials):
-                told_s = now_s
+            if now_s - printed_s >= PROGRESS_S or done == len(trials):
+                printed_s = now_s
                 left_s = (now_s - began_s) / done * (len(trials) - done)
                 output.progress(
                     f"{done} of {len(trials)} trials, {collisions} collisions, {failed} failed, "
@@ -306,7 +306,7 @@ def _keep_lost(out: Path, experiment: str, runner: str, trial: Trial, result: Tr
 
 
 def _finish(folder: Path) -> bool:
-    """Tidy up and write the report; tell what is in the way."""
+    """Tidy up and write the report; print what failed."""
     sweep(folder)
     try:
         from fullswarm.evaluate.results import write_report
@@ -320,7 +320,7 @@ def _finish(folder: Path) -> bool:
     return True
 
 
-def _tell_trouble(trial: Trial, result: TrialResult) -> None:
+def _print_trouble(trial: Trial, result: TrialResult) -> None:
     outcome = result.outcome
     if outcome is None:
         output.progress(f"failed: {trial.label}: {result.failure}")
@@ -329,7 +329,7 @@ def _tell_trouble(trial: Trial, result: TrialResult) -> None:
         output.progress(f"{outcome.events} collisions: {trial.label}{apart}")
 
 
-def _say_interrupted(options: Options, results: dict[Trial, TrialResult], trials: list[Trial]) -> None:
+def _print_interrupted(options: Options, results: dict[Trial, TrialResult], trials: list[Trial]) -> None:
     done = sum(result.outcome is not None for result in results.values())
     if options.folder is None:
         then = "nothing is kept without --out FOLDER"
@@ -376,7 +376,7 @@ def _refusal(trial: Trial) -> str:
 
 
 def run_again(file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure) -> int:
-    """Run the trial in this process, tell its record, and keep it in `folder` if there is one.
+    """Run the trial in this process, print its record, and keep it in `folder` if there is one.
 
     Returns
     -------
@@ -406,7 +406,7 @@ def run_again(file: Path, folder: Path | None = None, as_json: bool = False, run
 
 
 def _keep(folder: Path, record: Record, about: Provenance, found: Measurement | str) -> None:
-    """Keep the trial, unless it has an outcome there already; tell which."""
+    """Keep the trial, unless it has an outcome there already; print which."""
     there = read_record(folder / TRIALS / record.id)
     if there is not None and there.outcome is not None:
         output.progress(f"not kept: it has a result in {folder / TRIALS / record.id} already, which stays")
@@ -418,7 +418,7 @@ def _keep(folder: Path, record: Record, about: Provenance, found: Measurement | 
 
 
 def _compare(before: Record | None, record: Record) -> None:
-    """Tell whether it came out as it did before, if a result of it stood beside its file."""
+    """Print whether it came out as it did before, if a result of it stood beside its file."""
     if before is None or before.id != trial_id(record.trial):
         return
     same = before == record

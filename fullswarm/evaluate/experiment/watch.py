@@ -57,7 +57,7 @@ def watch(wanted: Watch, runtime: Runtime | None = None, wall_s: Callable[[], fl
     folder = ExperimentFolder(wanted.folder)
     folder.look()
     if wanted.once:
-        _tell(progress_of(folder, wall_s()), wall_s(), as_json=wanted.as_json)
+        _print(progress_of(folder, wall_s()), wall_s(), as_json=wanted.as_json)
         return 0
     runtime = runtime or Runtime(MonotonicClock())
     try:
@@ -68,11 +68,11 @@ def watch(wanted: Watch, runtime: Runtime | None = None, wall_s: Callable[[], fl
     except KeyboardInterrupt:
         output.progress(LEFT)
     if not wanted.as_json:
-        _tell(progress_of(folder, wall_s()), wall_s(), as_json=False)
+        _print(progress_of(folder, wall_s()), wall_s(), as_json=False)
     return 0
 
 
-def _tell(progress: Progress, now_s: float, *, as_json: bool) -> None:
+def _print(progress: Progress, now_s: float, *, as_json: bool) -> None:
     if as_json:
         output.data_json(progress.to_json(now_s))
     else:
@@ -119,7 +119,7 @@ RECENT = 60
 PAUSE_S, PAUSE_GAPS = 30.0, 20.0
 """Nothing finished for so long, and for so many times as long as usual: then it was not running."""
 LAST = 5
-"""How many of the last finished trials are told."""
+"""How many of the last finished trials are shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class ExperimentFolder:
             )
 
     def look(self) -> bool:
-        """Read what is new; tell whether anything was."""
+        """Read what is new; return whether anything was."""
         changed = self._read_asked()
         names = set()
         for name in self._names():
@@ -224,7 +224,7 @@ class Progress:
     collisions: int
     arrived_fraction: float  # of robots; NaN before the first trial
     simulated_s: float
-    trials_per_s: float | None  # None: too few to tell
+    trials_per_s: float | None  # None: too few trials
     real_time_factor: float | None  # simulated seconds per second
     left_s: float | None
     cells: tuple[CellResult, ...]  # the one that a trial finished in last comes first
@@ -445,13 +445,13 @@ def last_table(last: tuple[Finished, ...], now_s: float, *, one_line: bool) -> T
     for each in last:
         record, outcome = each.record, each.record.outcome
         if outcome is None:
-            told = f"failed: {record.failure}"
+            text = f"failed: {record.failure}"
         else:
             collisions = f", {_count(outcome.events)}" if outcome.events else ""
-            told = f"{outcome.arrived}/{outcome.robots} arrived in {outcome.simulated_s:.1f} s{collisions}"
+            text = f"{outcome.arrived}/{outcome.robots} arrived in {outcome.simulated_s:.1f} s{collisions}"
         ago = f"{span(max(0.0, now_s - each.at_s))} ago"
         style = "red" if outcome is None or outcome.events else None
-        table.add_row(ago, escape(record.trial.label), escape(told), style=style)
+        table.add_row(ago, escape(record.trial.label), escape(text), style=style)
     return table
 
 

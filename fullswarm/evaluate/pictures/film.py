@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, FullswarmError, MissingExtra
-from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene, palette, whole_file
+from fullswarm.evaluate.pictures.scene import WIDTH_PX, Scene, palette
 from fullswarm.evaluate.pictures.timeline import Timeline
-from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory, whole_file
 
 if TYPE_CHECKING:
     from PIL import Image as Images
@@ -194,7 +194,7 @@ def _write_mp4(path: Path, frames: Iterator[Frame], scene: Scene, count: int, fp
 
 
 def _check_mp4(path: Path, count: int) -> None:
-    """Raise `FullswarmError` unless all frames can be read again: the writer does not tell how ffmpeg ended."""
+    """Raise `FullswarmError` unless all frames can be read again: the writer does not report how ffmpeg ended."""
     import imageio_ffmpeg
 
     try:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,32 +13,11 @@ from numpy.typing import NDArray
 
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.pictures.timeline import Moment, Timeline
-from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.evaluate.trial_folder import Trajectory, whole_file
 from fullswarm.kernels import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Give a path beside `path` with the same ending, to write to; at the end it takes its place.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be written. Nothing half done is left, whatever happens.
-    """
-    beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        try:
-            beside.touch()  # what cannot be written is known before the work is done
-            yield beside
-            beside.replace(path)
-        except OSError as error:
-            raise ConfigError(f"cannot write it: {error.strerror or error}", where=str(path)) from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 ROBOTS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7")

@@ -12,7 +12,7 @@ from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.kernels import Array, Flags
 
 APART_S = 0.25
-"""A new contact needs so long without one, as in `Outcome`; here as far as the samples tell."""
+"""A new contact needs so long without one, as in `Outcome`; here as far as the samples show."""
 
 
 @dataclass(frozen=True, slots=True)

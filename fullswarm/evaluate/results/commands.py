@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-import fnmatch
 import math
 import sqlite3
 import sys
 import tempfile
 import webbrowser
-import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from fullswarm import output
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.experiment.model import Parameter
-from fullswarm.evaluate.pictures.replay import find_trial, read_trajectory
+from fullswarm.evaluate.experiment.plan import fits
 from fullswarm.evaluate.results.compare import Comparison, MetricComparison, compare_by
 from fullswarm.evaluate.results.compare import compare as compare_folders
 from fullswarm.evaluate.results.export import WRITERS, long, wide, write_table
-from fullswarm.evaluate.results.folder import Folder, StoredTrial, older_text, read_folder
+from fullswarm.evaluate.results.folder import Folder, StoredTrial, find_trial, older_text, read_folder
 from fullswarm.evaluate.results.index import INDEX_FILE, open_index, rebuild
 from fullswarm.evaluate.results.quantities import Key, in_order, is_dull, range_of, values_of
 from fullswarm.evaluate.results.statistics import Described, describe
 from fullswarm.evaluate.scenarios.maps import coverage_map, occupied_cells, write_map
-from fullswarm.evaluate.trial_folder import COVERAGE_FILE, TRAJECTORY_FILE
-from fullswarm.perf.coverage import GridFrame
+from fullswarm.evaluate.trial_folder import TRAJECTORY_FILE, read_coverage, read_trajectory
 from fullswarm.units import unit_of
 
 STDOUT = Path("-")
@@ -170,15 +164,7 @@ def _show_sample(trials: list[StoredTrial], what: str, as_json: bool) -> int:
 def _fits(stored: StoredTrial, what: str) -> bool:
     fields = {**stored.record.trial.cell.fields(), "seed": stored.record.trial.seed}
     parts = [part.strip() for part in what.split(",") if part.strip()]
-    return stored.record.id.startswith(what) or (bool(parts) and all(_has(fields, part) for part in parts))
-
-
-def _has(fields: dict[str, Parameter], text: str) -> bool:
-    """Tell whether fields fit one part of a filter, as in `experiment run --cells`."""
-    name, equals, pattern = text.partition("=")
-    if equals:
-        return name in fields and fnmatch.fnmatchcase(str(fields[name]), pattern)
-    return any(fnmatch.fnmatchcase(str(value), text) for value in fields.values())
+    return stored.record.id.startswith(what) or (bool(parts) and all(fits(fields, part) for part in parts))
 
 
 # ---------------------------------------------------------------------------------------------------- making
@@ -206,7 +192,7 @@ def report(folder: Path, open_it: bool, plots: Path | None) -> int:
 
     path = write_report(folder)
     output.data(str(path))
-    _tell(read_folder(folder))
+    _print_problems(read_folder(folder))
     if plots is not None:
         for each in write_plots(folder, plots):
             output.data(str(each))
@@ -223,7 +209,7 @@ def index(folder: Path, as_json: bool) -> int:
         output.data_json({"index": str(folder / INDEX_FILE), "trials": len(read.trials), "problems": problems})
     else:
         output.data(f"{folder / INDEX_FILE}: {len(read.trials)} trials, {len(read.failed)} of them failed")
-        _tell(read)
+        _print_problems(read)
     return 1 if read.problems else 0
 
 
@@ -278,9 +264,9 @@ def _comparison_row(each: MetricComparison) -> tuple[str, ...]:
 
 # ---------------------------------------------------------------------------------------------------- helpers
 def _read(folder: Path) -> Folder:
-    """Return the trials; tell on stderr what cannot be read."""
+    """Return the trials; print on stderr what cannot be read."""
     read = read_folder(folder)
-    _tell(read)
+    _print_problems(read)
     return read
 
 
@@ -288,7 +274,7 @@ def _trials(folder: Path) -> list[StoredTrial]:
     return _read(folder).trials
 
 
-def _tell(read: Folder) -> None:
+def _print_problems(read: Folder) -> None:
     for each in read.problems:
         output.progress(f"unreadable: {each.path}: {each.reason}")
     if read.older:
@@ -322,26 +308,8 @@ def write_coverage_map(folder: Path, trial: str, out: Path | None) -> int:
         No such trial, it has no grid (a failed one, a fleet's), or the map cannot be written.
     """
     place = find_trial(folder, trial)
-    frame, covered = read_coverage(place / COVERAGE_FILE)
+    frame, covered = read_coverage(place)
     boxes = read_trajectory(place).boxes if (place / TRAJECTORY_FILE).exists() else np.zeros((0, 5))
     occupied = occupied_cells(frame, tuple((x, y, size_x, size_y, yaw) for x, y, size_x, size_y, yaw in boxes.tolist()))
     output.data("\n".join(map(str, write_map(coverage_map(frame, covered, occupied), out or place / "coverage"))))
     return 0
-
-
-def read_coverage(path: Path) -> tuple[GridFrame, NDArray[np.uint8]]:
-    """Return a trial's grid: its frame, and (rows, columns) of 0 and 1.
-
-    Raises
-    ------
-    ConfigError
-        There is none, or it is broken.
-    """
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            x_m, y_m, cell_m, rows, columns = file["frame"].tolist()
-            return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
-    except FileNotFoundError as error:
-        raise ConfigError("this trial has no coverage grid", where=str(path)) from error
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
-        raise ConfigError(f"not a coverage grid: {error}", where=str(path), hint="run the trial again") from error

@@ -49,7 +49,7 @@ class Comparison:
     cells: list[MetricComparison]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the document of ``--json``; what cannot be told is null."""
+        """Return the document of ``--json``; what is not known is null."""
         document: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(asdict(self)))  # NaN → null
         return document
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,6 +15,7 @@ import numpy as np
 from fullswarm.errors import ConfigError, MissingExtra, did_you_mean
 from fullswarm.evaluate.results.folder import StoredTrial
 from fullswarm.evaluate.results.quantities import in_order, values_of
+from fullswarm.evaluate.trial_folder import whole_file
 from fullswarm.units import unit_of
 
 Value = str | int | float | None
@@ -77,17 +76,11 @@ def write_table(table: Table, path: Path, form: str) -> None:
         raise ConfigError(f"there is no format '{form}'", where="--format", hint=did_you_mean(form, WRITERS))
     if path.is_dir():
         raise ConfigError("cannot write: it is a folder", where=str(path), hint="name a file")
-    part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        WRITERS[form](table, part)
-        part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"cannot write: {error.strerror or error}", where=str(path)) from error
+        with whole_file(path) as part:
+            WRITERS[form](table, part)
     except ImportError as error:
         raise MissingExtra(f"writing {form} needs {error.name}", hint=EXTRA) from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 def _about(trials: list[StoredTrial]) -> dict[str, list[Value]]:

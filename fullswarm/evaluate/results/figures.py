@@ -9,23 +9,22 @@ from __future__ import annotations
 import io
 import math
 import re
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.errors import MissingExtra
+from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.evaluate.pictures.scene import corners
 from fullswarm.evaluate.results.folder import StoredTrial
 from fullswarm.evaluate.results.quantities import COLLISIONS, SHOWN, Quantity
 from fullswarm.evaluate.results.sample import Condition, Sample, shown
 from fullswarm.evaluate.results.statistics import describe
-from fullswarm.evaluate.trial_folder import COVERAGE_FILE, TRAJECTORY_FILE, Trajectory
+from fullswarm.evaluate.swarm import Coverage
+from fullswarm.evaluate.trial_folder import Trajectory, read_coverage, read_trajectory
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito 2008: told apart by colour-blind readers too."""
+"""Okabe and Ito 2008: distinct for colour-blind readers too."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 INK, GRID, SOLID, PAPER = "#1f2328", "#d0d4d9", "#9aa1a9", "#fefefe"
 """Text and lines, grid, obstacles, background."""
@@ -302,8 +301,6 @@ PERIOD_S = 0.2
 READABLE_ROBOTS = 16
 """More trajectories than these in one picture cannot be followed."""
 PANEL_IN = 3.0
-BROKEN = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What NumPy raises for a missing or broken file."""
 
 
 def trajectories_plot(condition: Condition, scenario: str, name: str) -> Plot | None:
@@ -313,7 +310,7 @@ def trajectories_plot(condition: Condition, scenario: str, name: str) -> Plot | 
     """
     robots = chosen_size(condition, scenario)
     chosen = _same_seed([condition.sample(scenario, each, robots) for each in condition.behaviours])
-    drawn = [(each, path) for each in chosen if (path := _load(each.path / TRAJECTORY_FILE)) is not None]
+    drawn = [(each, path) for each in chosen if (path := _load(each)) is not None]
     if not drawn:
         return None
     with style(name):
@@ -363,7 +360,7 @@ def coverage_plot(condition: Condition, scenario: str, name: str) -> Plot | None
 
 
 def chosen_size(condition: Condition, scenario: str) -> int:
-    """Return the largest number of robots whose ways can still be told apart."""
+    """Return the largest number of robots whose ways can still be distinguished."""
     sizes = condition.sizes(scenario)
     return max((each for each in sizes if each <= READABLE_ROBOTS), default=sizes[0])
 
@@ -388,36 +385,31 @@ def _seeds(sample: Sample | None) -> list[int]:
     return [each.record.trial.seed for each in sample.counted] if sample else []
 
 
-def _load(path: Path) -> Trajectory | None:
+def _load(stored: StoredTrial) -> Trajectory | None:
     """Return a trajectory, None when the trial kept none or the file is broken: a picture less, not no report."""
-    if not zipfile.is_zipfile(path):  # of a broken archive NumPy would leave the file open
-        return None
     try:
-        return Trajectory.load(path)
-    except BROKEN:
+        return read_trajectory(stored.path)
+    except ConfigError:
         return None
 
 
-def _grid(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _grid(stored: StoredTrial) -> Coverage | None:
     """Return frame and covered cells, None as above."""
-    if not zipfile.is_zipfile(path):
-        return None
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return np.asarray(file["frame"], np.float64), np.asarray(file["covered"], np.float64)
-    except BROKEN:
+        return read_coverage(stored.path)
+    except ConfigError:
         return None
 
 
 def _share(sample: Sample) -> tuple[NDArray[np.float64], Bounds, int] | None:
     """Return per cell the share of trials that covered it, the bounds, and the number of trials."""
-    grids = [each for stored in sample.counted if (each := _grid(stored.path / COVERAGE_FILE)) is not None]
+    grids = [each for stored in sample.counted if (each := _grid(stored)) is not None]
     if not grids:
         return None
     frame = grids[0][0]
-    same = [covered for other, covered in grids if np.array_equal(frame, other)]  # other cell sizes cannot be joined
-    x, y, cell, rows, columns = frame.tolist()
-    return np.mean(same, axis=0), np.array([x, y, x + cell * columns, y + cell * rows]), len(same)
+    same = [covered.astype(float) for other, covered in grids if other == frame]  # other cell sizes cannot be joined
+    x, y, cell = frame.origin_x_m, frame.origin_y_m, frame.cell_m
+    return np.mean(same, axis=0), np.array([x, y, x + cell * frame.columns, y + cell * frame.rows]), len(same)
 
 
 def _trajectory(axis: Axes, path: Trajectory) -> None:
@@ -426,7 +418,7 @@ def _trajectory(axis: Axes, path: Trajectory) -> None:
     period_s = float(np.median(np.diff(path.time_s))) if len(path.time_s) > 1 else PERIOD_S
     step = max(1, round(PERIOD_S / period_s)) if period_s > 0.0 else 1
     rows = np.unique(np.append(np.arange(0, len(path.time_s), step), len(path.time_s) - 1))
-    for row in _corners(path.boxes):
+    for row in corners(path.boxes):
         axis.fill(row[:, 0], row[:, 1], facecolor=SOLID, edgecolor="none")
     for goal in np.unique(path.goals, axis=0):
         axis.add_patch(
@@ -440,15 +432,6 @@ def _trajectory(axis: Axes, path: Trajectory) -> None:
     began = path.touching & ~np.vstack([np.zeros((1, len(path.ids)), bool), path.touching[:-1]])
     axis.plot(*path.pose[:, :, :2][began].T, "x", color=COLOURS[0], markersize=4.5, markeredgewidth=1.2, zorder=5)
     _frame(axis, path.bounds_m)
-
-
-def _corners(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners (k, 4, 2) of boxes (k, 5)."""
-    corner = 0.5 * boxes[:, None, 2:4] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])[None]
-    cos, sin = np.cos(boxes[:, 4])[:, None], np.sin(boxes[:, 4])[:, None]
-    x = corner[..., 0] * cos - corner[..., 1] * sin + boxes[:, None, 0]
-    y = corner[..., 0] * sin + corner[..., 1] * cos + boxes[:, None, 1]
-    return np.stack([x, y], axis=-1)
 
 
 def _frame(axis: Axes, bounds: Bounds) -> None:

@@ -7,37 +7,41 @@
 
 from __future__ import annotations
 
+import difflib
+import fnmatch
 import hashlib
-import os
-import socket
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
 import fullswarm
 from fullswarm.clock import wall_time_s
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment import Experiment, Trial, TrialResult, arena_of
 from fullswarm.evaluate.provenance import Provenance, commit
 from fullswarm.evaluate.trial_folder import (
     FORMAT,
     PROVENANCE_FILE,
     RESULT_FILE,
+    TRAJECTORY_FILE,
     TRIALS,
     Record,
+    decode,
     read_kept,
     read_provenance,
     sweep,
     trial_id,
+    whole_file,
 )
 
 LOCKSTEP = "lockstep"
 EXPERIMENT_FILE = "experiment.json"
+NAMED = 5
+"""So many trials are named when the choice is not clear."""
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,7 +64,7 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def configuration_of(experiment: Experiment) -> str:
-    """Return what tells one version of an experiment from another: its file, and those of its scenarios."""
+    """Return a digest that differs between versions of an experiment: its file, and those of its scenarios."""
     digest = hashlib.sha256(experiment.model_dump_json().encode())
     for name in sorted({name for group in experiment.groups for name in group.scenarios}):
         digest.update(f"{name}\n{_arena(name)}\n".encode())
@@ -105,7 +109,8 @@ def open_folder(out: Path, asked: Asked, trials: Iterable[Trial]) -> tuple[Asked
             ids = tuple(dict.fromkeys((*before.trials, *ids)))
     started = datetime.fromtimestamp(wall_time_s(), UTC).isoformat(timespec="seconds")
     now = msgspec.structs.replace(asked, trials=ids, started=started)
-    _write(out / EXPERIMENT_FILE, msgspec.json.format(msgspec.json.encode(now), indent=2) + b"\n")
+    with whole_file(out / EXPERIMENT_FILE) as part:
+        part.write_bytes(msgspec.json.format(msgspec.json.encode(now), indent=2) + b"\n")
     return now, swept
 
 
@@ -118,17 +123,14 @@ def read_asked(out: Path) -> Asked | None:
         The file cannot be read, or is another one.
     """
     path = out / EXPERIMENT_FILE
-    try:
-        asked = msgspec.json.decode(path.read_bytes(), type=Asked)
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except OSError as error:
-        raise ConfigError(f"cannot read it: {error.strerror or error}", where=str(path)) from error
-    except (msgspec.DecodeError, ValueError) as error:  # ValueError: not UTF-8
+    try:
+        return decode(path, Asked)
+    except ConfigError as error:
         raise ConfigError(
-            f"not the file of an experiment: {error}", where=str(path), hint="remove it, the trials stay"
+            f"not the file of an experiment: {error.what}", where=str(path), hint="remove it, the trials stay"
         ) from error
-    return asked
 
 
 def kept_of(out: Path, trials: Sequence[Trial]) -> dict[Trial, TrialResult]:
@@ -142,19 +144,6 @@ def other_code(out: Path, trials: Iterable[Trial]) -> Counter[str]:
     found = ((about.fullswarm, about.git) for about in (read_provenance(out, trial) for trial in trials))
     other = Counter(each for each in found if any(each) and each != (fullswarm.__version__, commit()))
     return Counter({" ".join(("fullswarm", *filter(None, each))): count for each, count in other.items()})
-
-
-def _write(path: Path, data: bytes) -> None:
-    part = path.with_name(f".{path.name}-{socket.gethostname()}-{os.getpid()}")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise ConfigError(f"cannot write it: {error.strerror or error}", where=str(path)) from error
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +217,7 @@ def read_folder(out: Path) -> Folder:
     asked = Asked()
     if (out / EXPERIMENT_FILE).is_file():
         try:
-            asked = _read(out / EXPERIMENT_FILE, Asked)
+            asked = decode(out / EXPERIMENT_FILE, Asked)
         except ConfigError as error:
             problems.append(Problem(out / EXPERIMENT_FILE, str(error)))
     there = trial_paths(out)
@@ -236,7 +225,7 @@ def read_folder(out: Path) -> Folder:
     for path in paths:
         provenance = Provenance()
         try:
-            record = _read(path / RESULT_FILE, Record)
+            record = decode(path / RESULT_FILE, Record)
             if record.format != FORMAT:
                 raise ConfigError(f"its format is '{record.format}', not '{FORMAT}'")
             if record.id != path.name:
@@ -245,7 +234,7 @@ def read_folder(out: Path) -> Folder:
             problems.append(Problem(path, str(error)))
             continue
         try:
-            provenance = _read(path / PROVENANCE_FILE, Provenance)
+            provenance = decode(path / PROVENANCE_FILE, Provenance)
         except ConfigError as error:
             problems.append(Problem(path, f"{error}; the trial counts"))
         trials.append(StoredTrial(record, provenance, path))
@@ -269,7 +258,7 @@ def _listed(paths: list[Path], names: Iterable[str]) -> list[Path]:
 
 
 def older_text(count: int) -> str:
-    """Return what is to be said of trials that no figure counts."""
+    """Return the note on trials that no figure counts."""
     are = "1 trial of older settings is" if count == 1 else f"{count} trials of older settings are"
     return f"{are} in no figure; another --out keeps them apart"
 
@@ -294,13 +283,43 @@ def trial_paths(out: Path) -> list[Path]:
         raise ConfigError(f"cannot read the folder: {error.strerror or error}", where=str(out)) from error
 
 
-def _read(path: Path, kind: type[T]) -> T:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except OSError as error:
-        raise ConfigError(f"cannot read {path.name}: {error.strerror or error}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}: {error}") from error
+def find_trial(folder: Path, wanted: str = "") -> Path:
+    """Return a trial's directory: `folder` itself, or the one in an experiment's folder whose id begins so.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or more than one.
+    """
+    if not folder.is_dir():
+        raise ConfigError("no such folder", where=str(folder))
+    trials = folder / TRIALS
+    if not trials.is_dir():
+        if (folder / TRAJECTORY_FILE).exists() or (folder / RESULT_FILE).exists():
+            return folder
+        raise ConfigError(
+            "neither a trial's folder nor an experiment's",
+            where=str(folder),
+            hint=f"a trial's holds {TRAJECTORY_FILE}, an experiment's {TRIALS}/",
+        )
+    names = sorted(each.name for each in trials.iterdir() if each.is_dir() and not each.name.startswith("."))
+    if wanted in names:
+        return trials / wanted
+    found = [name for name in names if fnmatch.fnmatchcase(name, f"{wanted}*")]
+    if len(found) == 1:
+        return trials / found[0]
+    where = f"--trial {wanted}" if wanted else str(folder)
+    if not found:
+        near = did_you_mean(wanted, names) if len(names) <= NAMED else _near(wanted, names)
+        raise ConfigError("no such trial", where=where, hint=near)
+    some = ", ".join(found[:NAMED]) + (", …" if len(found) > NAMED else "")
+    raise ConfigError(f"{len(found)} trials fit", where=where, hint=f"name one with --trial: {some}")
+
+
+def _near(wanted: str, names: list[str]) -> str:
+    """Return a hint that does not name hundreds."""
+    near = difflib.get_close_matches(wanted, names, n=1, cutoff=0.4)
+    return f"did you mean '{near[0]}'?" if near else f"there are {len(names)}, the first is '{names[0]}'"
 
 
 def _order(stored: StoredTrial) -> tuple[object, ...]:

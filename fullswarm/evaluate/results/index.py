@@ -9,10 +9,9 @@ meta      format, the signature of the directories that the index was made of, h
 from __future__ import annotations
 
 import hashlib
-import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import msgspec
@@ -20,7 +19,7 @@ import msgspec
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.results.folder import EXPERIMENT_FILE, Folder, StoredTrial, read_folder, trial_paths
 from fullswarm.evaluate.results.quantities import values_of
-from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, TRIALS
+from fullswarm.evaluate.trial_folder import PROVENANCE_FILE, RESULT_FILE, TRIALS, whole_file
 
 INDEX_FILE = "index.sqlite"
 INDEX_FORMAT = "fullswarm.index/2"
@@ -116,19 +115,11 @@ def signature(out: Path) -> str:
 
 
 def _write(folder: Folder) -> None:
-    """Write beside its place and move there: a reader never sees half an index."""
-    target = folder.path / INDEX_FILE
-    part = target.with_name(f".{INDEX_FILE}.{os.getpid()}")
-    try:
-        part.unlink(missing_ok=True)
+    """Write the index; a reader never sees half of one."""
+    with whole_file(folder.path / INDEX_FILE) as part:
+        part.unlink()
         with closing(sqlite3.connect(part)) as connection:
             _fill(connection, folder)
-        part.replace(target)
-    except OSError as error:
-        raise ConfigError(f"cannot write the index: {error.strerror or error}", where=str(target)) from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 def _fill(connection: sqlite3.Connection, folder: Folder) -> None:

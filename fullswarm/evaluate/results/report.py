@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -39,7 +37,7 @@ from fullswarm.evaluate.results.quantities import (
 )
 from fullswarm.evaluate.results.sample import Condition, Sample, bare, conditions, is_filtered
 from fullswarm.evaluate.results.statistics import describe, paired, wilson
-from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIAL_FILE, TRIALS
+from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIAL_FILE, TRIALS, whole_file
 from fullswarm.units import unit_of
 
 REPORT_FILE, CSV_FILE, TABLE_FILE = "report.html", "results.csv", "table.md"
@@ -77,7 +75,8 @@ def write_report(out: Path) -> Path:
     write_table(wide(folder.trials), out / CSV_FILE, "csv")
     text = render(folder)
     path = out / REPORT_FILE
-    _replace(path, text)
+    with whole_file(path) as part:
+        part.write_text(text, "utf-8")
     return path
 
 
@@ -97,14 +96,13 @@ def write_plots(out: Path, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"cannot make the folder: {error.strerror or error}", where=str(folder)) from error
-    written = []
-    for section in sections:
-        for plot in filter(None, (section.collisions, section.means, *section.arenas)):
-            written.append(folder / f"{plot.name}.svg")
-            _replace(written[-1], plot.svg)
-    written.append(folder / TABLE_FILE)
-    _replace(written[-1], "\n".join(_markdown(each) for each in sections))
-    return written
+    plots = [plot for each in sections for plot in (each.collisions, each.means, *each.arenas) if plot]
+    texts = {folder / f"{plot.name}.svg": plot.svg for plot in plots}
+    texts[folder / TABLE_FILE] = "\n".join(_markdown(each) for each in sections)
+    for path, text in texts.items():
+        with whole_file(path) as part:
+            part.write_text(text, "utf-8")
+    return list(texts)
 
 
 def render(folder: Folder) -> str:
@@ -280,25 +278,12 @@ def _markdown(section: Section) -> str:
     return "\n".join(parts)
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_text(text, "utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"cannot write: {error.strerror or error}", where=str(path)) from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
 NONE = "–"
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A field of a table; `tone` is "bad" or "good" where that can be said."""
+    """A field of a table; `tone` is "bad" or "good" where it has one."""
 
     text: str
     href: str = ""
@@ -415,8 +400,8 @@ def agreement_grid(condition: Condition) -> Grid | None:
             for each in values
             if {("truth", name), ("onboard", name)} <= each.keys()
         ]
-        result = paired([true for true, _ in both], [told for _, told in both])
-        largest = max(abs(told - true) for true, told in both)
+        result = paired([true for true, _ in both], [onboard for _, onboard in both])
+        largest = max(abs(onboard - true) for true, onboard in both)
         rows.append(
             [
                 Entry(name),

@@ -19,6 +19,11 @@ WHEEL_RADIUS_M = 0.036
 WHEEL_BASE_M = 0.235
 """Of an iRobot Create 2 (Open Interface specification)."""
 
+SUN = """<light name="sun" type="directional">
+    <cast_shadows>true</cast_shadows><pose>0 0 10 0 0 0</pose>
+    <diffuse>0.8 0.8 0.8 1</diffuse><specular>0.2 0.2 0.2 1</specular><direction>-0.5 0.1 -0.9</direction>
+</light>"""
+
 _GREY, _BLUE, _GREEN = "0.5 0.5 0.5 1", "0.1 0.3 0.8 1", "0.1 0.7 0.2 0.3"
 
 
@@ -41,7 +46,7 @@ def scenario_to_sdf(
     """
     root = ET.Element("sdf", version="1.9")
     world = ET.SubElement(root, "world", name=_name(scenario.name))
-    _light(world)
+    _add(world, SUN)
     _floor(world, scenario)
     for number, box in enumerate(boxes_for(scenario, seed)):
         _box(world, f"box_{number}", box)
@@ -60,25 +65,16 @@ def _name(text: str) -> str:
     return "".join(each if each.isascii() and (each.isalnum() or each in "_-") else "_" for each in text)
 
 
-def _light(world: ET.Element) -> None:
-    light = ET.SubElement(world, "light", name="sun", type="directional")
-    for tag, text in (
-        ("cast_shadows", "true"),
-        ("pose", "0 0 10 0 0 0"),
-        ("diffuse", "0.8 0.8 0.8 1"),
-        ("specular", "0.2 0.2 0.2 1"),
-        ("direction", "-0.5 0.1 -0.9"),
-    ):
-        ET.SubElement(light, tag).text = text
+def _add(parent: ET.Element, text: str) -> None:
+    parent.append(ET.fromstring(text))  # noqa: S314  (our own text)
 
 
 def _floor(world: ET.Element, scenario: Scenario) -> None:
     x_min, y_min, x_max, y_max = scenario.bounds_m
-    link = _model(world, "ground_plane", ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0, 0.0), static=True)
-    for tag in ("collision", "visual"):
-        plane = ET.SubElement(ET.SubElement(ET.SubElement(link, tag, name=tag), "geometry"), "plane")
-        ET.SubElement(plane, "normal").text = "0 0 1"
-        ET.SubElement(plane, "size").text = _numbers(2 * (x_max - x_min), 2 * (y_max - y_min))
+    size = _numbers(2 * (x_max - x_min), 2 * (y_max - y_min))
+    plane = f"<geometry><plane><normal>0 0 1</normal><size>{size}</size></plane></geometry>"
+    parts = "".join(f'<{tag} name="{tag}">{plane}</{tag}>' for tag in ("collision", "visual"))
+    _add(world, _model("ground_plane", ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0, 0.0), parts))
 
 
 def _walls(scenario: Scenario) -> dict[str, Box]:
@@ -95,104 +91,87 @@ def _walls(scenario: Scenario) -> dict[str, Box]:
 
 def _box(world: ET.Element, name: str, box: Box) -> None:
     x, y, size_x, size_y, yaw = box
-    link = _model(world, name, (x, y, BOX_HEIGHT_M / 2, yaw), static=True)
-    _shape(link, "box", {"size": _numbers(size_x, size_y, BOX_HEIGHT_M)}, _GREY)
+    shape = _shape("box", {"size": _numbers(size_x, size_y, BOX_HEIGHT_M)}, _GREY)
+    _add(world, _model(name, (x, y, BOX_HEIGHT_M / 2, yaw), shape))
 
 
 def _goal(world: ET.Element, scenario: Scenario) -> None:
     """Draw the goal as a flat disc that nothing collides with."""
-    link = _model(world, EXPORTED_GOAL, (*scenario.goal.centre_m, 0.005, 0.0), static=True)
     size = {"radius": _numbers(scenario.goal.radius_m), "length": "0.01"}
-    _shape(link, "cylinder", size, _GREEN, collides=False)
+    shape = _shape("cylinder", size, _GREEN, collides=False)
+    _add(world, _model(EXPORTED_GOAL, (*scenario.goal.centre_m, 0.005, 0.0), shape))
 
 
 def _robot(world: ET.Element, name: str, pose: tuple[float, float, float], radius_m: float, driven: bool) -> None:
     x, y, heading = pose
-    link = _model(world, name, (x, y, 0.0, heading), static=False)
     # With wheels the body must not drag over the floor.
     clear_m = 0.02 if driven else 0.0
     size = {"radius": _numbers(radius_m), "length": _numbers(ROBOT_HEIGHT_M - clear_m)}
-    _shape(link, "cylinder", size, _BLUE, height_m=(ROBOT_HEIGHT_M + clear_m) / 2)
-    _inertia(link, ROBOT_MASS_KG, radius_m, ROBOT_HEIGHT_M, ROBOT_HEIGHT_M / 2)
+    parts = _shape("cylinder", size, _BLUE, height_m=(ROBOT_HEIGHT_M + clear_m) / 2)
+    parts += _inertia(ROBOT_MASS_KG, radius_m, ROBOT_HEIGHT_M, ROBOT_HEIGHT_M / 2)
+    drive, half_base_m = "", min(WHEEL_BASE_M / 2, 0.8 * radius_m)
     if driven:
-        model = world[-1]
-        _castor(link, radius_m)
-        for side, sign in (("left", 1.0), ("right", -1.0)):
-            _wheel(model, side, sign * min(WHEEL_BASE_M / 2, 0.8 * radius_m))
-        _diff_drive(model, 2 * min(WHEEL_BASE_M / 2, 0.8 * radius_m))
+        parts += "".join(_castor(place, sign * 0.8 * radius_m) for place, sign in (("front", 1.0), ("back", -1.0)))
+        drive = _wheel("left", half_base_m) + _wheel("right", -half_base_m) + _diff_drive(2 * half_base_m)
+    _add(world, _model(name, (x, y, 0.0, heading), parts, static=False, beside=drive))
 
 
-def _castor(link: ET.Element, radius_m: float) -> None:
-    for place, sign in (("front", 1.0), ("back", -1.0)):
-        collision = ET.SubElement(link, "collision", name=f"castor_{place}")
-        ET.SubElement(collision, "pose").text = f"{_numbers(sign * 0.8 * radius_m)} 0 0.011 0 0 0"
-        sphere = ET.SubElement(ET.SubElement(collision, "geometry"), "sphere")
-        ET.SubElement(sphere, "radius").text = "0.01"
-        ode = ET.SubElement(ET.SubElement(ET.SubElement(collision, "surface"), "friction"), "ode")
-        ET.SubElement(ode, "mu").text = ET.SubElement(ode, "mu2").text = "0"
+def _castor(place: str, x_m: float) -> str:
+    return f"""<collision name="castor_{place}">
+        <pose>{_numbers(x_m)} 0 0.011 0 0 0</pose>
+        <geometry><sphere><radius>0.01</radius></sphere></geometry>
+        <surface><friction><ode><mu>0</mu><mu2>0</mu2></ode></friction></surface>
+    </collision>"""
 
 
-def _wheel(model: ET.Element, side: str, y_m: float) -> None:
-    link = ET.SubElement(model, "link", name=f"{side}_wheel")
-    ET.SubElement(link, "pose").text = f"0 {_numbers(y_m)} {WHEEL_RADIUS_M} -1.5707963267948966 0 0"
-    _shape(link, "cylinder", {"radius": _numbers(WHEEL_RADIUS_M), "length": "0.02"}, "0.1 0.1 0.1 1")
-    _inertia(link, 0.1, WHEEL_RADIUS_M, 0.02, 0.0)
-    joint = ET.SubElement(model, "joint", name=f"{side}_wheel_joint", type="revolute")
-    ET.SubElement(joint, "parent").text = "link"
-    ET.SubElement(joint, "child").text = f"{side}_wheel"
-    axis = ET.SubElement(joint, "axis")
-    ET.SubElement(axis, "xyz").text = "0 0 1"
-    limit = ET.SubElement(axis, "limit")
-    ET.SubElement(limit, "lower").text, ET.SubElement(limit, "upper").text = "-1e16", "1e16"
+def _wheel(side: str, y_m: float) -> str:
+    shape = _shape("cylinder", {"radius": _numbers(WHEEL_RADIUS_M), "length": "0.02"}, "0.1 0.1 0.1 1")
+    return f"""<link name="{side}_wheel">
+        <pose>0 {_numbers(y_m)} {WHEEL_RADIUS_M} -1.5707963267948966 0 0</pose>
+        {shape}{_inertia(0.1, WHEEL_RADIUS_M, 0.02, 0.0)}
+    </link>
+    <joint name="{side}_wheel_joint" type="revolute">
+        <parent>link</parent><child>{side}_wheel</child>
+        <axis><xyz>0 0 1</xyz><limit><lower>-1e16</lower><upper>1e16</upper></limit></axis>
+    </joint>"""
 
 
-def _diff_drive(model: ET.Element, base_m: float) -> None:
-    plugin = ET.SubElement(model, "plugin", filename="gz-sim-diff-drive-system", name="gz::sim::systems::DiffDrive")
-    for tag, text in (
-        ("left_joint", "left_wheel_joint"),
-        ("right_joint", "right_wheel_joint"),
-        ("wheel_separation", _numbers(base_m)),
-        ("wheel_radius", _numbers(WHEEL_RADIUS_M)),
-        ("max_linear_velocity", "0.5"),
-    ):
-        ET.SubElement(plugin, tag).text = text
+def _diff_drive(base_m: float) -> str:
+    return f"""<plugin filename="gz-sim-diff-drive-system" name="gz::sim::systems::DiffDrive">
+        <left_joint>left_wheel_joint</left_joint><right_joint>right_wheel_joint</right_joint>
+        <wheel_separation>{_numbers(base_m)}</wheel_separation><wheel_radius>{_numbers(WHEEL_RADIUS_M)}</wheel_radius>
+        <max_linear_velocity>0.5</max_linear_velocity>
+    </plugin>"""
 
 
 # ------------------------------------------------------------------------------------------------------- pieces
-def _model(world: ET.Element, name: str, pose: tuple[float, float, float, float], *, static: bool) -> ET.Element:
-    """Add a model of one link at x, y, z, yaw; return the link."""
-    model = ET.SubElement(world, "model", name=name)
+def _model(
+    name: str, pose: tuple[float, float, float, float], parts: str, *, static: bool = True, beside: str = ""
+) -> str:
+    """Return a model at x, y, z, yaw with a link of `parts`, and what stands beside the link."""
     x, y, z, yaw = pose
-    ET.SubElement(model, "pose").text = f"{_numbers(x, y, z)} 0 0 {_numbers(yaw)}"
-    ET.SubElement(model, "static").text = "true" if static else "false"
-    return ET.SubElement(model, "link", name="link")
+    return f"""<model name="{name}">
+        <pose>{_numbers(x, y, z)} 0 0 {_numbers(yaw)}</pose>
+        <static>{"true" if static else "false"}</static>
+        <link name="link">{parts}</link>{beside}
+    </model>"""
 
 
-def _shape(
-    link: ET.Element, kind: str, size: dict[str, str], colour: str, *, height_m: float = 0.0, collides: bool = True
-) -> None:
-    for tag in ("collision", "visual") if collides else ("visual",):
-        element = ET.SubElement(link, tag, name=tag)
-        if height_m:
-            ET.SubElement(element, "pose").text = f"0 0 {_numbers(height_m)} 0 0 0"
-        shape = ET.SubElement(ET.SubElement(element, "geometry"), kind)
-        for key, text in size.items():
-            ET.SubElement(shape, key).text = text
-        if tag == "visual":
-            material = ET.SubElement(element, "material")
-            ET.SubElement(material, "ambient").text = ET.SubElement(material, "diffuse").text = colour
+def _shape(kind: str, size: dict[str, str], colour: str, *, height_m: float = 0.0, collides: bool = True) -> str:
+    pose = f"<pose>0 0 {_numbers(height_m)} 0 0 0</pose>" if height_m else ""
+    sizes = "".join(f"<{key}>{text}</{key}>" for key, text in size.items())
+    inside = f"{pose}<geometry><{kind}>{sizes}</{kind}></geometry>"
+    material = f"<material><ambient>{colour}</ambient><diffuse>{colour}</diffuse></material>"
+    collision = f'<collision name="collision">{inside}</collision>' if collides else ""
+    return f'{collision}<visual name="visual">{inside}{material}</visual>'
 
 
-def _inertia(link: ET.Element, mass_kg: float, radius_m: float, length_m: float, height_m: float) -> None:
-    """Add a solid cylinder's mass and moments."""
-    inertial = ET.SubElement(link, "inertial")
-    if height_m:
-        ET.SubElement(inertial, "pose").text = f"0 0 {_numbers(height_m)} 0 0 0"
-    ET.SubElement(inertial, "mass").text = _numbers(mass_kg)
-    moments = ET.SubElement(inertial, "inertia")
-    across = mass_kg * (3 * radius_m**2 + length_m**2) / 12
-    for tag, value in (("ixx", across), ("iyy", across), ("izz", mass_kg * radius_m**2 / 2)):
-        ET.SubElement(moments, tag).text = _numbers(value)
+def _inertia(mass_kg: float, radius_m: float, length_m: float, height_m: float) -> str:
+    """Return a solid cylinder's mass and moments."""
+    pose = f"<pose>0 0 {_numbers(height_m)} 0 0 0</pose>" if height_m else ""
+    across, along = mass_kg * (3 * radius_m**2 + length_m**2) / 12, mass_kg * radius_m**2 / 2
+    moments = f"<ixx>{_numbers(across)}</ixx><iyy>{_numbers(across)}</iyy><izz>{_numbers(along)}</izz>"
+    return f"<inertial>{pose}<mass>{_numbers(mass_kg)}</mass><inertia>{moments}</inertia></inertial>"
 
 
 def _numbers(*values: float) -> str:

@@ -7,14 +7,13 @@ Row 0 of a grid lies at the lowest y; the first row of a picture is its top. Pix
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.errors import ConfigError
 from fullswarm.evaluate.scenarios.model import Box, Scenario
 from fullswarm.evaluate.scenarios.placement import boxes_for
 from fullswarm.perf.coverage import GridFrame
@@ -26,8 +25,6 @@ OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 Pixels = NDArray[np.uint8]
 
 _TOUCH_M = 1e-9
-_GAP = rb"(?:\s|#[^\n]*\n)+"
-_PGM_HEAD = re.compile(rb"P5" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)\s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,44 +125,6 @@ def write_map(grid: Map, path: Path) -> tuple[Path, Path]:
     except OSError as error:
         raise ConfigError(f"cannot write the map: {error.strerror or error}", where=str(picture)) from error
     return picture, sidecar
-
-
-def read_map(sidecar: Path) -> Map:
-    """Return the map that a YAML file of map_server describes, with a binary PGM of 8 bits as its picture.
-
-    Raises
-    ------
-    ConfigError
-        Not readable, a key is missing, a turned map, or another kind of picture.
-    MissingExtra
-        PyYAML is not installed.
-    """
-    try:
-        import yaml
-    except ImportError as error:
-        raise MissingExtra("reading maps needs PyYAML", hint="pip install 'fullswarm[experiments]'") from error
-    try:
-        told = yaml.safe_load(sidecar.read_text("utf-8"))
-        x, y, yaw = (float(each) for each in told["origin"])
-        cell_m, name = float(told["resolution"]), str(told["image"])
-        data = (sidecar.parent / name).read_bytes()
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"not a map of map_server: {error}", where=str(sidecar)) from error
-    if yaw != 0.0 or told.get("negate", 0):
-        raise ConfigError("turned or negated maps are not read", where=str(sidecar))
-    pixels = _read_pgm(data, sidecar.parent / name)
-    return Map(GridFrame(x, y, cell_m, *pixels.shape), pixels)
-
-
-def _read_pgm(data: bytes, path: Path) -> Pixels:
-    """Return the pixels of a binary PGM, row 0 the lowest."""
-    head = _PGM_HEAD.match(data)
-    if head is None or head[3] != b"255":
-        raise ConfigError("not a binary PGM of 8 bits", where=str(path))
-    columns, rows, position = int(head[1]), int(head[2]), head.end()
-    if len(data) - position != rows * columns or not rows * columns:
-        raise ConfigError(f"the picture should have {rows} x {columns} pixels", where=str(path))
-    return np.frombuffer(data, np.uint8, offset=position).reshape(rows, columns)[::-1].copy()
 
 
 def _quoted(name: str) -> str:

@@ -98,7 +98,7 @@ class RequestLog:
         Returns whether a behaviour is an intent.
     """
 
-    journal: EventLog
+    log: EventLog
     expires: Callable[[str], bool]
     _requests: OrderedDict[str, RequestRecord] = field(default_factory=OrderedDict)
     _newest: OrderedDict[str, RequestStatus] = field(default_factory=OrderedDict)
@@ -116,7 +116,7 @@ class RequestLog:
             return
         text = f"{operator}: {request.behaviour} for {named(request.robots)}"
         request_id = "" if intent else request.id
-        self.journal.add(now_s, "request", text, request.robots, request_id=request_id, by=operator)
+        self.log.add(now_s, "request", text, request.robots, request_id=request_id, by=operator)
 
     def add_stop(self, order_id: str, act: str, operator: str) -> None:
         """Note a stop or an e-stop, which ends requests by its id."""
@@ -175,7 +175,7 @@ class RequestLog:
         else:
             text = f"{status.behaviour} {status.phase}{because}"
         kind: LogKind = "refused" if status.phase == "refused" or status.refused_by else "request"
-        self.journal.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
+        self.log.add(now_s, kind, text, status.robots, request_id=status.request_id, by=operator)
 
 
 def for_page(status: RequestStatus) -> str:
@@ -207,7 +207,7 @@ NO_REASON = "a fault without a reason"
 class ChangeLog:
     """Logs each change of hub, core, robots and leases once."""
 
-    journal: EventLog
+    log: EventLog
     _hub: bool | None = None
     _core: bool | None = None
     _silent: dict[str, bool] = field(default_factory=dict)
@@ -219,13 +219,13 @@ class ChangeLog:
         if seen.connected != self._hub:
             if self._hub is not None or not seen.connected:
                 text = "the hub is connected" if seen.connected else "the hub is not connected"
-                self.journal.add(now_s, "link", text)
+                self.log.add(now_s, "link", text)
             self._hub = seen.connected
         age_s = core_age_s(seen)
         core = age_s is not None and age_s <= CORE_SILENT_S
         if core != self._core:
             if self._core is not None:
-                self.journal.add(now_s, "link", "the core is running" if core else "the core is silent")
+                self.log.add(now_s, "link", "the core is running" if core else "the core is silent")
             self._core = core
         self._robots(seen, now_s)
 
@@ -243,10 +243,10 @@ class ChangeLog:
                 faults.setdefault(fault, []).append(row.robot)
             self._faults[row.robot] = fault
         for fault, robots in faults.items():
-            self.journal.add(now_s, "fault", f"{named(robots)}: {fault}", tuple(robots))
+            self.log.add(now_s, "fault", f"{named(robots)}: {fault}", tuple(robots))
         for robots, text in ((gone, "silent"), (back, "received again")):
             if robots:
-                self.journal.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
+                self.log.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
 
     def leased(self, leases: tuple[Lease, ...], now_s: float) -> bool:
         """Log which operator holds which robots; return whether that has changed."""
@@ -261,5 +261,5 @@ class ChangeLog:
         for (old, new), robots in taken.items():
             names = named(robots)
             text = f"{new} holds {names}" + (f", taken from {old}" if old else "") if new else f"{old} releases {names}"
-            self.journal.add(now_s, "lease", text, tuple(robots), by=new or old)
+            self.log.add(now_s, "lease", text, tuple(robots), by=new or old)
         return True

@@ -1,4 +1,4 @@
-"""Runs the console: binds, prints its address, serves until it is ended. One thread: asyncio's, which serves the nodes.
+"""Runs the console: binds, serves until it is ended. One thread: asyncio's, which serves the nodes.
 
 Imports nothing of the extra ``[console]`` before :func:`serve`, which names it when it is missing.
 """
@@ -14,7 +14,6 @@ import os
 import secrets
 import signal
 import socket
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,8 +43,8 @@ DEAD_LINK_MS = 10_000
 OUTSIDE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1"), "::": (socket.AF_INET6, "2001:db8::1")}  # noqa: S104  (compared)
 """For each wildcard address a remote address that is assigned to no host."""
 
-OnStart = Callable[[Scheduler, Callable[[], None]], None]
-"""Called with the scheduler and a function that ends the server; the command adds the check of its parent."""
+OnStart = Callable[[str, Scheduler, Callable[[], None]], None]
+"""Called when the server starts, with its address, its scheduler and a function that ends it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +55,12 @@ class Options:
     read_only: bool = False
     allow_hosts: tuple[str, ...] = ()
     token_file: Path | None = None
-    open_browser: bool = False
     insecure_network: bool = False
-    as_json: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
 
 
-def serve(target: Target, options: Options, on_start: OnStart | None = None) -> int:
-    """Serve the console until Ctrl-C or SIGTERM; print its address with the token.
+def serve(target: Target, options: Options, on_start: OnStart) -> int:
+    """Serve the console until Ctrl-C or SIGTERM; return the exit code.
 
     Raises
     ------
@@ -79,7 +76,6 @@ def serve(target: Target, options: Options, on_start: OnStart | None = None) -> 
             importlib.import_module(name)
     except ImportError as error:
         raise MissingExtra(f"the console needs {error.name}", hint="pip install 'fullswarm[console]'") from error
-    output.log_to_stderr(warnings_only=True)
     host, port = parse_listen(options.listen, options.insecure_network)
     token = read_token(options.token_file)
     keys = Keys(target.swarm)
@@ -159,7 +155,7 @@ async def _serve(
     keys: Keys,
     target: Target,
     options: Options,
-    on_start: OnStart | None,
+    on_start: OnStart,
 ) -> int:
     from fullswarm.operator.console.access import Names, lower, uvicorn_server
     from fullswarm.operator.console.gateway import Gateway, Identity
@@ -169,7 +165,6 @@ async def _serve(
     runtime = Runtime(MonotonicClock())
     port = listener.getsockname()[1]
     failed: list[BaseException] = []
-    stack = contextlib.ExitStack()
     bus = ZenohBus(runtime.mailbox, hub=target.hub or DEFAULT_HUB)
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
@@ -185,17 +180,13 @@ async def _serve(
         web = Web(gateway, token, runtime.now_s, runtime_loop.wake)
         server = uvicorn_server(web.app(names, Pages()))
         ended_by = _end_on_signals(loop, server)
-        if on_start is not None:
-            on_start(runtime, lambda: setattr(server, "should_exit", True))
-        runtime_loop.wake()
-        loop.call_soon(_announce, address := url(host, port, token, options.allow_hosts), options)
-        if options.open_browser:
-            loop.call_soon(_open, address, loop, stack)
+        address = url(host, port, token, options.allow_hosts)
+        loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
+        loop.call_soon(runtime_loop.wake)
         await server.serve([listener])
         gateway.close()
         runtime_loop.close()
     finally:
-        stack.close()
         bus.close()
     if failed:
         raise failed[0]
@@ -259,23 +250,6 @@ def _is_ipv6(name: str) -> bool:
         return ipaddress.ip_address(name).version == 6
     except ValueError:
         return False
-
-
-def _announce(address: str, options: Options) -> None:
-    if options.as_json:
-        output.data(json.dumps({"url": address}))
-    else:
-        output.data(address)
-        output.progress("open this address in a browser; Ctrl-C ends")
-    sys.stdout.flush()
-
-
-def _open(address: str, loop: asyncio.AbstractEventLoop, stack: contextlib.ExitStack) -> None:
-    page = RedirectPage(address)
-    stack.callback(page.close)
-    loop.call_later(OPEN_S, page.close)
-    if not page.open():
-        output.progress("no browser found: open the address yourself")
 
 
 # ---------------------------------------------------------------- the loop

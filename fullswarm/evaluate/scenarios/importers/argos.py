@@ -27,7 +27,7 @@ def read(path: Path) -> Imported:
     Raises
     ------
     ConfigError
-        Not readable, not an ARGoS file, or a broken element: told with its line.
+        Not readable, not an ARGoS file, or a broken element, named with its line.
     MissingExtra
         defusedxml is not installed.
     """
@@ -173,6 +173,6 @@ def _scatter(thing: Node, quantity: int, region: Rectangle, what: str, draft: Dr
             draft.note(f"{what}: random boxes, the squares around them, placed by the trial's seed")
     elif thing.child("controller") is not None:
         draft.start_regions.append(region)
-        draft.note(f"{what}: their region is the spawn region; how many is told when the scenario is used")
+        draft.note(f"{what}: their region is the spawn region; give their number when the scenario is used")
     else:
         draft.note(f"{what}: not known, left out")

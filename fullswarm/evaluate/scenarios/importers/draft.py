@@ -45,7 +45,7 @@ class Planar:
         return self.x + cos * x - sin * y, self.y + sin * x + cos * y
 
     def then(self, inner: Planar) -> Planar:
-        """Return what `inner`, told in this frame, is in the outer one."""
+        """Return what `inner`, given in this frame, is in the outer one."""
         return Planar(*self.point(inner.x, inner.y), self.yaw + inner.yaw)
 
 

@@ -122,7 +122,7 @@ def read_xml(path: Path, what: str) -> Node:
     Raises
     ------
     ConfigError
-        Not readable or not XML; the line is told.
+        Not readable or not XML; the line is named.
     MissingExtra
         defusedxml is not installed.
     """

@@ -27,7 +27,7 @@ def read(path: Path) -> Imported:
     Raises
     ------
     ConfigError
-        Not readable, not YAML, or an entry that is none: told with its place.
+        Not readable, not YAML, or an entry that is none, named with its place.
     MissingExtra
         PyYAML is not installed.
     """
@@ -54,7 +54,7 @@ def read_yaml(path: Path) -> object:
     Raises
     ------
     ConfigError
-        Not readable or not YAML; the line is told.
+        Not readable or not YAML; the line is named.
     MissingExtra
         PyYAML is not installed.
     """
@@ -88,8 +88,8 @@ def _entry(kind: str, entry: Table, where: str, draft: Draft) -> None:
     n = int(count)
     if n == 0:
         return
-    told = entry.get("distribution") or {}
-    distribution = _table({"name": told} if isinstance(told, str) else told, f"{where}.distribution", draft)
+    found = entry.get("distribution") or {}
+    distribution = _table({"name": found} if isinstance(found, str) else found, f"{where}.distribution", draft)
     method = distribution.get("name", "manual")
     shapes = _spread(entry.get("shape", _DEFAULT_SHAPE), n, _is_table)
     if kind == "obstacle" and (entry.get("kinematics") or entry.get("behavior")) and not entry.get("static"):

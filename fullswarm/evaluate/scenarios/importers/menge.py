@@ -27,7 +27,7 @@ def read(path: Path) -> Imported:
     Raises
     ------
     ConfigError
-        Not readable, no scene, or a broken element: told with its line.
+        Not readable, no scene, or a broken element, named with its line.
     MissingExtra
         defusedxml is not installed.
     """

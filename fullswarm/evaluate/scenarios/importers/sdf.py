@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.evaluate.scenarios.importers.draft import Draft, Imported, Planar
-from fullswarm.evaluate.scenarios.importers.files import ROBOT_LIKE, Node, numbers, read_xml
+from fullswarm.evaluate.scenarios.importers.files import INSTALL, ROBOT_LIKE, Node, numbers, read_xml
 from fullswarm.evaluate.scenarios.model import Rectangle
 
 ROBOT_HEIGHT_M = 0.5
@@ -54,7 +54,7 @@ def read(path: Path) -> Imported:
     Raises
     ------
     ConfigError
-        Not readable, not SDF, or a broken element: told with its line.
+        Not readable, not SDF, or a broken element, named with its line.
     MissingExtra
         defusedxml is not installed.
     """
@@ -107,7 +107,7 @@ def _read_model(node: Node, scope: Scope, world: _World, outer_name: str = "", o
     for link in node.all("link"):
         link_at = inner.locate(link)
         for collision in link.all("collision"):
-            # A collision's pose is told in its link's frame, and may name the model's frames.
+            # A collision's pose is relative to its link's frame, and may name the model's frames.
             collision_at = Scope(link_at, inner.frames).locate(collision)
             _collect(_Solid(collision.need("geometry"), collision_at, name), static, world)
     for child in node.children:
@@ -120,8 +120,10 @@ def _read_model(node: Node, scope: Scope, world: _World, outer_name: str = "", o
 def _collect(solid: _Solid, static: bool, world: _World) -> None:
     plane = solid.shape.child("plane")
     if plane is not None:
-        told = plane.child("normal")
-        normal = solid.at[:3, :3] @ np.array((0, 0, 1) if told is None else numbers(told.text, 3, "normal", told.where))
+        found = plane.child("normal")
+        normal = solid.at[:3, :3] @ np.array(
+            (0, 0, 1) if found is None else numbers(found.text, 3, "normal", found.where)
+        )
         if normal[2] > 0.99 * np.linalg.norm(normal):
             world.ground_m = float(solid.at[2, 3])
         else:
@@ -260,17 +262,17 @@ class Scope:
         Raises
         ------
         ConfigError
-            A frame that is not there, or that is told relative to itself.
+            A frame that is not there, or that is relative to itself.
         """
-        told = node.child("pose")
-        frame = "" if told is None else told.attributes.get("relative_to") or told.attributes.get("frame", "")
+        found = node.child("pose")
+        frame = "" if found is None else found.attributes.get("relative_to") or found.attributes.get("frame", "")
         if not frame and node.tag == "frame":
             frame = node.attributes.get("attached_to", "")
-        own = np.eye(4) if told is None else matrix(told)
+        own = np.eye(4) if found is None else matrix(found)
         if frame in ("", "world", "__model__", "__root__"):
             return np.asarray(self.origin @ own)
         if frame in seen:
-            raise ConfigError(f"the frame '{frame}' is told relative to itself", where=node.where)
+            raise ConfigError(f"the frame '{frame}' is relative to itself", where=node.where)
         if frame not in self.frames:
             raise ConfigError(f"there is no frame '{frame}' here", where=node.where)
         return np.asarray(self.locate(self.frames[frame], (*seen, frame)) @ own)
@@ -286,46 +288,26 @@ def matrix(pose: Node) -> Transform:
     """
     if not pose.text.strip():
         return np.eye(4)
+    try:
+        from scipy.spatial.transform import Rotation
+    except ImportError as error:
+        raise MissingExtra("reading SDF worlds needs SciPy", hint=INSTALL) from error
     if pose.attributes.get("rotation_format", "euler_rpy") == "quat_xyzw":
         x, y, z, *quaternion = numbers(pose.text, 7, "pose", pose.where)
-        rotation = _from_quaternion(quaternion, pose.where)
+        if max(map(abs, quaternion)) < 1e-9:
+            raise ConfigError("pose: a quaternion without length", where=pose.where)
+        rotation = Rotation.from_quat(quaternion)
     else:
         x, y, z, *angles = numbers(pose.text, 6, "pose", pose.where)
         if pose.attributes.get("degrees", "false") in ("true", "1"):
             angles = [math.radians(angle) for angle in angles]
-        rotation = rpy(*angles)
+        rotation = Rotation.from_euler("xyz", angles)  # about the fixed axes
     transform = np.eye(4)
-    transform[:3, :3] = rotation
+    transform[:3, :3] = rotation.as_matrix()
     transform[:3, 3] = x, y, z
     return transform
-
-
-def rpy(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """Return the rotation about the fixed axes x, y, z in this order, shape (3, 3)."""
-    (ca, sa), (cb, sb), (cc, sc) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch, roll))
-    return np.array(
-        [
-            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
-            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
-            [-sb, cb * sc, cb * cc],
-        ]
-    )
 
 
 def yaw_of(transform: Transform) -> float:
     """Return where a frame's x axis points on the floor, in radians."""
     return math.atan2(transform[1, 0], transform[0, 0])
-
-
-def _from_quaternion(quaternion: list[float], where: str) -> NDArray[np.float64]:
-    length = math.sqrt(sum(each * each for each in quaternion))
-    if length < 1e-9:
-        raise ConfigError("pose: a quaternion without length", where=where)
-    x, y, z, w = (each / length for each in quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

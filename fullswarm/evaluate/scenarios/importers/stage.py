@@ -45,7 +45,7 @@ def read(path: Path) -> Imported:
     Raises
     ------
     ConfigError
-        Not readable or not in Stage's syntax: told with its line.
+        Not readable or not in Stage's syntax, named with its line.
     """
     world = parse(path)
     if not world.root.parts:
@@ -200,11 +200,11 @@ def _point(properties: dict[str, Value], key: str, where: str) -> Xy:
 
 
 def _pose(entity: Entity, key: str, units: _Units) -> tuple[Planar, float]:
-    """Return a pose and its height. Stage 3 and later tell x y z heading, Stage 2 x y heading."""
-    told = entity.properties.get(key)
-    if told is None:
+    """Return a pose and its height. Stage 3 and later write x y z heading, Stage 2 x y heading."""
+    found = entity.properties.get(key)
+    if found is None:
         return Planar(), 0.0
-    words = _joined(told).split()
+    words = _joined(found).split()
     values = numbers(" ".join(words), max(2, min(len(words), 4)), key, entity.where)
     x, y, *rest = values
     z = rest[0] * units.metre if len(rest) == 2 else 0.0
@@ -213,10 +213,10 @@ def _pose(entity: Entity, key: str, units: _Units) -> tuple[Planar, float]:
 
 
 def _lengths(entity: Entity, key: str, default: Xy, units: _Units) -> Xy:
-    told = entity.properties.get(key)
-    if told is None:
+    found = entity.properties.get(key)
+    if found is None:
         return default
-    x, y = numbers(_joined(told), 2, key, entity.where)
+    x, y = numbers(_joined(found), 2, key, entity.where)
     return x * units.metre, y * units.metre
 
 
@@ -346,7 +346,7 @@ def parse(path: Path) -> WorldFile:
     Raises
     ------
     ConfigError
-        Not readable, or not in this syntax: told with its line.
+        Not readable, or not in this syntax, named with its line.
     """
     world = WorldFile(Entity("world", str(path)))
     _parse_into(world, path, 0)

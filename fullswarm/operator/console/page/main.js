@@ -1,4 +1,13 @@
-/** Assembles the page. */
+/**
+ * Assembles the page. A panel is a class that gets what it needs here, listens to the store, and fills an element of
+ * index.html: see charts.js for the smallest.
+ *
+ * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
+ * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
+ * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), charts.js, log.js, legend.js, banners.js
+ * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
+ *           viewport.js, geometry.js, palette.js, theme.js
+ */
 
 import { Banners } from "./banners.js";
 import { Charts } from "./charts.js";

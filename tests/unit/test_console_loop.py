@@ -13,7 +13,7 @@ from fullswarm.operator.console.server import LONGEST, Outbox
 from fullswarm.runtime import AT_ONCE, LONGEST_WAIT_S, Runtime
 
 
-def test_serve_due_delivers_fires_and_says_when_to_come_again() -> None:
+def test_serve_due_delivers_fires_and_returns_the_time_to_the_next_call() -> None:
     clock = SimClock()
     runtime = Runtime(clock)
     heard: list[object] = []

@@ -1,4 +1,4 @@
-"""What the log says of requests, without the ids that only programs read."""
+"""What the log shows of requests, without the ids that only programs read."""
 
 from __future__ import annotations
 
@@ -26,6 +26,6 @@ def test_what_beat_a_request_is_named() -> None:
     assert lines(reason(Code.SUPERSEDED, by="c3"))[-1] == "flocking_bc superseded by the e-stop of carl"
 
 
-def test_what_was_never_heard_keeps_its_id() -> None:
+def test_a_request_that_was_not_received_keeps_its_id() -> None:
     assert lines(reason(Code.SUPERSEDED, by="d4"))[-1] == "flocking_bc superseded by d4"
     assert lines(given("it has stopped by itself"))[-1] == "flocking_bc superseded: it has stopped by itself"

@@ -23,7 +23,7 @@ ANNA, BOB = "anna@lab", "bob@lab"
 
 
 class Lab:
-    """A new swarm for each command, with bob, who holds r0 when the command begins."""
+    """A new swarm for each command, with bob, an operator that holds r0 when the command starts."""
 
     def __init__(self) -> None:
         self.swarm: Swarm | None = None
@@ -74,7 +74,7 @@ def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
         made.swarm.close()
 
 
-def test_the_list_says_who_holds_what_for_how_long(lab: Lab) -> None:
+def test_the_list_shows_holders_and_durations(lab: Lab) -> None:
     result = lab.run("leases")
     assert result.exit_code == 0
     assert result.stdout.splitlines()[0].split() == ["robot", "held", "by", "for", "taken", "from"]
@@ -121,7 +121,7 @@ def test_a_group_of_which_a_part_is_held_is_held_in_part(lab: Lab) -> None:
     assert f"{ANNA} released r1" in result.stderr
 
 
-def test_being_taken_over_is_told_and_ends_it(lab: Lab) -> None:
+def test_a_take_over_is_reported_and_ends_it(lab: Lab) -> None:
     lab.later = [(2.0, lambda bob: bob.hold(["r1"], take=True))]
     result = lab.run("leases", "hold", "r1")
     assert result.exit_code == 1
@@ -135,7 +135,7 @@ def test_taking_over(lab: Lab) -> None:
     assert f"{ANNA} holds r0, r1" in result.stderr
 
 
-def test_a_robot_that_nobody_knows_is_not_waited_for(lab: Lab) -> None:
+def test_an_unknown_robot_is_not_waited_for(lab: Lab) -> None:
     result = lab.run("leases", "hold", "r9")
     assert result.exit_code == 2
     assert "knows no r9" in result.stderr
@@ -160,7 +160,7 @@ def test_driving_what_another_holds_is_refused_unless_it_is_taken(lab: Lab) -> N
     assert lab.run("drive", "--seconds", "1", "--take").exit_code == 0, "the whole swarm"
 
 
-def test_a_driver_who_is_taken_over_ends_and_does_not_take_back(lab: Lab) -> None:
+def test_a_driver_that_is_taken_over_ends_and_does_not_take_back(lab: Lab) -> None:
     lab.later = [(1.0, lambda bob: bob.hold(["r1"], take=True))]
     result = lab.run("drive", "--robots", "r1", "--seconds", "5", "--take")
     assert (result.exit_code, f"r1 is held by {BOB}" in result.stderr) == (2, True)

@@ -93,7 +93,7 @@ def test_what_is_no_address(text: str) -> None:
         serve.parse_listen(text, True)
 
 
-def test_beyond_this_machine_only_when_told() -> None:
+def test_beyond_this_machine_only_with_permission() -> None:
     for text in ("0.0.0.0:8807", "192.168.1.5:1", "base.lab:1", "[::]:1"):
         with pytest.raises(ConfigError, match="--insecure-network"):
             serve.parse_listen(text, False)
@@ -117,11 +117,11 @@ def test_a_token_comes_from_file_environment_or_chance(tmp_path: Path, monkeypat
         serve.read_token(tmp_path / "none")
 
 
-def test_a_port_that_is_taken_is_said() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(Unreachable, match="cannot listen"):
-            serve.serve(Target(), serve.Options(listen=f"127.0.0.1:{port}"))
+            serve.serve(Target(), serve.Options(listen=f"127.0.0.1:{port}"), lambda *_: None)
 
 
 def test_the_address_has_the_token_where_no_server_sees_it() -> None:
@@ -139,7 +139,7 @@ def test_the_address_has_the_token_where_no_server_sees_it() -> None:
     ],
 )
 @pytest.mark.parametrize("everywhere", ["0.0.0.0", "::"])
-def test_who_listens_everywhere_is_called_by_a_name_that_was_allowed(
+def test_a_server_on_all_addresses_is_called_by_an_allowed_name(
     everywhere: str, allowed: tuple[str, ...], expected: str
 ) -> None:
     address = serve.url(everywhere, 8807, "t", allowed)
@@ -179,4 +179,4 @@ def called(names: Names, address: str) -> bool:
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingExtra, match=r"fullswarm\[console\]"):
-        serve.serve(Target(), serve.Options())
+        serve.serve(Target(), serve.Options(), lambda *_: None)

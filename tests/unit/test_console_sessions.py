@@ -1,4 +1,4 @@
-"""What a page may ask for and what it hears of it: requests, stops, leases, sessions."""
+"""What a page may send and what it gets: requests, stops, leases, sessions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def bench() -> ConsoleBench:
 
 
 # -------------------------------------------------------------------- requests
-def test_a_request_is_told_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -> None:
+def test_a_request_is_sent_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -> None:
     anna, session = bench.join()
     bert, _ = bench.join("session-2", "bert")
     asked = bench.say(session, anna, "request", behaviour="move_to_goal_bc", robots=["r1"], parameters={"goal": [1, 2]})
@@ -84,7 +84,7 @@ def test_authority_comes_with_what_was_accepted_and_not_before(bench: ConsoleBen
     assert (held.robots, held.hold, held.take) == (("r1", "r2"), True, False)
 
 
-def test_the_whole_swarm_is_asked_without_a_lease(bench: ConsoleBench) -> None:
+def test_a_request_to_the_whole_swarm_takes_no_lease(bench: ConsoleBench) -> None:
     page, session = bench.join()
     asked = bench.say(session, page, "request", behaviour="move_to_goal_bc")
     bench.run(0.01)
@@ -104,7 +104,7 @@ def test_the_log_keeps_the_newest_two_hundred(bench: ConsoleBench) -> None:
 
 
 # -------------------------------------------------------------------- stops
-def test_a_stop_needs_no_lease_and_tells_who_stands(bench: ConsoleBench) -> None:
+def test_a_stop_needs_no_lease_and_shows_which_robots_stand(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.leases(r1="bert@lab")
     bench.report(health("r1", moving=True), health("r2", moving=False))
@@ -137,7 +137,7 @@ def test_a_stop_is_not_done_while_a_robot_is_silent(bench: ConsoleBench) -> None
     assert (told["standing"], told["silent"], told["done"]) == (["r1", "r2"], [], True)
 
 
-def test_a_robot_that_was_never_heard_is_silent_when_a_stop_names_it(bench: ConsoleBench) -> None:
+def test_a_robot_that_never_reported_is_silent_when_a_stop_names_it(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.report(health("r1"))
     bench.run(0.1)
@@ -147,7 +147,7 @@ def test_a_robot_that_was_never_heard_is_silent_when_a_stop_names_it(bench: Cons
     assert (told["standing"], told["silent"], told["done"]) == (["r1"], ["r9"], False)
 
 
-def test_a_stop_of_nobody_is_not_done(bench: ConsoleBench) -> None:
+def test_a_stop_of_no_robot_is_not_done(bench: ConsoleBench) -> None:
     page, session = bench.join()
     assert bench.say(session, page, "stop")["ok"]
     bench.run(0.15)
@@ -169,7 +169,7 @@ def test_a_robot_that_stays_silent_does_not_bring_an_old_stop_up_again(bench: Co
     assert len(page.all("stop")) == count
 
 
-def test_an_estop_shows_each_receipt_and_who_is_silent(bench: ConsoleBench) -> None:
+def test_an_estop_shows_each_receipt_and_the_silent_robots(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.report(health("r1"), health("r2"), health("r3"))
     bench.run(0.1)
@@ -243,7 +243,7 @@ def test_a_release_ends_the_pressing_of_every_desk(bench: ConsoleBench) -> None:
 
 
 # -------------------------------------------------------------------- leases
-def test_leases_say_which_are_mine_and_a_loss_is_told(bench: ConsoleBench) -> None:
+def test_leases_show_which_are_mine_and_a_loss_is_reported(bench: ConsoleBench) -> None:
     page, session = bench.join()
     assert bench.say(session, page, "lease", robots=["r1"], hold=True)["ok"]
     bench.leases(r1=session.name, r2="bert@lab")
@@ -255,7 +255,7 @@ def test_leases_say_which_are_mine_and_a_loss_is_told(bench: ConsoleBench) -> No
     assert page.log("lease")[-1] == f"bert@lab holds r1, taken from {session.name}"
 
 
-def test_a_robot_of_somebody_else_is_held_only_by_taking_it(bench: ConsoleBench) -> None:
+def test_a_robot_of_another_operator_is_held_only_by_taking_it(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.leases(r1="bert@lab")
     bench.run(0.1)
@@ -283,7 +283,7 @@ def test_a_reload_is_the_same_operator_with_the_same_robots(bench: ConsoleBench)
     assert all(each.hold for each in held)
 
 
-def test_a_desk_that_nobody_comes_back_to_gives_its_robots_back(bench: ConsoleBench) -> None:
+def test_a_session_without_pages_releases_its_robots(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.say(session, page, "lease", robots=["r1"], hold=True)
     bench.gateway.leave(session, page)
@@ -318,7 +318,7 @@ def test_read_only_answers_nothing_but_a_ping() -> None:
     assert bench.sent == []
 
 
-def test_a_closed_console_lets_go_and_says_nothing_more(bench: ConsoleBench) -> None:
+def test_a_closed_console_releases_robots_and_sends_nothing_more(bench: ConsoleBench) -> None:
     page, session = bench.join()
     bench.say(session, page, "drive", behaviour="drive_bc", robots=["r1"], sticks={"linear": 1.0})
     bench.gateway.close()

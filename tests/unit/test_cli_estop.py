@@ -1,4 +1,4 @@
-"""``fullswarm estop`` on a simulated clock: who is named, when it ends, what it says while it presses."""
+"""``fullswarm estop`` on a simulated clock: the robots it names, when it ends, what it prints meanwhile."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fullswarm.operator import session
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.session import Session, Target
 from fullswarm.runtime import Runtime
-from tests.unit.test_operator_cli import FakeSwarm, run
+from tests.unit.test_cli_swarm import FakeSwarm, run
 
 
 class Fleet(FakeSwarm):
@@ -67,7 +67,7 @@ def swarm(monkeypatch: pytest.MonkeyPatch) -> Fleet:
     return fleet
 
 
-def test_a_robot_that_was_never_heard_is_named_by_the_core(swarm: Fleet) -> None:
+def test_a_robot_that_never_reported_is_named_by_the_core(swarm: Fleet) -> None:
     swarm.core_knows = ("r1", "r2", "r9")
     result = run("estop", "--timeout", "2")
     assert result.exit_code == 4
@@ -89,7 +89,7 @@ def test_without_a_core_the_fleet_file_names_it(swarm: Fleet, tmp_path: Path) ->
     assert run("estop", "--timeout", "1", "--fleet", str(fleet), "r1").exit_code == 0, "only r1 was asked for"
 
 
-def test_a_fleet_file_that_is_wrong_stops_nobody_from_stopping(swarm: Fleet, tmp_path: Path) -> None:
+def test_a_malformed_fleet_file_does_not_prevent_a_stop(swarm: Fleet, tmp_path: Path) -> None:
     fleet = tmp_path / "fleet.toml"
     fleet.write_text("robot = [")
     result = run("estop", "--fleet", str(fleet))
@@ -115,7 +115,7 @@ def test_ctrl_c_ends_it_with_the_names_and_4(swarm: Fleet) -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_rolling_one_is_told_from_a_silent_one(swarm: Fleet) -> None:
+def test_a_decelerating_robot_is_distinguished_from_a_silent_one(swarm: Fleet) -> None:
     swarm.standing, swarm.deaf = False, "r2"
     result = run("estop", "--timeout", "1")
     assert "after 0.5 s no answer from r2; latched, but standstill not confirmed: r1; still trying" in result.stderr
@@ -131,7 +131,7 @@ def test_json_has_names_and_times(swarm: Fleet) -> None:
     assert found["receipts"][0]["rolled_m"] == 0.03
 
 
-def test_nobody_to_press_for_ends_it_by_itself(swarm: Fleet) -> None:
+def test_it_ends_by_itself_when_no_robot_is_known(swarm: Fleet) -> None:
     swarm.robots = ()
     result = run("estop")
     assert (result.exit_code, "no robot was received" in result.stderr) == (3, True)
@@ -169,7 +169,7 @@ def test_but_not_longer_than_asked(swarm: Fleet, args: tuple[str, ...]) -> None:
     assert "error: tcp/hub: no hub answers (robots without a hub stop by themselves" in result.stderr
 
 
-def test_a_hub_that_dies_meanwhile_is_said(swarm: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hub_that_is_lost_meanwhile_is_reported(swarm: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     swarm.deaf = "r2"
     from fullswarm.bus import LocalBus
 

@@ -24,7 +24,7 @@ def test_a_fleet_file_names_robots_and_groups(tmp_path: Path) -> None:
     assert from_fleet(file, Known()) == Known(("rover", "r1", "r2"), {"scouts": ("r1", "rover")})
 
 
-def test_a_core_tells_groups_behaviours_and_keys() -> None:
+def test_a_core_reports_groups_behaviours_and_keys() -> None:
     entries = {
         "behaviour/a": {"summary": "go", "parameters": {"gain": {"default": 1.0}}},
         "behaviour/a_bc": {"like": "a", "filtered": True},

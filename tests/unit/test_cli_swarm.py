@@ -163,7 +163,7 @@ def run(*args: str) -> Result:
     return result
 
 
-def test_a_request_names_who_runs_it_and_who_is_missing(swarm: FakeSwarm) -> None:
+def test_a_request_names_the_robots_that_run_it_and_those_missing(swarm: FakeSwarm) -> None:
     swarm.deaf = ""
     result = run("request", "flocking", "--robots", "r1,r2", "--robots", "r3", "--set", "goal=5,5", "--set", "a=x")
     assert result.exit_code == 0
@@ -215,7 +215,7 @@ def test_a_request_that_some_robot_refuses_names_it(swarm: FakeSwarm, why: Reaso
     ]
 
 
-def test_a_request_that_a_robot_does_not_answer_says_so_after_a_moment(swarm: FakeSwarm) -> None:
+def test_a_missing_answer_is_reported_after_two_seconds(swarm: FakeSwarm) -> None:
     result = run("request", "flocking", "--set", "a=1")
     assert result.exit_code == 1
     assert result.stderr == "not confirmed within 2 s: r2\n"
@@ -230,7 +230,7 @@ def test_waiting_ends_when_all_present_robots_confirmed(swarm: FakeSwarm) -> Non
     assert "running: 1 of 3 confirmed" in result.stderr
 
 
-def test_waiting_names_who_did_not_confirm(swarm: FakeSwarm) -> None:
+def test_waiting_names_the_robots_that_did_not_confirm(swarm: FakeSwarm) -> None:
     result = run("request", "flocking", "--wait", "--set", "a=1", "--timeout", "1.5")
     assert result.exit_code == 1
     assert "not confirmed within 1.5 s: r2" in result.stderr
@@ -269,7 +269,7 @@ def test_stop_is_sent_to_the_robots_named(swarm: FakeSwarm) -> None:
     assert result.stderr == "stop sent to r1, r2\n"
 
 
-def test_an_estop_names_who_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -> None:
+def test_an_estop_names_the_robots_that_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -> None:
     result = run("estop", "--reason", "smoke", "--timeout", "2")
     assert result.exit_code == 4
     assert result.stdout == "r1: at standstill after 0.030 m\n"
@@ -279,7 +279,7 @@ def test_an_estop_names_who_did_not_confirm_and_exits_with_4(swarm: FakeSwarm) -
     ]
 
 
-def test_an_estop_tells_a_rolling_robot_from_a_silent_one(swarm: FakeSwarm) -> None:
+def test_an_estop_distinguishes_a_decelerating_robot_from_a_silent_one(swarm: FakeSwarm) -> None:
     swarm.standing = False
     result = run("estop", "--timeout", "1")
     assert (result.exit_code, result.stdout) == (4, "r1: decelerating\n")
@@ -300,7 +300,7 @@ def test_the_estop_is_cleared_on_purpose_only(swarm: FakeSwarm) -> None:
     assert (result.exit_code, result.stdout) == (0, "r1: released\n")
 
 
-def test_an_estop_that_no_robot_hears_is_exit_code_3(swarm: FakeSwarm) -> None:
+def test_an_estop_that_no_robot_receives_is_exit_code_3(swarm: FakeSwarm) -> None:
     swarm.robots = ()
     result = run("estop", "--timeout", "1")
     assert result.exit_code == 3
@@ -397,7 +397,7 @@ def test_the_database_is_read_and_set(
     assert (result.exit_code, result.stdout.startswith(stdout), stderr in result.stderr) == (code, True, True)
 
 
-def test_the_mock_publisher_tells_what_became_of_each_request(swarm: FakeSwarm) -> None:
+def test_the_mock_publisher_prints_the_outcome_of_each_request(swarm: FakeSwarm) -> None:
     result = run("mock", "flocking", "--rate", "10", "--count", "3")
     assert result.exit_code == 0
     assert len(swarm.requests) == 3

@@ -1,23 +1,27 @@
-"""What the emulated rover can tell, one maker for each message. NED and FRD on the wire."""
+"""What ArduRover sends: a maker for each message, which is due when, and the ports that sign and pack them.
+
+NED and FRD on the wire. pymavlink's own signing does the work: the driver's is our own code, so that each is tested
+against another's.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
-from fullswarm.emulators.mavlink.rover.chart import ALTITUDE_M, Chart
-from fullswarm.emulators.mavlink.rover.pilot import CENTRE_US, FULL_M_S, SPAN_US, Sticks
-from fullswarm.emulators.mavlink.rover.position import FAILSAFE_S
+from fullswarm.emulators.mavlink.driving import CENTRE_US, FULL_M_S, SPAN_US, Sticks
+from fullswarm.emulators.mavlink.position import ALTITUDE_M, FAILSAFE_S, Chart
 from fullswarm.simulation.bodies import BodyState
 
 GRAVITY_MG, GRAVITY_M_S2 = 1000, 9.80665
 TRACK_M = 0.3  # between the wheels, for the servo outputs alone
 FULL_V, EMPTY_V, CURRENT_CA = 12.6, 10.5, 250
-SENSORS = 0x5161FC2F  # present, as the firmware's simulator says
+SENSORS = 0x5161FC2F  # present, as in the firmware's simulator
 MOTOR_OUTPUTS = 0x8000
 MANUAL_MODES = frozenset({p.Mode.MANUAL, p.Mode.ACRO, p.Mode.STEERING, p.Mode.SIMPLE, p.Mode.INITIALISING})
 AUTOPILOT_MODES = frozenset(
@@ -25,10 +29,22 @@ AUTOPILOT_MODES = frozenset(
 )
 BLIND, LOCATED = 1 | 4 | 32 | 128, 831
 CALM = 0.007  # test ratios of velocity and position, as recorded
+DEFAULT_S = 1.0
+LONGEST_MS = 65_535
+LOOP_HZ = 50.0
+CAP = 0.8  # of the main loop's rate
+LEGACY = {  # REQUEST_DATA_STREAM's groups: (messages, parameter)
+    1: ((27, 116, 129, 29, 137), "RAW_SENS"), 2: ((1, 125, 152, 42, 24, 62), "EXT_STAT"), 3: ((36, 65), "RC_CHAN"),
+    6: ((33, 32), "POSITION"), 10: ((30, 164, 178), "EXTRA1"), 11: ((74,), "EXTRA2"),
+    12: ((163, 2, 147, 193, 241), "EXTRA3"),
+}  # fmt: skip
+TICKS_S = 100_000  # of a signature's timestamp: 10 µs
+SIGNED = 0x01
+TRUSTED = 0  # the first port (USB) accepts unsigned frames too
 
 
 class Subject(Protocol):
-    """What the messages tell of."""
+    """What the messages report."""
 
     mode: int
     armed: bool
@@ -52,7 +68,7 @@ class Subject(Protocol):
         ...
 
     def state(self) -> BodyState:
-        """Return where the body was when the sensors last said anything new."""
+        """Return the state that the filter estimates."""
         ...
 
     def truth(self) -> BodyState:
@@ -242,7 +258,7 @@ def _gps(subject: Subject, now_s: float) -> Any:
 
 
 def _ekf(subject: Subject, now_s: float) -> Any:
-    """Tell the filter's state: its test ratios rise while nothing aids it, and its flags stay good for 7 s."""
+    """Return the filter's state: its test ratios rise while nothing aids it, and its flags stay good for 7 s."""
     flags, variance = BLIND, 1.0
     if subject.positioned(now_s):
         flags, variance = LOCATED, max(CALM, min(1.0, (subject.unaided_s(now_s) / FAILSAFE_S) ** 2))
@@ -301,7 +317,7 @@ def _nothing(_: Subject, __: float) -> Any:
     return None
 
 
-# Sent once a second to whoever is connected.
+# Sent once a second on each port.
 BY_DEFAULT: dict[int, Maker] = {
     0: _heartbeat, 1: _sys_status, 2: _time, 24: _gps, 27: _raw_imu, 30: _attitude, 32: _local_position,
     33: _global_position, 34: _rc_scaled, 36: _servos, 62: _navigation, 65: _rc, 74: _vfr_hud, 116: _scaled_imu2,
@@ -316,7 +332,7 @@ BY_DEFAULT: dict[int, Maker] = {
         0, 0, _yaw(subject.state()), ALTITUDE_M, *_degrees(subject, subject.state())),
     241: lambda subject, now_s: dialect().MAVLink_vibration_message(1000 * subject.boot_ms(now_s), 0, 0, 0, 0, 0, 0),
 }  # fmt: skip
-# Sent when asked for; the firmware grants the last five and has nothing to say in them.
+# Sent on request; the firmware grants the last five and never sends them.
 ASKED_FOR: dict[int, Maker] = {
     31: _attitude_quaternion, 49: _origin, 105: _highres_imu, 108: _sim_state, 242: _home,
     245: lambda _, __: dialect().MAVLink_extended_sys_state_message(0, 1),
@@ -324,3 +340,144 @@ ASKED_FOR: dict[int, Maker] = {
 }  # fmt: skip
 ONCE: dict[int, Maker] = {148: _version}
 MAKERS: dict[int, Maker] = {**BY_DEFAULT, **ASKED_FOR, **ONCE}
+
+
+# ---------------------------------------------------------------- which message is due when
+@dataclass(slots=True)
+class _Stream:
+    interval_s: float
+    due_s: float
+
+
+class Streams:
+    """The streams of one port; intervals are forgotten at power-on, not at a reconnect."""
+
+    def __init__(self, subject: Subject, first_s: float, loop_hz: float = LOOP_HZ) -> None:
+        self._subject, self._loop_hz = subject, loop_hz
+        self._streams = {message: _Stream(DEFAULT_S, first_s) for message in BY_DEFAULT}
+        self._streams |= {message: _Stream(math.inf, math.inf) for message in ASKED_FOR}
+
+    def set_interval(self, message: int, interval_us: float, now_s: float) -> str:
+        """Set a rate; return why it is denied, empty when it is granted."""
+        if message not in self._streams:
+            return f"No ap_message for mavlink id ({message})"
+        if interval_us < -1:
+            return "bad interval"
+        if 0 < interval_us < 1e6 / (CAP * self._loop_hz):
+            return f"Requested rate for message ID {message} too fast. Increase SCHED_LOOP_RATE"
+        usual_s = DEFAULT_S if message in BY_DEFAULT else math.inf
+        interval_s = {-1: math.inf, 0: usual_s}.get(int(interval_us), min(int(interval_us / 1000), LONGEST_MS) / 1000)
+        self._streams[message] = _Stream(interval_s, now_s + interval_s)
+        return ""
+
+    def interval_us(self, message: int) -> int | None:
+        """Return what MESSAGE_INTERVAL says: -1 off; None: no such stream."""
+        stream = self._streams.get(message)
+        if stream is None:
+            return None
+        return round(stream.interval_s * 1e6) if math.isfinite(stream.interval_s) else -1
+
+    def set_group(self, group: int, rate_hz: float, now_s: float) -> list[str]:
+        """Apply REQUEST_DATA_STREAM; return the parameters (without their port) that it writes."""
+        groups = [LEGACY[group]] if group in LEGACY else list(LEGACY.values()) if group == 0 else []
+        for messages, _ in groups:
+            for message in messages:
+                self.set_interval(message, 1e6 / min(rate_hz, CAP * self._loop_hz) if rate_hz > 0 else -1, now_s)
+        return [name for _, name in groups]
+
+    def heartbeat_now(self) -> None:
+        """Send a mode change at once; arming is not."""
+        self._streams[p.MESSAGE_HEARTBEAT].due_s = -math.inf
+
+    def due(self, now_s: float) -> list[Any]:
+        """Return the dialect's messages that are due."""
+        messages = []
+        for number, stream in self._streams.items():
+            if now_s >= stream.due_s:
+                late = now_s - stream.due_s > stream.interval_s
+                stream.due_s = (now_s if late else stream.due_s) + stream.interval_s
+                messages += self.make(number, now_s)
+        return messages
+
+    def make(self, number: int, now_s: float) -> list[Any]:
+        """Return the message `number` as it is now; empty if it is unknown or there is none now."""
+        maker = MAKERS.get(number)
+        message = maker(self._subject, now_s) if maker else None
+        return [] if message is None else [message]
+
+
+# ---------------------------------------------------------------- one port
+class KeyRing:
+    """The signing key, which all ports and restarts share."""
+
+    def __init__(self) -> None:
+        self._verifier = dialect().MAVLink(None)
+        self._moved_s = 0.0
+
+    @property
+    def key(self) -> bytes | None:
+        """The key; None: signing is off."""
+        key: bytes | None = self._verifier.signing.secret_key
+        return key
+
+    def set_up(self, key: bytes, timestamp: int, now_s: float) -> None:
+        """Take SETUP_SIGNING: a zero key with timestamp 0 ends signing."""
+        self._verifier = dialect().MAVLink(None)
+        self._verifier.signing.secret_key = key if any(key) or timestamp else None
+        self._verifier.signing.timestamp, self._moved_s = timestamp, now_s
+
+    def next_timestamp(self, now_s: float) -> int:
+        """Return the timestamp of an outgoing frame; it follows the clock, and jumps ahead with received frames."""
+        signing = self._verifier.signing
+        passed_s, self._moved_s = max(0.0, now_s - self._moved_s), now_s
+        signing.timestamp += 1 + int(passed_s * TICKS_S)
+        return int(signing.timestamp)
+
+    def accepts(self, message: Any, now_s: float) -> bool:
+        """Whether a frame bears a right signature that is not older than those received."""
+        frame = message.get_msgbuf()
+        if frame[0] != 0xFD or not frame[2] & SIGNED:
+            return False
+        self.next_timestamp(now_s)
+        return bool(self._verifier.check_signature(frame, message.get_srcSystem(), message.get_srcComponent()))
+
+
+class Channel:
+    """One port. `number` is its MAVLink channel, and its link id in signatures."""
+
+    def __init__(self, number: int, system: int, keys: KeyRing) -> None:
+        self.number = number
+        self.streams: Streams | None = None  # none before power-on
+        self._keys = keys
+        self._mav = dialect().MAVLink(None, srcSystem=system, srcComponent=1)
+        self._mav.signing.link_id = number
+        self._out: list[bytes] = []
+
+    def send(self, message: Any, now_s: float) -> None:
+        """Pack a message of the dialect, signed if there is a key."""
+        signing = self._mav.signing
+        signing.secret_key = self._keys.key
+        signing.sign_outgoing = signing.secret_key is not None
+        if signing.sign_outgoing:
+            signing.timestamp = self._keys.next_timestamp(now_s)
+        self._out.append(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+
+    def print(self, text: bytes) -> None:
+        """Put console text between the frames."""
+        self._out.append(text)
+
+    def accepts(self, message: Any, now_s: float) -> bool:
+        """Whether what arrived here is acted upon."""
+        if self._keys.key is None:
+            return True
+        return self._keys.accepts(message, now_s) or self.number == TRUSTED
+
+    def take(self) -> list[bytes]:
+        """Return what goes out, and forget it."""
+        out, self._out = self._out, []
+        return out
+
+    def clear(self) -> None:
+        """Drop what would have gone out."""
+        self._out.clear()
