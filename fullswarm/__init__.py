@@ -32,6 +32,7 @@ Further files:
 ``messages.py``    Every message on the wire: typed, versioned, immutable
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots stand and requests are refused: codes for programs, texts for people
+``recent.py``      A dict that keeps its newest entries
 ``registry.py``    Drivers and behaviours by name: a table first, entry points only on a miss
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors

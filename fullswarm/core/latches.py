@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import OrderedDict
 
 import msgspec
 
@@ -18,6 +17,7 @@ from fullswarm.bus import Bus
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
@@ -47,7 +47,7 @@ class Latches:
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, store: Store, roster: Roster, process: str) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._store, self._roster, self._process = store, roster, process
-        self._orders: OrderedDict[tuple[str, bool], None] = OrderedDict()
+        self._orders: Recent[tuple[str, bool], None] = Recent(REMEMBERED)
         self._latches = {
             entry.key.removeprefix(LATCHED): msgspec.convert(entry.value, Latch) for entry in store.list(LATCHED)
         }
@@ -69,8 +69,6 @@ class Latches:
         if order.id and key in self._orders:
             return  # a late copy must not overrule what came after it
         self._orders[key] = None
-        while len(self._orders) > REMEMBERED:
-            self._orders.popitem(last=False)
         robots = order.robots or (*self._roster.known(), *(() if order.engaged else self._latches))
         for robot in robots:
             self._since_s[robot] = self._scheduler.now_s()

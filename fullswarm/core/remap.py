@@ -7,7 +7,6 @@ either side may lose messages or be started again.
 from __future__ import annotations
 
 import itertools
-from collections import OrderedDict
 from collections.abc import Callable
 
 import msgspec
@@ -15,6 +14,7 @@ import msgspec
 from fullswarm.bus import Bus
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedRequest, Heartbeat
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
@@ -43,7 +43,7 @@ class Remapper:
         self._store = store
         self._active: dict[str, CentralisedRequest] = {}
         self._kept: set[str] = set()  # requests with an entry in the database
-        self._ended: OrderedDict[str, str] = OrderedDict()  # request id → behaviour
+        self._ended: Recent[str, str] = Recent(MEMORY)  # request id → behaviour
         self._held_elsewhere: set[str] = set()
         self._counter = itertools.count(1)
         self._started_s = scheduler.now_s()
@@ -119,8 +119,6 @@ class Remapper:
     def _end(self, request_id: str, behaviour: str) -> None:
         self._keep(request_id)
         self._ended[request_id] = behaviour
-        while len(self._ended) > MEMORY:
-            self._ended.popitem(last=False)
         request = CentralisedRequest(
             request_id=request_id,
             behaviour=behaviour,

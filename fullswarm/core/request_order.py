@@ -7,8 +7,9 @@ earlier requests of other operators on its clock: a delayed one would start robo
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import NamedTuple, TypeVar
+
+from fullswarm.recent import Recent
 
 REMEMBERED = 64
 """Entries per robot: invented names must not fill the memory."""
@@ -29,8 +30,8 @@ class RequestOrder:
     """The newest request of each operator, and the newest stop on each clock, for each robot."""
 
     def __init__(self) -> None:
-        self._requests: dict[str, OrderedDict[Line, _Entry]] = {}
-        self._stops: dict[str, OrderedDict[str, _Entry]] = {}
+        self._requests: dict[str, Recent[Line, _Entry]] = {}
+        self._stops: dict[str, Recent[str, _Entry]] = {}
 
     def note(self, robot: str, request_id: str, line: Line, stamp_s: float) -> str:
         """Record a request; return the id of the newer request or stop that supersedes it, or "" if there is none."""
@@ -41,21 +42,18 @@ class RequestOrder:
         stop = None if stops is None else stops.get(clock)
         if stop is not None and stamp_s < stop.stamp_s:
             return stop.request_id
-        return _record(self._requests.setdefault(robot, OrderedDict()), line, _Entry(request_id, stamp_s))
+        return _record(self._requests.setdefault(robot, Recent(REMEMBERED)), line, _Entry(request_id, stamp_s))
 
     def stop(self, robot: str, request_id: str, clock: str, stamp_s: float) -> None:
         """Record a stop; with an empty `clock` its time cannot be compared."""
         if clock:
-            _record(self._stops.setdefault(robot, OrderedDict()), clock, _Entry(request_id, stamp_s))
+            _record(self._stops.setdefault(robot, Recent(REMEMBERED)), clock, _Entry(request_id, stamp_s))
 
 
-def _record(entries: OrderedDict[Key, _Entry], key: Key, entry: _Entry) -> str:
+def _record(entries: Recent[Key, _Entry], key: Key, entry: _Entry) -> str:
     """Keep the newest entry under `key`; return the id of the one that is newer than `entry`."""
     newest = entries.get(key)
     if newest is not None and entry.stamp_s < newest.stamp_s:
         return newest.request_id
     entries[key] = entry
-    entries.move_to_end(key)
-    while len(entries) > REMEMBERED:
-        entries.popitem(last=False)
     return ""

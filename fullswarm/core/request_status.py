@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ from fullswarm.core.desired import Desired
 from fullswarm.keys import Keys
 from fullswarm.messages import Phase, RequestStatus
 from fullswarm.reasons import NONE, Reason, joined
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 AGAIN_S, FRESH_S, MANY = 0.5, 3.0, 8
@@ -96,9 +96,9 @@ class StatusBoard:
     """
 
     def __init__(self, bus: Bus, keys: Keys, scheduler: Scheduler, remember: int = 8192) -> None:
-        self._bus, self._keys, self._scheduler, self._remember = bus, keys, scheduler, remember
-        self._newest: OrderedDict[str, RequestStatus] = OrderedDict()
-        self._recent: OrderedDict[str, None] = OrderedDict()  # published, not only remembered
+        self._bus, self._keys, self._scheduler = bus, keys, scheduler
+        self._newest: Recent[str, RequestStatus] = Recent(remember)
+        self._recent: Recent[str, None] = Recent(MANY)  # published, not only remembered
         self._timer = scheduler.every(AGAIN_S, self._repeat_recent)
 
     def close(self) -> None:
@@ -122,18 +122,12 @@ class StatusBoard:
         if old is not None and msgspec.structs.replace(status, stamp_s=old.stamp_s) == old:
             return
         self._recent[status.request_id] = None
-        self._recent.move_to_end(status.request_id)
-        while len(self._recent) > MANY:
-            self._recent.popitem(last=False)
         self._bus.publish(self._keys.behaviour_status, self.remember(status))
 
     def remember(self, status: RequestStatus) -> RequestStatus:
         """Keep `status` without sending it; return it with the present time."""
         stamped = msgspec.structs.replace(status, stamp_s=self._scheduler.now_s())
         self._newest[status.request_id] = stamped
-        self._newest.move_to_end(status.request_id)
-        while len(self._newest) > self._remember:
-            self._newest.popitem(last=False)
         return stamped
 
     def repeat(self, request_id: str) -> bool:

@@ -16,6 +16,7 @@ from fullswarm.core.roster import SILENCE_S
 from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import ParamChanged, ParamEntry, ParamReply, ParamRequest
+from fullswarm.recent import Recent
 from fullswarm.store import Store, Stored
 
 Check = Callable[[str, object], Stored]
@@ -142,7 +143,7 @@ class ParamServer:
     ) -> None:
         self._bus, self._keys, self._layer, self._store = bus, keys, layer, store
         self._checks, self._show = dict(checks or {}), show
-        self._done: dict[str, ParamReply] = {}  # a repeated set is answered, not carried out again
+        self._done: Recent[str, ParamReply] = Recent(1024)  # a repeated set is answered, not carried out again
         self._unwatch = store.watch(self._announce)
         self._subscription = bus.subscribe(keys.param_request(layer), ParamRequest, self._answer)
 
@@ -163,8 +164,6 @@ class ParamServer:
                 reply = ParamReply(id=request.id, ok=False, reason=str(error))
             if request.op == "set":
                 self._done[request.id] = reply
-                while len(self._done) > 1024:
-                    del self._done[next(iter(self._done))]
         self._bus.publish(self._keys.param_reply(self._layer, request.id), reply)
 
     def _serve(self, request: ParamRequest) -> tuple[ParamEntry, ...]:

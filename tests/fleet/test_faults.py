@@ -1,4 +1,4 @@
-"""Updates that meet a fault at a random moment; whatever it is, the robot runs a whole release afterwards."""
+"""Updates that meet a fault at a random moment; whatever it is, the robot runs a complete release afterwards."""
 
 from __future__ import annotations
 

@@ -272,7 +272,7 @@ def test_back_to_the_release_before(lab: Lab) -> None:
     assert lab.ask("fleet")["r1"]["skew"] == ""
     done = lab.ask("rollback")
     assert done["r1"]["result"] == "refused"
-    assert "no release to go back to" in done["r1"]["what"]
+    assert "no release to roll back to" in done["r1"]["what"]
 
 
 def test_a_dry_run_says_what_it_would_do_and_does_nothing(lab: Lab) -> None:

@@ -122,7 +122,7 @@ def test_intents_of_a_stick_are_never_delayed_and_take_one_hop() -> None:
     assert swarm.status("i8").phase == "ended"
     swarm.run(0.5)
     assert swarm.status("i9").phase == "ended"
-    assert "lapsed" in swarm.status("i9").reason
+    assert "expired" in swarm.status("i9").reason
     swarm.close()
 
 

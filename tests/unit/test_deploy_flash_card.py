@@ -56,7 +56,7 @@ SLOT = entry("mmcblk0", rm=False, hotplug=False, tran=None, model=None, vendor=N
 TABLE = [
     (CARD, "/dev/sdb", None, None),
     (SLOT, "/dev/mmcblk0", None, None),
-    (LAPTOP, "/dev/nvme0n1", "this computer runs from it (/boot/efi, /)", "plug a card in"),
+    (LAPTOP, "/dev/nvme0n1", "this computer's system is on it (/boot/efi, /)", "plug a card in"),
     (CARD, "/dev/sdb1", "it is a partition of /dev/sdb", "--device /dev/sdb"),
     (
         entry("sdb", children=[part("sdb1", "/media/ann/bootfs"), part("sdb2", "/media/ann/rootfs")]),
@@ -93,12 +93,12 @@ TABLE = [
         "it holds data",
     ),
     (entry("loop0", type="loop", rm=False, hotplug=False, tran=None), "/dev/loop0", "a loop device", "--output"),
-    (entry("sdb", children=[part("sdb1", "[SWAP]")]), "/dev/sdb", "this computer runs from it ([SWAP])", "plug"),
+    (entry("sdb", children=[part("sdb1", "[SWAP]")]), "/dev/sdb", "this computer's system is on it ([SWAP])", "plug"),
     # a Raspberry Pi that flashes another one must not write the card it runs from itself
     (
         entry("mmcblk0", rm=False, tran=None, children=[part("mmcblk0p1", "/boot/firmware"), part("mmcblk0p2", "/")]),
         "/dev/mmcblk0",
-        "this computer runs from it (/boot/firmware, /)",
+        "this computer's system is on it (/boot/firmware, /)",
         "plug a card in",
     ),
     (CARD, "/dev/sdz", "no such block device", "cards here: /dev/sdb: Generic STORAGE DEVICE, serial 000000000821"),

@@ -112,7 +112,7 @@ def test_a_second_flash_is_another_instance_with_the_same_host_key(lab: Lab) -> 
 def test_another_computer_known_at_the_address_is_forgotten(lab: Lab) -> None:
     lab.keys.known_hosts.write_text("10.0.0.11 ssh-ed25519 AAAAold\n10.0.0.99 ssh-ed25519 AAAAother\n")
     result, _ = lab.to_file()
-    assert "another host key was known at its address" in result.stderr
+    assert "another host key was pinned at its address" in result.stderr
     known = lab.keys.known_hosts.read_text()
     assert "AAAAold" not in known
     assert "10.0.0.99 ssh-ed25519 AAAAother" in known
@@ -157,7 +157,7 @@ def test_seed_only_fills_a_mounted_boot_partition(lab: Lab) -> None:
         (["r1", "--output", "x.img", "--sha256", "0" * 64], "its SHA-256 is"),
         (["r1", "--output", "x.img", "--wifi-file", "none.toml"], "cannot be read"),
         (["r1", "--output", "x.img", "--wifi", "lab"], "no terminal to type the passphrase"),
-        (["r1", "--output", "x.img", "--static", "10.9.0.1/24"], "is no address for it"),
+        (["r1", "--output", "x.img", "--static", "10.9.0.1/24"], "cannot be its address"),
         (["r2", "--output", "x.img", "--static", "10.0.0.1/24"], "not an address"),
         (["r1", "--device", "/dev/nosuchcard"], "no such block device"),
         (["r1", "--output", "x.img", "--target", "rpi-arm64"], "fullswarm bundle --target rpi-arm64"),
@@ -213,7 +213,7 @@ def test_a_card_is_written_only_when_its_serial_number_is_given(lab: Lab, monkey
     monkeypatch.setattr(card, "list_cards", lambda: (device,))
     words = ("r1", "--target", "x86_64", "--image", str(lab.image), "--device", str(fake))
     result = lab.flash(*words)
-    assert (result.exit_code, "if that is meant: --yes 0815" in result.stderr) == (2, True)
+    assert (result.exit_code, "to confirm: --yes 0815" in result.stderr) == (2, True)
     assert fake.read_bytes() == bytes(40 * MEGA)
     assert lab.flash(*words, "--yes", "4711").exit_code == 2
     result = lab.flash(*words, "--yes", "0815")
@@ -303,7 +303,7 @@ def test_an_image_without_room_is_refused(lab: Lab) -> None:
 def test_a_report_is_read_from_a_card(lab: Lab) -> None:
     lab.to_file()
     result = lab.flash("--report", str(lab.folder / "r1.img"))
-    assert (result.exit_code, "has not come as far as its first boot" in result.stderr) == (2, True)
+    assert (result.exit_code, "did not reach its first boot" in result.stderr) == (2, True)
     result = lab.flash("--report", str(lab.plain))
     assert (result.exit_code, "was not written by fullswarm" in result.stderr) == (2, True)
     folder = lab.folder / "boot"

@@ -155,7 +155,7 @@ def test_a_release_that_was_there_before_stays_until_the_new_one_is_well(robot: 
     (robot.root / "opt/fullswarm/current").symlink_to("releases/0.9-0123456789ab")
     (robot.root / "says").write_text(LONELY)
     assert robot.boot_once().returncode == 1
-    assert "FAILED while approving the release" in robot.report.splitlines()[0]
+    assert "FAILED while committing the release" in robot.report.splitlines()[0]
     assert "is not healthy: it hears nobody" in robot.report
     assert robot.current == "releases/0.9-0123456789ab"
     (robot.root / "says").write_text(WELL)
@@ -228,7 +228,7 @@ def test_a_card_that_loses_data_is_named_and_a_sound_one_mends_it(robot: Robot) 
     body.write_bytes(sound[:1000] + b"?" + sound[1001:])
     assert robot.boot_once().returncode == 1
     assert "FAILED while reading the card" in robot.report
-    assert "take another one" in robot.report
+    assert "use another one" in robot.report
     assert "release.tar.gz: FAILED" in robot.report
     assert not (robot.root / "opt/fullswarm/current").exists()
     assert (robot.boot / "fullswarm/secret/host_key").exists()  # it is needed for the next try

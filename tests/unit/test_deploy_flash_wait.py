@@ -45,7 +45,7 @@ def test_each_robot_is_told_as_it_comes(hub: dict[str, float], capsys: pytest.Ca
     assert (list(heard), silent) == (["r2", "r1"], [])
     assert (heard["r1"].state, heard["r1"].driver) == ("READY", "create:///dev/x")
     assert heard["r1"].after_s == pytest.approx(90.0, abs=LOOK_S)
-    assert "r2: hello from r2" in capsys.readouterr().err
+    assert "r2: first report from r2" in capsys.readouterr().err
 
 
 def test_who_never_comes_is_named(hub: dict[str, float]) -> None:

@@ -74,7 +74,7 @@ def test_a_card_that_is_full_says_so_and_stops_no_other(tmp_path: Path) -> None:
     jobs = [job(tmp_path, "full", target=Path("/dev/full")), job(tmp_path, "good")]
     bad, good = write_jobs(pieces(data), jobs, quiet)
     assert "is full after 0 MB" in str(bad.error)
-    assert "take a larger card" in str(bad.error)
+    assert "use a larger card" in str(bad.error)
     assert good.error is None
     assert (tmp_path / "good").read_bytes() == data
 
@@ -91,7 +91,7 @@ def test_a_bit_that_flips_on_the_card_is_found_and_located(tmp_path: Path) -> No
 
     (outcome,) = write_jobs(pieces(data), [one], flip)
     assert "from 8 MB on" in str(outcome.error)
-    assert "take another one" in str(outcome.error)
+    assert "use another one" in str(outcome.error)
 
 
 def test_a_target_that_is_not_there_or_not_ours_is_explained(tmp_path: Path) -> None:
@@ -99,10 +99,10 @@ def test_a_target_that_is_not_there_or_not_ours_is_explained(tmp_path: Path) -> 
     (outcome,) = write_jobs([b"x"], [gone], quiet)
     assert "is gone" in str(outcome.error)
     for number, words in (
-        (errno.EACCES, "may not read and write it.*sudo -E"),
+        (errno.EACCES, "permission denied.*sudo -E"),
         (errno.EBUSY, "unmount it"),
         (errno.EIO, "fails at 7 MB.*another card, then another reader"),
-        (errno.ENOMEDIUM, "was the card pulled out"),
+        (errno.ENOMEDIUM, "was the card removed"),
     ):
         error = write.explain(OSError(number, os.strerror(number)), Path("/dev/sdb"), 7_000_000)
         with pytest.raises(type(error), match=words):

@@ -80,7 +80,7 @@ def test_sudo_that_refuses_is_no_root(code: int, said: bytes, monkeypatch: pytes
         (1, b"", b"fullswarm-robot: no health yet\n", "fullswarm-robot: no health yet"),
         (1, b"", HOSTNAME + b"fullswarm-robot: 9 s old\n", "fullswarm-robot: 9 s old"),
         (1, b"", b"sudo: no tty\nfullswarm-robot: 9 s old\n", "fullswarm-robot: 9 s old"),
-        (1, b"", HOSTNAME + b"install.sh: the kit is damaged\n", "install.sh: the kit is damaged"),
+        (1, b"", HOSTNAME + b"install.sh: cannot write /opt\n", "install.sh: cannot write /opt"),
         (1, b"lib/a.py\n", HOSTNAME, "sudo: unable to resolve host r1: Name or service not known"),
         (1, b"", HOSTNAME, "sudo: unable to resolve host r1: Name or service not known"),
         (1, b"", b"sudo: x: command not found\n", "sudo: x: command not found"),

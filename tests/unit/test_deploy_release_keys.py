@@ -95,5 +95,5 @@ def test_without_openssh_the_package_is_named(keys: Keys, monkeypatch: pytest.Mo
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="no keys can be kept"):
+    with pytest.raises(ConfigError, match="keys cannot be stored"):
         Keys(tmp_path / "file" / "keys").release_key()

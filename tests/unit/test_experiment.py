@@ -308,10 +308,10 @@ def test_one_trial_that_counts_is_enough() -> None:
 @pytest.mark.parametrize(
     ("line", "twice", "words"),
     [
-        ("robots = [4, 32]", "robots = [4, 32, 4]", "groups[0].robots: 4 is there twice"),
-        ('scenarios = ["empty", "concave"]', 'scenarios = ["empty", "empty"]', "scenarios: 'empty' is there twice"),
-        ('["kinematic", "pybullet"]', '["kinematic", "kinematic"]', "engines: 'kinematic' is there twice"),
-        ('[{ name = "formation_bc" }]', '[{ name = "formation_bc" }, { name = "formation_bc" }]', "is there twice"),
+        ("robots = [4, 32]", "robots = [4, 32, 4]", "groups[0].robots: 4 is given twice"),
+        ('scenarios = ["empty", "concave"]', 'scenarios = ["empty", "empty"]', "scenarios: 'empty' is given twice"),
+        ('["kinematic", "pybullet"]', '["kinematic", "kinematic"]', "engines: 'kinematic' is given twice"),
+        ('[{ name = "formation_bc" }]', '[{ name = "formation_bc" }, { name = "formation_bc" }]', "is given twice"),
     ],
 )
 def test_what_stands_twice_in_a_list_is_refused(line: str, twice: str, words: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import OrderedDict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +19,7 @@ from fullswarm.geometry import clamp, unicycle
 from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 NODE = "centralised"
@@ -68,9 +68,9 @@ class CentralisedNode:
         self._config, (x_low, y_low, x_high, y_high) = config.agent, config.bounds_m
         self._low, self._high = np.array([x_low, y_low]), np.array([x_high, y_high])
         self._jobs: dict[str, Job] = {}
-        self._newest: OrderedDict[str, tuple[str, int]] = OrderedDict()
+        self._newest: Recent[str, tuple[str, int]] = Recent(MEMORY)
         self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
-        self._logged: OrderedDict[str, None] = OrderedDict()
+        self._logged: Recent[str, None] = Recent(MEMORY)
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
             bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
@@ -94,9 +94,6 @@ class CentralisedNode:
         if core == request.core and request.sequence <= sequence:
             return
         self._newest[request.request_id] = (request.core, request.sequence)
-        self._newest.move_to_end(request.request_id)
-        while len(self._newest) > MEMORY:
-            self._newest.popitem(last=False)
         if request.enable:
             self._start(request)
         elif self._jobs.pop(request.request_id, None) and not self._jobs:
@@ -131,8 +128,6 @@ class CentralisedNode:
         if request.request_id in self._logged:
             return
         self._logged[request.request_id] = None
-        while len(self._logged) > MEMORY:
-            self._logged.popitem(last=False)
         log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
 
     def _update_states(self, states: RobotStates) -> None:

@@ -1,4 +1,4 @@
-"""Which devices may be overwritten: cards, unmounted, and only those that the user has named by serial number."""
+"""Decides which devices may be overwritten: unmounted cards, and only those that the user confirms by serial number."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Card:
     removable: bool = False
     soldered: bool = False  # eMMC: lsblk calls it mmc and hot-pluggable, as it does a card in its slot
     read_only: bool = False
-    mounts: tuple[tuple[str, str], ...] = ()  # device, where; its own and its partitions'
-    owners: tuple[str, ...] = ()  # encrypted volumes, RAIDs and the like that live on it
+    mounts: tuple[tuple[str, str], ...] = ()  # device, where; its own and those of its partitions
+    owners: tuple[str, ...] = ()  # encrypted volumes, RAIDs and the like on it
 
     @property
     def token(self) -> str:
-        """Its name in the confirmation that its content may be lost: its serial number, if it has one."""
+        """What the user types to confirm that its content may be lost: its serial number, if it has one."""
         return self.serial or Path(self.path).name
 
     @property
@@ -63,7 +63,7 @@ def list_cards() -> tuple[Card, ...]:
     """
     program = shutil.which("lsblk")
     if program is None:
-        raise ConfigError("needs lsblk to see which devices are cards", where="flash", hint="apt install util-linux")
+        raise ConfigError("lsblk is not installed", where="flash", hint="apt install util-linux")
     done = subprocess.run([program, "-J", "-O", "-b"], capture_output=True, check=False)  # noqa: S603  (our words)
     if done.returncode != 0:
         raise ConfigError(f"lsblk fails: {done.stderr.decode('utf-8', 'replace').strip()}", where="flash")
@@ -71,7 +71,7 @@ def list_cards() -> tuple[Card, ...]:
 
 
 def parse_lsblk(text: bytes | str) -> tuple[Card, ...]:
-    """Return the devices, partitions included, of what ``lsblk -J -O -b`` printed."""
+    """Return the devices, partitions included, of the output of ``lsblk -J -O -b``."""
     document = json.loads(text)
     return tuple(card for entry in document.get("blockdevices", ()) for card in _cards(entry, entry))
 
@@ -131,12 +131,12 @@ def _flag(value: object) -> bool:
 
 
 def choose(cards: Sequence[Card], devices: Sequence[str], most_bytes: int = MOST_BYTES) -> tuple[Card, ...]:
-    """Return the cards that `devices` name, in that order, each one fit to be overwritten.
+    """Return the cards that `devices` name, in that order; each may be overwritten.
 
     Raises
     ------
     ConfigError
-        A device is not there, named twice, or must not be overwritten; says why and what to do.
+        A device is missing, named twice, or must not be overwritten.
     """
     chosen: list[Card] = []
     for device in devices:
@@ -159,7 +159,7 @@ def refusal(card: Card, most_bytes: int = MOST_BYTES) -> tuple[str, str] | None:
     """Return why a device must not be overwritten and what to do about it, or None when it may be."""
     system = [where for _, where in card.mounts if where in _SYSTEM]
     if system:
-        return f"this computer runs from it ({', '.join(system)})", "plug a card in and name that"
+        return f"this computer's system is on it ({', '.join(system)})", "plug a card in and name that"
     if card.kind == "part":
         return f"it is a partition of {card.parent}", f"name the whole card: --device {card.parent}"
     if card.kind != "disk":
@@ -172,7 +172,7 @@ def refusal(card: Card, most_bytes: int = MOST_BYTES) -> tuple[str, str] | None:
     if card.size_bytes == 0:
         return "there is no card in the reader", "put one in"
     if card.owners:
-        return f"it is part of {', '.join(card.owners)}", "it holds data; take another card"
+        return f"it is part of {', '.join(card.owners)}", "it holds data; use another card"
     if card.mounts:
         devices = sorted({device for device, _ in card.mounts})
         return f"it is mounted ({', '.join(where for _, where in card.mounts)})", f"sudo umount {' '.join(devices)}"
@@ -190,7 +190,7 @@ def check_agreed(cards: Sequence[Card], agreed: Sequence[str]) -> tuple[Card, ..
     Raises
     ------
     ConfigError
-        A serial number belongs to none of the cards.
+        A serial number is that of none of the cards.
     """
     tokens = {card.token for card in cards}
     for each in agreed:
@@ -198,11 +198,6 @@ def check_agreed(cards: Sequence[Card], agreed: Sequence[str]) -> tuple[Card, ..
             hint = f"these are: {', '.join(sorted(tokens))}; is the right card plugged in?"
             raise ConfigError(f"no chosen card has the serial number '{each}'", where="--yes", hint=hint)
     return tuple(card for card in cards if card.token not in agreed)
-
-
-def as_dict(card: Card) -> dict[str, Any]:
-    """Return plain values for JSON."""
-    return {"path": card.path, "model": card.model, "serial": card.serial, "size_bytes": card.size_bytes}
 
 
 def same_card(card: Card) -> bool:

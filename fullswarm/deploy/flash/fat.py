@@ -1,7 +1,7 @@
 """Reads partition tables and FAT file systems of images and cards, and edits the boot partition with mtools.
 
-Nothing that an image says is trusted. Reading is done here; what is written goes through mtools and is judged by
-``fsck.vfat``.
+Nothing that an image says is trusted. Reading is done here; files are written by mtools, and the result is checked
+by ``fsck.vfat``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fullswarm.errors import ConfigError
 
 SECTOR_BYTES = 512
 HEAD_BYTES = 1 << 20
-"""So much of an image holds any table that is read here."""
+"""The first bytes of an image hold any table that is read here."""
 
 _MBR_ENTRY = struct.Struct("<B3sB3sII")
 _GPT_HEADER = struct.Struct("<8sIIIIQQQQ16sQIII")
@@ -31,7 +31,7 @@ _PROTECTIVE = 0xEE
 _EXTENDED = frozenset({0x05, 0x0F, 0x85})
 _MOST_ENTRIES = 1024
 BOOT_LABELS = ("bootfs", "cidata", "system-boot", "boot")
-"""What the boot partition is called by Raspberry Pi OS, NoCloud seeds, Ubuntu and older Raspberry Pi OS."""
+"""The boot partition's label in Raspberry Pi OS, NoCloud, Ubuntu and older Raspberry Pi OS."""
 
 _FAT12_CLUSTERS = 4085
 _SIGNS = {"MTOOLS_SKIP_CHECK": "1", "MTOOLS_NO_VFAT": "0", "MTOOLS_LOWER_CASE": "0"}
@@ -48,19 +48,19 @@ class Partition:
 
     @property
     def end_bytes(self) -> int:
-        """First byte behind it."""
+        """The first byte after it."""
         return self.start_bytes + self.size_bytes
 
 
 def read_partitions(head: bytes, where: str) -> tuple[Partition, ...]:
     """Return the partitions of a disk whose first :data:`HEAD_BYTES` are `head`, in the order of the table.
 
-    Logical partitions inside an extended one are left out: no boot partition of ours lives there.
+    Logical partitions inside an extended one are left out: no supported system boots from one.
 
     Raises
     ------
     ConfigError
-        There is no table, or it contradicts itself.
+        There is no table, or it is inconsistent.
     """
     if len(head) < SECTOR_BYTES or head[510:512] != _BOOT_MARK:
         hint = "is it a disk image (.img), whole and decompressed? a .zip or .iso is not"
@@ -86,10 +86,10 @@ def _gpt(head: bytes, where: str) -> tuple[Partition, ...]:
         raise ConfigError("ends within its partition table", where=where, hint=broken)
     magic, _, _, _, _, _, _, first, last, _, table, count, size, _ = _GPT_HEADER.unpack_from(head, SECTOR_BYTES)
     if magic != _MAGIC:
-        raise ConfigError("says GPT, but has no GPT header", where=where, hint=broken)
+        raise ConfigError("is marked as GPT, but has no GPT header", where=where, hint=broken)
     begin = table * SECTOR_BYTES
     if not 128 <= size <= 4096 or not 0 < count <= _MOST_ENTRIES or begin + count * size > len(head) or table < 2:
-        raise ConfigError("has a GPT whose sizes make no sense", where=where, hint=broken)
+        raise ConfigError("has a GPT with invalid sizes", where=where, hint=broken)
     found = []
     for index in range(count):
         entry = head[begin + index * size :][:128]
@@ -144,7 +144,7 @@ def boot_volume(disk: int, where: str) -> Volume:
     volumes = [volume for each in partitions if (volume := read_volume(disk, each)) is not None]
     if not volumes:
         count = len(partitions)
-        what = f"none of its {count} partitions is a FAT, so there is nowhere to put what the robot needs"
+        what = f"none of its {count} partitions is a FAT, so the robot's files cannot be written"
         raise ConfigError(what, where=where, hint="use Raspberry Pi OS or Ubuntu for Raspberry Pi, 64 bit")
     named = [each for each in volumes if each.label.lower() in BOOT_LABELS]
     return (named or volumes)[0]
@@ -235,7 +235,7 @@ def put_files(disk: Path, volume: Volume, files: Mapping[str, bytes]) -> None:
     drive = f"{disk}@@{volume.start_bytes}"
     with TemporaryDirectory(prefix="fullswarm-flash-") as folder:
         stage = Path(folder)
-        stage.chmod(0o700)  # keys pass through here
+        stage.chmod(0o700)  # it holds keys
         for path, content in files.items():
             target = stage / path
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -274,7 +274,7 @@ def get_file(disk: Path, volume: Volume, path: str) -> bytes | None:
 
 
 def file_names(disk: Path, volume: Volume) -> frozenset[str]:
-    """Return what lies at the top of the FAT, in lower case, folders with a slash."""
+    """Return the names at the top of the FAT, in lower case, folders with a slash."""
     done = _run("mdir", "-b", "-i", f"{disk}@@{volume.start_bytes}", "::")
     return frozenset(
         line.strip().removeprefix("::/").lower() for line in done.stdout.decode("utf-8", "replace").splitlines()
@@ -282,7 +282,7 @@ def file_names(disk: Path, volume: Volume) -> frozenset[str]:
 
 
 def fsck(disk: Path, volume: Volume) -> str:
-    """Let fsck.vfat judge the FAT, read only; return the tool's name here, or why there was no check.
+    """Check the FAT with fsck.vfat, read only; return its result, or why there was no check.
 
     Raises
     ------
@@ -298,14 +298,14 @@ def fsck(disk: Path, volume: Volume) -> str:
         copy_range(disk, volume.start_bytes, volume.size_bytes, alone)
         done = subprocess.run([program, "-n", str(alone)], capture_output=True, check=False)  # noqa: S603
     if done.returncode != 0:
-        said = done.stdout.decode("utf-8", "replace").strip().splitlines()
-        what = f"fsck.vfat finds errors in the boot partition: {'; '.join(said[1:4])}"
+        lines = done.stdout.decode("utf-8", "replace").strip().splitlines()
+        what = f"fsck.vfat finds errors in the boot partition: {'; '.join(lines[1:4])}"
         raise ConfigError(what, where=str(disk), hint="take the image from its source again")
     return "fsck.vfat: clean"
 
 
 def copy_range(disk: Path, start_bytes: int, size_bytes: int, into: Path) -> None:
-    """Copy a part of a disk into a file of its own, with holes for zeros."""
+    """Copy a part of a disk into a file of its own, with holes instead of zeros."""
     from fullswarm.deploy.flash.image import CHUNK_BYTES, put_sparse
 
     with disk.open("rb") as source, into.open("wb") as target:
@@ -320,9 +320,9 @@ def copy_range(disk: Path, start_bytes: int, size_bytes: int, into: Path) -> Non
 def _run(*words: str) -> subprocess.CompletedProcess[bytes]:
     done = _call(*words)
     if done.returncode != 0:
-        said = done.stderr.decode("utf-8", "replace").strip() or f"exit code {done.returncode}"
+        message = done.stderr.decode("utf-8", "replace").strip() or f"exit code {done.returncode}"
         disk = words[words.index("-i") + 1].partition("@@")[0]
-        raise ConfigError(f"{words[0]}: {said}", where=disk, hint="is it whole, and may you write it?")
+        raise ConfigError(f"{words[0]}: {message}", where=disk, hint="is it complete, and may you write it?")
     return done
 
 

@@ -20,7 +20,7 @@ from fullswarm.deploy.flash.wifi import COUNTRIES, Network
 from fullswarm.errors import ConfigError, MissingExtra
 
 HOME = "/opt/fullswarm/flash"
-"""Where the first boot keeps its script on the robot."""
+"""Folder of the first boot's script on the robot."""
 SERVICE = "fullswarm-first-boot.service"
 _HOSTNAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?\Z")
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,31}\Z")
@@ -30,8 +30,8 @@ _PASSWORDS = frozenset({"passwd", "hashed_passwd", "plain_text_passwd", "passwor
 _PRIVATE = "-----BEGIN OPENSSH PRIVATE KEY-----"
 WIRED, WIRELESS = "eth0", "wlan0"
 
-# Each boot, before anything else. A radio that was never given a country comes up blocked, and Raspberry Pi OS asks for
-# a user on the screen until it has one; neither is wanted on a robot.
+# At each boot, before anything else: unblock a radio that had no country yet, and disable the wizard with which
+# Raspberry Pi OS asks for a user on the screen.
 _UNBLOCK = "command -v rfkill >/dev/null && rfkill unblock wifi; exit 0"
 _NO_WIZARD = (
     "systemctl -q is-enabled userconfig 2>/dev/null || exit 0; "
@@ -54,14 +54,14 @@ WantedBy=multi-user.target
 """
 
 WAIT_ONLINE = "/etc/systemd/system/systemd-networkd-wait-online.service.d/60-fullswarm.conf"
-# A port without a cable must not hold up each boot for two minutes.
+# A port without a cable must not delay each boot by two minutes.
 ANY_LINK = """\
 [Service]
 ExecStart=
 ExecStart=/lib/systemd/systemd-networkd-wait-online --any --timeout=10
 """
 MOUNT = "/boot/firmware"
-"""Where Bookworm has its boot partition."""
+"""Mount point of Bookworm's boot partition."""
 _RUN_SCRIPT = (
     f"systemd.run={MOUNT}/firstrun.sh",
     "systemd.run_success_action=reboot",
@@ -72,7 +72,7 @@ _OURS = re.compile(r"(systemd\.(run|run_success_action|run_failure_action|unit)|
 
 
 def cloud_init_problems(documents: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with the parsed documents of a seed, as ``file: what``."""
+    """Yield what is wrong with cloud-init's parsed files, as ``file: what``."""
     for name, rules in (("user-data", _user), ("meta-data", _meta), ("network-config", _network)):
         document = documents[name]
         if not isinstance(document, dict):
@@ -88,12 +88,12 @@ def _user(document: dict[str, Any]) -> Iterator[str]:
     if not isinstance(document.get("hostname"), str) or not valid_hostname(document["hostname"]):
         yield f"'{document.get('hostname')}' cannot be a hostname"
     if document.get("ssh_pwauth") is not False:
-        yield "ssh_pwauth must be false: robots are entered by key"
+        yield "ssh_pwauth must be false: robots are logged in to by key"
     if found := _PASSWORDS & set(document):
-        yield f"no passwords belong here: {', '.join(sorted(found))}"
+        yield f"passwords are not allowed: {', '.join(sorted(found))}"
     users = document["users"]
     if not users:
-        yield "no user could log in: users is empty"
+        yield "users is empty: no login would be possible"
     for user in users:
         if not valid_user(user["name"]):
             yield f"'{user['name']}' cannot be a user"
@@ -119,7 +119,7 @@ def _user(document: dict[str, Any]) -> Iterator[str]:
 def _meta(document: dict[str, Any]) -> Iterator[str]:
     instance = document.get("instance-id")
     if not isinstance(instance, str) or not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", instance):
-        yield "instance-id is missing or malformed: cloud-init would not set the machine up"
+        yield "instance-id is missing or malformed: cloud-init would not configure the machine"
 
 
 def _network(document: dict[str, Any]) -> Iterator[str]:
@@ -160,18 +160,18 @@ def _fixed(interface: dict[str, Any]) -> Iterator[str]:
 
 
 def valid_user(name: str) -> bool:
-    """Tell whether Linux takes a name for a user."""
+    """Return whether Linux accepts a name for a user."""
     return _USER.match(name) is not None
 
 
 def valid_hostname(name: str) -> bool:
-    """Tell whether RFC 1123 takes a name for a host."""
+    """Return whether RFC 1123 accepts a name for a host."""
     return _HOSTNAME.match(name) is not None
 
 
 # ---------------------------------------------------------------- cloud-init
 class _Quoted(str):
-    """Text that YAML must not take for a number or a truth value: a key of digits, a network called `no`."""
+    """Text that YAML must not read as a number or a boolean: a key of digits, a network called `no`."""
 
     __slots__ = ()
 
@@ -186,7 +186,7 @@ class Static:
 
 @dataclass(frozen=True, slots=True)
 class FirstBoot:
-    """What one robot is told."""
+    """The first-boot configuration of one robot."""
 
     robot: str
     hostname: str
@@ -201,7 +201,7 @@ class FirstBoot:
 
 
 def new_instance(robot: str) -> str:
-    """Return a fresh instance id: cloud-init sets a machine up once per id, and its network only then."""
+    """Return a fresh instance id: cloud-init configures a machine, and its network, once per id."""
     return f"fullswarm-{robot}-{uuid.uuid4().hex[:12]}"
 
 
@@ -211,14 +211,14 @@ def hostname_of(robot: str, host: str) -> str:
     Raises
     ------
     ConfigError
-        Its id cannot be a host's name, and the fleet file has no other way to reach it.
+        Its id is not a valid host name, and the fleet file names no address.
     """
     name = robot.replace("_", "-").strip("-").lower()
     if valid_hostname(robot):
         return robot
     if not host or not valid_hostname(name):
         hint = f'give it an id of letters, digits and "-", or write host = "10.0.0.11" for {robot}'
-        raise ConfigError(f"'{robot}' cannot be the name of a computer", where=f"robot {robot}", hint=hint)
+        raise ConfigError(f"'{robot}' is not a valid host name", where=f"robot {robot}", hint=hint)
     return name
 
 
@@ -248,37 +248,37 @@ def static_of(host: str, router: str | None, robot: str) -> Static | None:
     taken = (gateway.ip, network.network_address, network.broadcast_address)
     if address not in network or address in taken:
         hint = f"free addresses of {network} are robots'; {gateway.ip} is the router"
-        raise ConfigError(f"{address} is no address for it", where=f"robot {robot}", hint=hint)
+        raise ConfigError(f"{address} cannot be its address", where=f"robot {robot}", hint=hint)
     return Static(ipaddress.IPv4Interface(f"{address}/{network.prefixlen}"), gateway.ip)
 
 
-def cloud_init_files(wish: FirstBoot, card_env: str) -> dict[str, bytes]:
-    """Return the seed's files, checked.
+def cloud_init_files(boot: FirstBoot, card_env: str) -> dict[str, bytes]:
+    """Return cloud-init's files, checked.
 
     Raises
     ------
     ConfigError
-        They would not make a robot that can be reached.
+        With them the robot would not be reachable.
     MissingExtra
         PyYAML is not installed.
     """
     documents = {
-        "user-data": user_data(wish, card_env),
-        "meta-data": {"dsmode": "local", "instance-id": wish.instance, "local-hostname": wish.hostname},
-        "network-config": network_config(wish),
+        "user-data": user_data(boot, card_env),
+        "meta-data": {"dsmode": "local", "instance-id": boot.instance, "local-hostname": boot.hostname},
+        "network-config": network_config(boot),
     }
-    seed = {name: _dump(document, name) for name, document in documents.items()}
-    check_cloud_init(seed)
-    return seed
+    built = {name: _dump(document, name) for name, document in documents.items()}
+    check_cloud_init(built)
+    return built
 
 
-def user_data(wish: FirstBoot, card_env: str) -> dict[str, Any]:
-    """Return ``user-data``: who may log in, by which key the robot is known, and the installation from the card."""
+def user_data(boot: FirstBoot, card_env: str) -> dict[str, Any]:
+    """Return ``user-data``: the login, the host key, and the installation from the card."""
     script = files("fullswarm.deploy.flash").joinpath("first_boot.sh").read_text("utf-8")
     return {
-        **after_install(wish),
+        **after_install(boot),
         "ssh_deletekeys": True,
-        "ssh_keys": {"ed25519_private": wish.host_private, "ed25519_public": wish.host_public},
+        "ssh_keys": {"ed25519_private": boot.host_private, "ed25519_public": boot.host_public},
         "bootcmd": [["sh", "-c", _UNBLOCK], ["sh", "-c", _NO_WIZARD]],
         "write_files": [
             {"path": f"{HOME}/first_boot.sh", "permissions": "0755", "content": script},
@@ -286,7 +286,7 @@ def user_data(wish: FirstBoot, card_env: str) -> dict[str, Any]:
             {"path": f"/etc/systemd/system/{SERVICE}", "permissions": "0644", "content": UNIT},
             {"path": WAIT_ONLINE, "permissions": "0644", "content": ANY_LINK},
         ],
-        # A unit instead of the commands themselves: it tries again after a power cut, cloud-init would not.
+        # A unit instead of the commands themselves: it is retried after a power cut, cloud-init is not.
         "runcmd": [
             ["systemctl", "daemon-reload"],
             ["systemctl", "enable", SERVICE],
@@ -295,10 +295,10 @@ def user_data(wish: FirstBoot, card_env: str) -> dict[str, Any]:
     }
 
 
-def after_install(wish: FirstBoot) -> dict[str, Any]:
-    """Return what of ``user-data`` later boots need: nothing secret."""
-    login = {"name": wish.user, "lock_passwd": True, "ssh_authorized_keys": list(wish.login_keys)}
-    if wish.user != "root":
+def after_install(boot: FirstBoot) -> dict[str, Any]:
+    """Return the part of ``user-data`` that later boots need, without secrets."""
+    login = {"name": boot.user, "lock_passwd": True, "ssh_authorized_keys": list(boot.login_keys)}
+    if boot.user != "root":
         login |= {
             "gecos": "fullswarm",
             "shell": "/bin/bash",
@@ -306,34 +306,34 @@ def after_install(wish: FirstBoot) -> dict[str, Any]:
             "sudo": "ALL=(ALL) NOPASSWD:ALL",
         }
     return {
-        "hostname": wish.hostname,
+        "hostname": boot.hostname,
         "manage_etc_hosts": True,
         "users": [login],
         "ssh_pwauth": False,
-        "disable_root": wish.user != "root",
+        "disable_root": boot.user != "root",
         "package_update": False,
         "package_upgrade": False,
     }
 
 
-def network_config(wish: FirstBoot) -> dict[str, Any]:
+def network_config(boot: FirstBoot) -> dict[str, Any]:
     """Return ``network-config``, version 2.
 
-    The wired port is called by its name: a ``match`` breaks Debian's own renderer. It is optional, so that no boot
+    The wired port is given by its name: a ``match`` breaks Debian's own renderer. It is optional, so that no boot
     waits for a cable. The fixed address goes to Wi-Fi when there is one.
     """
     wired: dict[str, Any] = {"dhcp4": True, "optional": True}
     config: dict[str, Any] = {"version": 2, "ethernets": {WIRED: wired}}
     fixed = wired
-    if wish.networks:
-        points = {_Quoted(each.ssid): _access_point(each) for each in wish.networks}
-        fixed = {"dhcp4": True, "optional": True, "regulatory-domain": _Quoted(wish.country), "access-points": points}
+    if boot.networks:
+        points = {_Quoted(each.ssid): _access_point(each) for each in boot.networks}
+        fixed = {"dhcp4": True, "optional": True, "regulatory-domain": _Quoted(boot.country), "access-points": points}
         config["wifis"] = {WIRELESS: fixed}
-    if wish.static is not None:
-        router = str(wish.static.router)
+    if boot.static is not None:
+        router = str(boot.static.router)
         fixed |= {
             "dhcp4": False,
-            "addresses": [str(wish.static.address)],
+            "addresses": [str(boot.static.address)],
             "routes": [{"to": "0.0.0.0/0", "via": router}],
             "nameservers": {"addresses": [router]},
         }
@@ -347,9 +347,9 @@ def _access_point(network: Network) -> dict[str, Any]:
     return point | {"hidden": True} if network.hidden else point
 
 
-def after_user_data(wish: FirstBoot) -> bytes:
+def after_user_data(boot: FirstBoot) -> bytes:
     """Return the ``user-data`` that replaces the first one once the robot is installed."""
-    return _dump(after_install(wish), "user-data")
+    return _dump(after_install(boot), "user-data")
 
 
 def _dump(document: Mapping[str, Any], name: str) -> bytes:
@@ -381,24 +381,24 @@ def _yaml() -> Any:
     return yaml
 
 
-def check_cloud_init(seed: Mapping[str, bytes]) -> None:
-    """Check a seed as it would be written.
+def check_cloud_init(content: Mapping[str, bytes]) -> None:
+    """Check cloud-init's files as they would be written.
 
     Raises
     ------
     ConfigError
-        All that would leave a robot unreachable, insecure or not installed, one line each.
+        They would leave a robot unreachable, insecure or not installed; one line for each reason.
     """
     documents = {}
     for name in ("user-data", "meta-data", "network-config"):
         try:
-            documents[name] = _yaml().safe_load(seed[name])
+            documents[name] = _yaml().safe_load(content[name])
         except KeyError:
             raise ConfigError("is missing", where=name) from None
         except _yaml().YAMLError as error:
             raise ConfigError(f"is not valid YAML: {error}", where=name) from None
     problems = list(cloud_init_problems(documents))
-    if not seed["user-data"].startswith(b"#cloud-config\n"):
+    if not content["user-data"].startswith(b"#cloud-config\n"):
         problems.append("user-data: its first line is not #cloud-config")
     if problems:
         raise ConfigError("\n".join(problems))
@@ -406,12 +406,12 @@ def check_cloud_init(seed: Mapping[str, bytes]) -> None:
 
 # ---------------------------------------------------------------- firstrun.sh
 def command_line(text: str, *, country: str, run_script: bool) -> bytes:
-    """Return ``cmdline.txt`` with the radio's country, and with the script's run; what was there before stays.
+    """Return ``cmdline.txt`` with the radio's country, and with the script to run; the rest stays.
 
     Raises
     ------
     ConfigError
-        It is not one line of words.
+        It is not one line.
     """
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) != 1 or "root=" not in text:
@@ -423,22 +423,22 @@ def command_line(text: str, *, country: str, run_script: bool) -> bytes:
     return (" ".join(words) + "\n").encode()
 
 
-def firstrun_files(wish: FirstBoot, boot: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the files by which firstrun.sh does what cloud-init would; `boot` holds the FAT's own cmdline.txt."""
+def firstrun_files(boot: FirstBoot, there: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the files by which firstrun.sh does the same as cloud-init; `there` holds the FAT's own cmdline.txt."""
     here = files("fullswarm.deploy.flash")
-    text = boot["cmdline.txt"].decode("utf-8", "replace")
+    text = there["cmdline.txt"].decode("utf-8", "replace")
     payload = {
-        "cmdline.txt": command_line(text, country=wish.country, run_script=True),
+        "cmdline.txt": command_line(text, country=boot.country, run_script=True),
         "firstrun.sh": here.joinpath("firstrun.sh").read_bytes(),
         "fullswarm/first_boot.sh": here.joinpath("first_boot.sh").read_bytes(),
         "fullswarm/first-boot.service": UNIT.encode(),
-        "fullswarm/secret/authorized_keys": "".join(f"{key}\n" for key in wish.login_keys).encode(),
+        "fullswarm/secret/authorized_keys": "".join(f"{key}\n" for key in boot.login_keys).encode(),
     }
-    for number, network in enumerate(wish.networks, start=1):
-        text = connection(f"fullswarm-wifi-{number}", network, wish.static, priority=len(wish.networks) - number)
+    for number, network in enumerate(boot.networks, start=1):
+        text = connection(f"fullswarm-wifi-{number}", network, boot.static, priority=len(boot.networks) - number)
         payload[f"fullswarm/secret/wifi-{number}.nmconnection"] = text.encode()
-    if wish.static is not None and not wish.networks:
-        payload["fullswarm/secret/wired.nmconnection"] = wired(wish.static).encode()
+    if boot.static is not None and not boot.networks:
+        payload["fullswarm/secret/wired.nmconnection"] = wired(boot.static).encode()
     return payload
 
 

@@ -1,9 +1,9 @@
 #!/bin/sh
 # Installs the robot's software from its card, offline, and leaves fullswarm-report.txt on the card's boot partition:
-# a robot that never shows up in the network explains itself in any computer's card reader. systemd runs it at each
+# for a robot that never appears in the network, any computer's card reader shows the reason. systemd runs it at each
 # boot until it has succeeded once for this card; every step may be repeated.
 #
-# POSIX sh with coreutils, tar and gzip; the rest is /opt/fullswarm/bin/fullswarm-robot, which the kit brings.
+# POSIX sh with coreutils, tar and gzip; the rest is /opt/fullswarm/bin/fullswarm-robot, which the support package installs.
 set -u
 LC_ALL=C
 export LC_ALL
@@ -52,18 +52,18 @@ network() {
     ! there nmcli || nmcli -t -f DEVICE,STATE,CONNECTION device 2>/dev/null
 }
 
-has_address() { # somebody else could reach us
+has_address() { # other computers could reach us
     ! there ip || ip -brief address 2>/dev/null | grep -v '^lo ' | grep -qE ' ([0-9]{1,3}\.){3}[0-9]{1,3}/'
 }
 
 advice() {
     case $step in
     *looking*) echo "The card was changed after it was written. Flash it again." ;;
-    *reading*) echo "The card loses data: take another one, or another card reader, and flash again." ;;
+    *reading*) echo "The card loses data: use another one, or another card reader, and flash again." ;;
     *taking*) echo "The software does not fit this image (64 bit? Python version?) or was signed on another base." \
         "fullswarm-robot says which, below: bundle for this image with 'fullswarm bundle', flash again." ;;
-    *approving*) echo "The robot goes back to the release that it had; the last lines below say why this one was not" \
-        "approved. Does the base run, at the address of 'hub' above?" ;;
+    *committing*) echo "The robot rolls back to the release that it had; the last lines below say why this one was not" \
+        "committed. Does the base run, at the address of 'hub' above?" ;;
     *agent*) echo "The software is on the robot, but does not start; the journal below says why. A missing robot on" \
         "the cable is no reason; a fleet file that does not fit the release is." ;;
     *) echo "See the last lines below. Switching the robot off and on tries again." ;;
@@ -129,14 +129,14 @@ keep_host_key() { # the one that the base knows; the image's own first boot may 
     echo "no SSH server is installed: the robot runs, but cannot be updated over the network"
 }
 
-install_kit() { # short: in memory. A release that was here before need not like the new settings: the next one comes
+install_kit() { # short: in memory. A previous release may reject the new settings: the next one follows
     mkdir "$work/kit" && tar -xf "$boot/fullswarm/kit.tar" -C "$work/kit" && sh "$work/kit/install.sh" --settings-stay
 }
 
 take_release() {
-    rm -rf "$ROOT/opt/fullswarm/releases/.incoming-$RELEASE" # of a try that was cut; the card has all of it
+    rm -rf "$ROOT/opt/fullswarm/releases/.incoming-$RELEASE" # of an interrupted try; the card has all of it
     "$TOOL" want "$RELEASE" --bytes "$BYTES" <"$boot/fullswarm/head.tar" >"$work/missing" || return 1
-    for _ in 1 2; do # what it has of a release that was here before may turn out to be damaged
+    for _ in 1 2; do # files of a previous release may be damaged
         [ ! -d "$ROOT/opt/fullswarm/releases/$RELEASE" ] || return 0
         give_missing >"$work/still" || return 1
         head -n 5 "$work/still"
@@ -145,7 +145,7 @@ take_release() {
     [ -d "$ROOT/opt/fullswarm/releases/$RELEASE" ]
 }
 
-give_missing() { # the robot takes only what it asked for, and says what it still lacks
+give_missing() { # the robot accepts only what it requested, and prints what it still lacks
     if [ "$(wc -l <"$work/missing")" -eq "$FILES" ]; then
         "$TOOL" receive "$RELEASE" <"$boot/fullswarm/release.tar.gz"
     else
@@ -156,7 +156,7 @@ give_missing() { # the robot takes only what it asked for, and says what it stil
     [ $? -le 1 ]
 }
 
-approve() { # at once where nothing older is there to go back to; else only what is well
+commit() { # at once where there is no previous release; else only when healthy
     if [ -n "$was" ] && [ "$was" != "$RELEASE" ] && ! until_well "$TOOL" health --healthy; then
         echo "$RELEASE is not healthy: $(why_not)"
         "$TOOL" rollback --because "not healthy at its first boot from the card: $(why_not)"
@@ -180,7 +180,7 @@ until_well() { # COMMAND...
     done
 }
 
-why_not() { # what the agent says, or that it says nothing
+why_not() { # the agent's reason, or that there is none
     if said=$("$TOOL" health 2>&1); then
         printf '%s\n' "$said" | sed -n '/^ "why": \[/,/^ \]/s/^  "\(.*\)",\{0,1\}$/\1/p' | tr '\n' ';' | sed 's/;$//; s/;/; /g'
     else
@@ -206,7 +206,7 @@ others in (--insecure-network)? Is the robot's cable plugged in? 'agent' below s
 }
 
 if [ -e "$DONE" ]; then
-    [ -e "$FORGOTTEN" ] || { find_card && forget; } # the power went in between
+    [ -e "$FORGOTTEN" ] || { find_card && forget; } # after a power cut
     leave 0
 fi
 mkdir -p "$HERE" && : >"$HERE/log"
@@ -219,8 +219,8 @@ run "giving the robot the key that the base knows" keep_host_key
 run "installing what stands outside the release" install_kit
 run "taking the release" take_release
 run "starting the agent" "$TOOL" switch "$RELEASE" --guard $((HEALTH_TRIES + 120))
-run "approving the release" approve
-verdict # before it is done: after a power cut all of this is soon done again, and the report is not lost
+run "committing the release" commit
+verdict # before it is marked as done: after a power cut all of this is repeated, and the report is written
 echo "$RELEASE" >"$DONE"
 sync
 forget

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Raspberry Pi OS without cloud-init runs this once, alone, before its first usual boot: name, user, keys, Wi-Fi, and a
-# service that installs the robot's software from the card. It always ends well: whatever it could not do stands in
+# service that installs the robot's software from the card. It always ends with success: what it could not do is in
 # fullswarm-report.txt on this partition, and the usual system starts.
 set -u
 ROOT=${FULLSWARM_ROOT-}
@@ -9,7 +9,7 @@ CARD=$BOOT/fullswarm
 . "$CARD/card.env" # ROBOT NAME ADMIN COUNTRY: plain words only
 failed=
 
-try() { # DESCRIPTION COMMAND...: go on whatever happens, but remember
+try() { # DESCRIPTION COMMAND...: go on after an error, but note it
     what=$1
     shift
     "$@" || failed="$failed$what; "
@@ -90,7 +90,7 @@ if [ -n "$failed" ]; then
     {
         echo "fullswarm, first boot of $ROBOT: FAILED before the installation"
         echo "what: ${failed%; }"
-        echo "what to do: is this Raspberry Pi OS, 64 bit? Flash the card again; if it stays so, send this file."
+        echo "what to do: is this Raspberry Pi OS, 64 bit? Flash the card again; if it fails again, report it with this file."
     } >"$BOOT/fullswarm-report.txt"
 else
     rm -rf "$CARD/secret/authorized_keys" "$CARD"/secret/*.nmconnection

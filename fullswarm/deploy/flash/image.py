@@ -1,7 +1,8 @@
-"""Opens images: plain, .xz, .gz, .zst; their checksum; their first part as a sparse file."""
+"""Reads images: plain, .xz, .gz, .zst; their checksum; their first part as a sparse file."""
 
 from __future__ import annotations
 
+import errno
 import gzip
 import hashlib
 import lzma
@@ -20,8 +21,8 @@ from fullswarm.errors import ConfigError
 
 CHUNK_BYTES = 4 << 20
 SUFFIXES = (".img", ".raw", ".xz", ".gz", ".zst")
-Tell = Callable[[int], None]
-"""Is told how many bytes have been dealt with."""
+Report = Callable[[int], None]
+"""Called with the number of bytes done so far."""
 
 _HASH = re.compile(r"\b[0-9a-fA-F]{64}\b")
 AGAIN = "download it again"
@@ -69,17 +70,17 @@ def _zstd(path: Path) -> Iterator[IO[bytes]]:
         except BaseException:
             process.kill()
             raise
-        if process.stdout.read(1):  # the reader had enough: only the first part was wanted
+        if process.stdout.read(1):  # only the first part was read
             process.kill()
             return
         if process.wait() != 0:
             errors.seek(0)
-            said = errors.read().decode("utf-8", "replace").strip()
-            raise ConfigError(f"is damaged: {said}", where=str(path), hint=AGAIN)
+            message = errors.read().decode("utf-8", "replace").strip()
+            raise ConfigError(f"is damaged: {message}", where=str(path), hint=AGAIN)
 
 
 def chunks(stream: IO[bytes], size: int = CHUNK_BYTES) -> Iterator[bytes]:
-    """Yield what `stream` holds in pieces of `size` bytes, the last one shorter."""
+    """Yield the content of `stream` in pieces of `size` bytes, the last one shorter."""
     held = bytearray()
     while data := stream.read(size - len(held)):
         held += data
@@ -96,7 +97,7 @@ def expected_sha256(path: Path, given: str | None) -> str | None:
     Raises
     ------
     ConfigError
-        What was given or lies beside it is not a SHA-256.
+        The option or the file beside it is not a SHA-256.
     """
     if given is not None:
         if not _HASH.fullmatch(given.strip()):
@@ -112,18 +113,18 @@ def expected_sha256(path: Path, given: str | None) -> str | None:
     raise ConfigError("holds no SHA-256", where=str(beside), hint="download it again, or give --sha256")
 
 
-def file_sha256(path: Path, tell: Tell) -> str:
-    """Return the SHA-256 of a file as it lies there, compressed or not."""
+def file_sha256(path: Path, report: Report) -> str:
+    """Return the SHA-256 of a file as it is, compressed or not."""
     digest, done = hashlib.sha256(), 0
     with path.open("rb") as file:
         while data := file.read(CHUNK_BYTES):
             digest.update(data)
             done += len(data)
-            tell(done)
+            report(done)
     return digest.hexdigest()
 
 
-def check_sha256(path: Path, wanted: str | None, tell: Tell) -> str:
+def check_sha256(path: Path, wanted: str | None, report: Report) -> str:
     """Return the file's SHA-256.
 
     Raises
@@ -131,14 +132,14 @@ def check_sha256(path: Path, wanted: str | None, tell: Tell) -> str:
     ConfigError
         It is not `wanted`.
     """
-    found = file_sha256(path, tell)
+    found = file_sha256(path, report)
     if wanted is not None and found != wanted:
         what = f"its SHA-256 is {found}, not {wanted}"
         raise ConfigError(what, where=str(path), hint=f"{AGAIN}; nothing was written")
     return found
 
 
-def copy_head(path: Path, upto_bytes: int, into: Path, tell: Tell = lambda _: None) -> int:
+def copy_head(path: Path, upto_bytes: int, into: Path, report: Report = lambda _: None) -> int:
     """Write the first `upto_bytes` of an image, decompressed, into a new sparse file; return how many there were."""
     done = 0
     with opened(path) as stream, into.open("wb") as file:
@@ -146,7 +147,7 @@ def copy_head(path: Path, upto_bytes: int, into: Path, tell: Tell = lambda _: No
             piece = data[: upto_bytes - done]
             put_sparse(file.fileno(), piece, done)
             done += len(piece)
-            tell(done)
+            report(done)
             if done >= upto_bytes:
                 break
         file.truncate(done)
@@ -163,16 +164,16 @@ def put_sparse(file: int, data: bytes, at_bytes: int, block_bytes: int = 65536) 
 
 
 def write_all(file: int, data: bytes, at_bytes: int) -> None:
-    """Write all of `data`, however little the kernel takes at a time.
+    """Write all of `data`, however little the kernel accepts at a time.
 
     Raises
     ------
     OSError
-        The file takes nothing more.
+        The file accepts nothing more.
     """
     rest = memoryview(data)
     while rest:
         taken = os.pwrite(file, rest, at_bytes)
         if taken <= 0:
-            raise OSError(28, "takes nothing more")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         rest, at_bytes = rest[taken:], at_bytes + taken

@@ -1,4 +1,4 @@
-"""All that goes onto the boot partition of one robot's card."""
+"""Builds all files that go onto the boot partition of one robot's card."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fullswarm.config import RobotConfig, SwarmConfig
+from fullswarm.deploy.flash import fat
+from fullswarm.deploy.flash.fat import Volume
 from fullswarm.deploy.flash.first_boot import (
     FirstBoot,
-    Static,
     after_user_data,
     cloud_init_files,
     command_line,
@@ -23,6 +24,7 @@ from fullswarm.deploy.flash.first_boot import (
     valid_user,
 )
 from fullswarm.deploy.flash.wifi import Network
+from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.errors import ConfigError
 
 FOLDER = "fullswarm"
@@ -56,16 +58,6 @@ class Shipment:
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
-    """How a robot is entered, and how it shows that it is itself."""
-
-    login_keys: tuple[str, ...]  # public
-    host_private: str = field(repr=False)
-    host_public: str
-    signers: str  # whose releases it takes
-
-
-@dataclass(frozen=True, slots=True)
 class Surroundings:
     """What all robots of one command share."""
 
@@ -75,28 +67,56 @@ class Surroundings:
     router: str | None = None  # 10.0.0.1/24: fixed addresses
 
 
-def wish_for(robot: RobotConfig, access: Access, around: Surroundings) -> FirstBoot:
-    """Return what a robot is told, with a fresh instance id.
+@dataclass(frozen=True, slots=True)
+class BootPartition:
+    """What a boot partition holds before it is written; `read` returns a file of it, None: it has none."""
+
+    label: str
+    volume_id: str  # empty: not known
+    names: frozenset[str]
+    read: Callable[[str], bytes | None]
+
+    @classmethod
+    def of_disk(cls, disk: Path, volume: Volume) -> BootPartition:
+        """Return that of a disk or an image."""
+        names = fat.file_names(disk, volume)
+        return cls(volume.label, volume.volume_id, names, lambda path: fat.get_file(disk, volume, path))
+
+    @classmethod
+    def of_folder(cls, folder: Path) -> BootPartition:
+        """Return that which is mounted at a folder."""
+
+        def read(name: str) -> bytes | None:
+            file = folder / name
+            return file.read_bytes() if file.is_file() else None
+
+        return cls(folder.name, "", frozenset(each.name.lower() for each in folder.iterdir()), read)
+
+
+def first_boot_of(robot: RobotConfig, keys: Keys, around: Surroundings) -> FirstBoot:
+    """Return a robot's first-boot configuration, with a fresh instance id.
+
+    Its host key is made here, so that there is no trust on first use.
 
     Raises
     ------
     ConfigError
-        Its name, user or address cannot be.
+        Its name, user or address is invalid.
     """
     if not valid_user(robot.ssh_user):
         hint = "a plain Linux login: a-z, 0-9, '-' and '_'"
-        raise ConfigError(f"'{robot.ssh_user}' cannot be a user", where=f"robot {robot.id}: ssh_user", hint=hint)
-    static: Static | None = static_of(robot.host, around.router, robot.id)
+        raise ConfigError(f"invalid user '{robot.ssh_user}'", where=f"robot {robot.id}: ssh_user", hint=hint)
+    host_key = keys.host_key(around.config.swarm, robot.id)
     return FirstBoot(
         robot=robot.id,
         hostname=hostname_of(robot.id, robot.host),
         user=robot.ssh_user,
-        login_keys=access.login_keys,
-        host_private=access.host_private,
-        host_public=access.host_public,
+        login_keys=(public(keys.fleet_key()),),
+        host_private=host_key.read_text("utf-8"),
+        host_public=public(host_key),
         networks=around.networks,
         country=around.country,
-        static=static,
+        static=static_of(robot.host, around.router, robot.id),
         instance=new_instance(robot.id),
     )
 
@@ -107,7 +127,7 @@ def first_boot_kind(there: frozenset[str], label: str, wanted: str = "auto") -> 
     Raises
     ------
     ConfigError
-        It shows neither way.
+        It supports neither kind.
     """
     if wanted != "auto":
         return wanted
@@ -115,63 +135,62 @@ def first_boot_kind(there: frozenset[str], label: str, wanted: str = "auto") -> 
         return CLOUD_INIT
     if "cmdline.txt" in there:
         return FIRSTRUN
-    what = f"its boot partition '{label}' knows neither cloud-init (user-data) nor Raspberry Pi's cmdline.txt"
+    what = f"its boot partition '{label}' has neither cloud-init's user-data nor Raspberry Pi's cmdline.txt"
     hint = "use Raspberry Pi OS or Ubuntu for Raspberry Pi; --first-boot cloud-init if you know that it has it"
     raise ConfigError(what, where="image", hint=hint)
 
 
-def build(
-    kind: str,
-    wish: FirstBoot,
-    access: Access,
-    shipment: Shipment,
-    kit: bytes,
-    hub: str,
-    volume_id: str,
-    read: Callable[[str], bytes | None],
-) -> dict[str, bytes]:
-    """Return the files by their path in the boot partition; `read` gives what is there now.
+def boot_files(
+    robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, partition: BootPartition, wanted: str
+) -> tuple[dict[str, bytes], str, str]:
+    """Return the files for a robot's boot partition by their path, the instance id, and the kind of first boot.
 
     Raises
     ------
     ConfigError
-        The seed is not sound, or the partition lacks what Raspberry Pi's first boot needs.
+        The configuration is not sound, or the partition lacks what Raspberry Pi's first boot needs.
     """
+    from fullswarm.deploy.robot.support_package import support_package
+
+    boot = first_boot_of(robot, keys, around)
+    kind = first_boot_kind(partition.names, partition.label, wanted)
     environment = card_env(
         {
-            "ROBOT": wish.robot,
-            "NAME": wish.hostname,
-            "ADMIN": wish.user,
-            "COUNTRY": wish.country,
-            "HUB": hub,
+            "ROBOT": boot.robot,
+            "NAME": boot.hostname,
+            "ADMIN": boot.user,
+            "COUNTRY": boot.country,
+            "HUB": around.config.hub.endpoint,
             "RELEASE": shipment.id,
             "FILES": str(shipment.files),
             "BYTES": str(shipment.size_bytes),
-            "VOLUME": volume_id,
-            "INSTANCE": wish.instance,
+            "VOLUME": partition.volume_id,
+            "INSTANCE": boot.instance,
         }
     )
-    large = {"kit.tar": kit, "head.tar": shipment.head, "release.tar.gz": shipment.body}
+    package = support_package(robot, around.config, keys.allowed_signers())
+    large = {"kit.tar": package, "head.tar": shipment.head, "release.tar.gz": shipment.body}
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in large.items())
     files = {
         **{f"{FOLDER}/{name}": content for name, content in large.items()},
         f"{FOLDER}/card.sha256": sums.encode(),
         f"{FOLDER}/card.env": environment.encode(),
-        f"{FOLDER}/secret/host_key": access.host_private.encode(),
-        f"{FOLDER}/secret/host_key.pub": f"{access.host_public}\n".encode(),
+        f"{FOLDER}/secret/host_key": boot.host_private.encode(),
+        f"{FOLDER}/secret/host_key.pub": f"{boot.host_public}\n".encode(),
     }
-    line = read("cmdline.txt")
-    checked = cloud_init_files(wish, environment)  # firstrun.sh says the same in other words: the same rules hold
+    line = partition.read("cmdline.txt")
+    cloud_init = cloud_init_files(boot, environment)  # checked for firstrun.sh as well: the same rules hold
     if kind == CLOUD_INIT:
-        files |= checked
-        files[f"{FOLDER}/after-user-data"] = after_user_data(wish)
+        files |= cloud_init
+        files[f"{FOLDER}/after-user-data"] = after_user_data(boot)
         if line is not None:
-            text = command_line(line.decode("utf-8", "replace"), country=wish.country, run_script=False)
+            text = command_line(line.decode("utf-8", "replace"), country=boot.country, run_script=False)
             files |= {"cmdline.txt": text, "ssh": b""}  # an empty `ssh` switches its server on, on Raspberry Pi OS
-        return files
-    if line is None:
+    elif line is None:
         raise ConfigError("its boot partition has no cmdline.txt", where="image", hint="use --first-boot cloud-init")
-    return files | firstrun_files(wish, {"cmdline.txt": line})
+    else:
+        files |= firstrun_files(boot, {"cmdline.txt": line})
+    return files, boot.instance, kind
 
 
 def card_env(values: Mapping[str, str]) -> str:
@@ -180,9 +199,9 @@ def card_env(values: Mapping[str, str]) -> str:
     Raises
     ------
     ConfigError
-        A value is no plain word.
+        A value has other characters.
     """
     for name, value in values.items():
         if not _PLAIN.match(value):
-            raise ConfigError(f"{name} '{value}' is no plain word", where="card", hint="letters, digits and ./:@%+-")
+            raise ConfigError(f"{name} '{value}' is not a plain word", where="card", hint="letters, digits and ./:@%+-")
     return "".join(f"{name}={shlex.quote(value)}\n" for name, value in values.items())

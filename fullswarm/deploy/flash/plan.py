@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from fullswarm import output
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.deploy.flash import card, fat, image, payload
+from fullswarm.deploy.flash import card, fat, image
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.fat import HEAD_BYTES, Volume, read_partitions
-from fullswarm.deploy.flash.payload import Access, Shipment, Surroundings
+from fullswarm.deploy.flash.payload import BootPartition, Shipment, Surroundings, boot_files
 from fullswarm.deploy.fleet.releases import with_option
-from fullswarm.deploy.release.keys import Keys, fingerprint, public
+from fullswarm.deploy.release.keys import Keys, fingerprint
 from fullswarm.deploy.robot.support_package import check_hub
 from fullswarm.errors import ConfigError, did_you_mean
 
@@ -25,7 +25,7 @@ _PYTHON_OF = {"bookworm": "3.11", "trixie": "3.13", "jammy": "3.10", "noble": "3
 
 @dataclass(frozen=True, slots=True)
 class FlashRequest:
-    """What the command line says."""
+    """The options of the command line."""
 
     robots: tuple[str, ...]
     fleet: Path
@@ -51,7 +51,7 @@ class FlashRequest:
 
 @dataclass(slots=True)
 class CardResult:
-    """One row of the result: a robot, its card, and how it went."""
+    """One row of the result: a robot, its card, and the outcome."""
 
     robot: str
     target: str
@@ -65,23 +65,23 @@ def confirm_loss(
     agreed: Sequence[str],
     loss: str = "its system stays, the files that tell which robot it is will be lost",
 ) -> None:
-    """Have the user confirm, by its serial number, that each card may lose data.
+    """Ask the user to confirm, by its serial number, that each card may lose data.
 
     Parameters
     ----------
     loss
-        What; by default no more than ``--seed-only`` writes over.
+        What is lost; by default what ``--seed-only`` overwrites.
 
     Raises
     ------
     ConfigError
-        Not confirmed, or a card is not the same any more.
+        Not confirmed, or a card has changed since.
     """
     cards = [each for each in targets if isinstance(each, Card)]
     for each in card.check_agreed(cards, agreed):
         what = f"{loss}: {each.title}"
         if not sys.stdin.isatty():
-            raise ConfigError(what, where=each.path, hint=f"if that is meant: --yes {each.token}")
+            raise ConfigError(what, where=each.path, hint=f"to confirm: --yes {each.token}")
         output.progress(what)
         sys.stderr.write(f"Type {each.token} to write it: ")
         sys.stderr.flush()
@@ -89,7 +89,7 @@ def confirm_loss(
             raise ConfigError("not confirmed; nothing was written", where=each.path, hint=f"type {each.token}")
     for each in cards:
         if not card.same_card(each):
-            raise ConfigError("is not the card that it was a moment ago", where=each.path, hint="start again")
+            raise ConfigError("has changed since it was confirmed", where=each.path, hint="start again")
 
 
 # ---------------------------------------------------------------- what is written
@@ -98,13 +98,9 @@ class Prepared:
     """One robot's boot partition, edited and checked, in a file of its own."""
 
     robot: str
-    instance: str
-    host_key: str  # fingerprint
-    kind: str  # how its first boot is told
     volume: Volume
     edited: Path
-    judged: str  # by fsck.vfat
-    files: int
+    details: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,17 +135,6 @@ def robots_of(config: SwarmConfig, names: Sequence[str]) -> tuple[RobotConfig, .
     return tuple(found)
 
 
-def access_for(robot: RobotConfig, swarm: str, keys: Keys) -> Access:
-    """Return the keys of one robot; its host key is made here, so that there is no trust on first use."""
-    own = keys.host_key(swarm, robot.id)
-    return Access(
-        login_keys=(public(keys.fleet_key()),),
-        host_private=own.read_text("utf-8"),
-        host_public=public(own),
-        signers=keys.allowed_signers(),
-    )
-
-
 def release_for(
     release: str | None, target: str, picture: Path | None, keys: Keys, extras: frozenset[str] = frozenset()
 ) -> Shipment:
@@ -158,8 +143,8 @@ def release_for(
     Raises
     ------
     ConfigError
-        There is none, it is signed on another base, or was changed; it is for another Python than the image's, or was
-        made without what the robots need.
+        There is none, it is signed on another base, or was changed; it is for another Python than the image's, or lacks
+        what the robots need.
     """
     from fullswarm.deploy.release.keys import verify_release
     from fullswarm.deploy.release.manifest import Manifest
@@ -180,29 +165,29 @@ def release_for(
         what = f"is for Python {shipment.python}; this image has {python}"
         raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
     if python is None and picture is not None:
-        output.progress(f"image: its name does not say which Python it has; this release needs {shipment.python}")
+        output.progress(f"image: its Python is unknown from its name; this release needs {shipment.python}")
     if lacking := extras - set(Manifest.read(folder).extras):
         hint = f"fullswarm bundle --target {target} --python {shipment.python}{with_option(extras)}"
-        what = f"was made without what its robots' agents need: {', '.join(sorted(lacking))}"
+        what = f"lacks what its robots' agents need: {', '.join(sorted(lacking))}"
         raise ConfigError(what, where=f"release {shipment.id}", hint=hint)
     return shipment
 
 
-def read_head(picture: Path, folder: Path, tell: Callable[[int], None]) -> Source:
+def read_head(picture: Path, folder: Path, report: image.Report) -> Source:
     """Decompress what comes before the end of the boot partition into `folder`.
 
     Raises
     ------
     ConfigError
-        The image is damaged, or is none from which a robot can boot.
+        The image is damaged, or a robot cannot boot from it.
     """
     disk = folder / "head.img"
     image.copy_head(picture, HEAD_BYTES, disk)
     head = disk.read_bytes()
     partitions = read_partitions(head, str(picture))
-    # The boot partition is one of the first; what comes behind it is large and is only read once, to the cards.
+    # The boot partition is one of the first; what follows is large and is read only once, for the cards.
     for upto in sorted({each.end_bytes for each in partitions}):
-        there = image.copy_head(picture, upto, disk, tell)
+        there = image.copy_head(picture, upto, disk, report)
         if there < upto:
             what = f"ends after {there / 1e6:.0f} MB, within partition data that goes to {upto / 1e6:.0f} MB"
             raise ConfigError(what, where=str(picture), hint="download it again")
@@ -216,7 +201,7 @@ def _boot_of(disk: Path, where: str, *, last: bool) -> Volume | None:
     number = os.open(disk, os.O_RDONLY | os.O_CLOEXEC)
     try:
         volume = fat.boot_volume(number, where)
-        # One without a usual name, an EFI system partition for one, is the choice only when nothing better follows.
+        # One without a usual name, such as an EFI system partition, is chosen only when no other follows.
         return volume if last or volume.label.lower() in fat.BOOT_LABELS else None
     except ConfigError:
         if last:
@@ -226,51 +211,37 @@ def _boot_of(disk: Path, where: str, *, last: bool) -> Volume | None:
         os.close(number)
 
 
-def seed_files(
-    robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, disk: Path, volume: Volume, wanted: str
-) -> tuple[dict[str, bytes], str, str]:
-    """Return the files for a robot's boot partition, the instance id, and how its first boot is told."""
-    from fullswarm.deploy.robot.support_package import support_package
-
-    access = access_for(robot, around.config.swarm, keys)
-    wish = payload.wish_for(robot, access, around)
-    kind = payload.first_boot_kind(fat.file_names(disk, volume), volume.label, wanted)
-    files = payload.build(
-        kind,
-        wish,
-        access,
-        shipment,
-        support_package(robot, around.config, access.signers),
-        around.config.hub.endpoint,
-        volume.volume_id,
-        lambda path: fat.get_file(disk, volume, path),
-    )
-    return files, wish.instance, kind
-
-
 def prepare(
     robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, source: Source, wanted: str
 ) -> Prepared:
-    """Edit a copy of the boot partition for one robot, and let fsck.vfat judge it.
+    """Edit a copy of the boot partition for one robot, and check it with fsck.vfat.
 
     Raises
     ------
     ConfigError
-        The seed is not sound, the partition has no room, or the result is not a sound FAT.
+        The first-boot configuration is not sound, the partition has no room, or the result is not a sound FAT.
     """
-    files, instance, kind = seed_files(robot, around, keys, shipment, source.disk, source.volume, wanted)
+    partition = BootPartition.of_disk(source.disk, source.volume)
+    files, instance, kind = boot_files(robot, around, keys, shipment, partition, wanted)
     fat.check_room(source.volume, files, f"image for {robot.id}")
     edited = source.disk.with_name(f"{robot.id}.fat")
     edited.touch(mode=0o600)
     fat.copy_range(source.disk, source.volume.start_bytes, source.volume.size_bytes, edited)
-    alone = _moved(source.volume, 0)
+    alone = replace(source.volume, start_bytes=0)
     fat.put_files(edited, alone, files)
-    judged = fat.fsck(edited, alone)
-    key = fingerprint(keys.host_key(around.config.swarm, robot.id))
-    return Prepared(robot.id, instance, key, kind, source.volume, edited, judged, len(files))
+    details = details_of(robot, around, keys, shipment, instance, kind, fat.fsck(edited, alone))
+    return Prepared(robot.id, source.volume, edited, details)
 
 
-def _moved(volume: Volume, start_bytes: int) -> Volume:
-    from dataclasses import replace
-
-    return replace(volume, start_bytes=start_bytes)
+def details_of(
+    robot: RobotConfig, around: Surroundings, keys: Keys, shipment: Shipment, instance: str, kind: str, fsck: str
+) -> dict[str, Any]:
+    """Return what the result says about a robot's boot partition; `fsck`: how fsck.vfat found it."""
+    return {
+        "instance": instance,
+        "host_key": fingerprint(keys.host_key(around.config.swarm, robot.id)),
+        "first_boot": kind,
+        "boot_partition": fsck,
+        "release": shipment.id,
+        "wifi": [network.ssid for network in around.networks],
+    }

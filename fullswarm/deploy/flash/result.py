@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 LOOK_S = 0.5
 CONNECT_S = 5.0
 ADVICE = (
-    "put its card into this computer and read `fullswarm flash --report /dev/sdX`; does the base's hub listen where "
-    "`hub.endpoint` says, for others too?"
+    "put its card into this computer and read `fullswarm flash --report /dev/sdX`; does the base's hub listen at "
+    "`hub.endpoint`, for other computers too?"
 )
 OK = ": OK"
 
 
 @dataclass(frozen=True, slots=True)
 class FirstReport:
-    """What a robot said of itself."""
+    """The first health report of a robot."""
 
     robot: str
     host: str
@@ -42,12 +42,12 @@ class FirstReport:
 
 
 def check_hub_answers(target: session.Target) -> None:
-    """Look whether there is a hub to wait at.
+    """Check that the hub answers.
 
     Raises
     ------
     Unreachable
-        None answers.
+        It does not answer.
     """
     with session.connect(target, CONNECT_S):
         pass
@@ -56,7 +56,7 @@ def check_hub_answers(target: session.Target) -> None:
 def wait_for_robots(
     target: session.Target, robots: Sequence[str], minutes: float
 ) -> tuple[dict[str, FirstReport], list[str]]:
-    """Return the robots that were received, printing each on stderr, and those that were not within `minutes`.
+    """Return the robots that were received, printing each on stderr, and those that did not report within `minutes`.
 
     Raises
     ------
@@ -64,33 +64,33 @@ def wait_for_robots(
         No hub answers.
     """
     with session.connect(target, CONNECT_S) as line:
-        heard = _listen(line, robots, minutes * 60.0)
-    return heard, [robot for robot in robots if robot not in heard]
+        reports = _listen(line, robots, minutes * 60.0)
+    return reports, [robot for robot in robots if robot not in reports]
 
 
 def _listen(line: Session, robots: Sequence[str], limit_s: float) -> dict[str, FirstReport]:
     from fullswarm.operator.view import FleetView
 
     view = FleetView(line.bus, line.keys, line.runtime, robots)
-    heard: dict[str, FirstReport] = {}
+    reports: dict[str, FirstReport] = {}
     began_s = line.runtime.now_s()
 
     def look() -> None:
         for row in view.snapshot().robots:
-            if row.robot in robots and row.robot not in heard and row.health is not None:
-                heard[row.robot] = hello = _first_report(row, line.runtime.now_s() - began_s)
+            if row.robot in robots and row.robot not in reports and row.health is not None:
+                reports[row.robot] = report = _first_report(row, line.runtime.now_s() - began_s)
                 output.progress(
-                    f"{hello.robot}: hello from {hello.host}, fullswarm {hello.version}, {hello.state}, "
-                    f"{hello.driver}, after {hello.after_s:.0f} s"
+                    f"{report.robot}: first report from {report.host}, fullswarm {report.version}, {report.state}, "
+                    f"{report.driver}, after {report.after_s:.0f} s"
                 )
-        if len(heard) == len(robots):
+        if len(reports) == len(robots):
             line.finish()
 
     output.progress(f"waiting for {', '.join(robots)} on {line.hub}, {limit_s / 60:g} minutes at most; Ctrl-C ends it")
     line.runtime.every(LOOK_S, look)
     line.run(limit_s)
     view.close()
-    return heard
+    return reports
 
 
 def _first_report(row: RobotRow, after_s: float) -> FirstReport:
@@ -122,7 +122,7 @@ def read_report(place: Path) -> str:
     Raises
     ------
     ConfigError
-        It cannot be read, or holds no report; says what that means.
+        It cannot be read, or holds no report.
     """
     if place.is_dir():
         content, ours = _from_folder(place)
@@ -133,10 +133,10 @@ def read_report(place: Path) -> str:
         raise ConfigError("was not written by fullswarm", where=str(place), hint=hint)
     if content is None:
         hint = (
-            "power (a good supply, its LED), the right board for this image, the card fully pushed in; "
-            "a screen shows how far it gets"
+            "power (a good supply, its LED), the right board for this image, the card fully inserted; "
+            "a screen shows how far it boots"
         )
-        raise ConfigError("no report: the robot has not come as far as its first boot", where=str(place), hint=hint)
+        raise ConfigError("no report: the robot did not reach its first boot", where=str(place), hint=hint)
     return content.decode("utf-8", "replace")
 
 

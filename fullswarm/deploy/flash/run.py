@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import sys
 import tempfile
 import threading
@@ -14,46 +13,45 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from rich.table import Table
+from rich.markup import escape
 
 from fullswarm import output
 from fullswarm.config import RobotConfig
-from fullswarm.deploy.flash import card, fat, image, payload, wifi
+from fullswarm.deploy.flash import card, fat, image, wifi
 from fullswarm.deploy.flash.card import Card
 from fullswarm.deploy.flash.fat import Volume, boot_volume
-from fullswarm.deploy.flash.payload import Shipment, Surroundings
+from fullswarm.deploy.flash.payload import BootPartition, Shipment, Surroundings, boot_files
 from fullswarm.deploy.flash.plan import (
     CardResult,
     FlashRequest,
-    access_for,
     confirm_loss,
+    details_of,
     prepare,
     read_head,
     release_for,
     robots_of,
-    seed_files,
 )
 from fullswarm.deploy.flash.result import ADVICE, FirstReport, check_hub_answers, wait_for_robots
 from fullswarm.deploy.flash.write import CardFailed, Job, Outcome, explain, write_jobs
 from fullswarm.deploy.fleet.login import Pins, known_hosts_name
 from fullswarm.deploy.fleet.releases import extras_needed
-from fullswarm.deploy.release.keys import Keys, fingerprint, public, usable
+from fullswarm.deploy.release.keys import Keys, public, usable
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
 from fullswarm.operator import session
 
-TELL_S = 2.0
+PROGRESS_S = 2.0
 
 
 def run(request: FlashRequest) -> int:
-    """Do it; return 0, 1 when a card failed.
+    """Flash cards; return 0, or 1 when a card failed.
 
     Raises
     ------
     ConfigError
-        Anything is wrong; nothing has been written then.
+        The request is wrong; nothing has been written then.
     Unreachable
-        All cards are written, but a robot was not heard within the time to wait.
+        All cards are written, but a robot did not report within the time to wait.
     """
     keys = Keys.default()
     try:
@@ -84,7 +82,7 @@ def _run(request: FlashRequest, keys: Keys) -> int:
     good = [line.robot for line in lines if not line.state.startswith("FAILED")]
     for robot in robots:
         if robot.id in good and pin_host_key(robot, config.swarm, keys):
-            output.progress(f"{robot.id}: another host key was known at its address; it is forgotten")
+            output.progress(f"{robot.id}: another host key was pinned at its address; it was removed")
     if request.wait_minutes is None or not good:
         return _show(request, lines, {})
     return _wait(request, lines, hub, good, request.wait_minutes)
@@ -93,7 +91,7 @@ def _run(request: FlashRequest, keys: Keys) -> int:
 def _wait(
     request: FlashRequest, lines: Sequence[CardResult], hub: session.Target, robots: Sequence[str], minutes: float
 ) -> int:
-    """Show what was written whatever comes of the waiting: at once to a person, at the end as the one document."""
+    """Wait for the robots; print the result before it, or at the end as one JSON document, whatever comes of it."""
     code = 0 if request.as_json else _show(request, lines, {})
     heard: dict[str, FirstReport] = {}
     try:
@@ -102,13 +100,13 @@ def _wait(
         if request.as_json:
             code = _show(request, lines, heard)
     if silent:
-        what = f"nothing was heard within {minutes:g} minutes"
+        what = f"no report within {minutes:g} minutes"
         raise Unreachable(what, where=", ".join(silent), hint=ADVICE)
     return code
 
 
 def _hand_over(folder: Path) -> None:
-    """Give what root has made among a user's keys to that user, whose next command runs without sudo."""
+    """Give files that root has made among a user's keys to that user, whose next command runs without sudo."""
     user = int(os.environ.get("SUDO_UID") or "0")
     if os.geteuid() != 0 or not user:
         return
@@ -131,10 +129,10 @@ def _targets(request: FlashRequest, robots: Sequence[RobotConfig]) -> tuple[Card
         raise ConfigError(f"{len(robots)} robots, but {count} cards", where="flash", hint=hint)
     if request.image is None and not request.seed_only:
         hint = "--image raspios.img.xz, or --seed-only for a card that was written before"
-        raise ConfigError("which image?", where="--image", hint=hint)
+        raise ConfigError("no image given", where="--image", hint=hint)
     if request.devices:
         cards = card.choose(card.list_cards(), request.devices, request.most_bytes)
-        for each in cards:  # known before the image is read and the serial number typed
+        for each in cards:  # before the image is read and the serial number typed
             if Path(each.path).exists() and not os.access(each.path, os.R_OK | os.W_OK):
                 raise explain(PermissionError(errno.EACCES, os.strerror(errno.EACCES)), Path(each.path), 0)
         return cards
@@ -181,32 +179,20 @@ def _flash(
     wanted = image.expected_sha256(request.image, request.sha256)
     if not request.image.is_file():
         with image.opened(request.image):
-            pass  # says what is wrong
+            pass  # raises what is wrong
     if wanted is None:
         output.progress("image: no SHA-256 given, so only its compression's own checks apply (--sha256)")
-    digest = image.check_sha256(request.image, wanted, _teller("checksum"))
+    digest = image.check_sha256(request.image, wanted, _progress("checksum"))
     with tempfile.TemporaryDirectory(prefix="fullswarm-flash-") as name:
         try:
-            source = read_head(request.image, Path(name), _teller("reading the boot partition"))
+            source = read_head(request.image, Path(name), _progress("reading the boot partition"))
             _check_sizes(targets, source.least_bytes)
             prepared = [prepare(robot, around, keys, shipment, source, request.first_boot) for robot in robots]
-        except OSError as error:  # of this computer: what is wrong with image or seed is a ConfigError
-            hint = "each card's boot partition lies there for a while: `TMPDIR=/var/tmp fullswarm flash …`"
+        except OSError as error:  # of this computer: an error of the image or the configuration is a ConfigError
+            hint = "each card's boot partition is kept there for a while: `TMPDIR=/var/tmp fullswarm flash …`"
             raise ConfigError(f"cannot prepare the cards: {error.strerror}", where=name, hint=hint) from error
         lines = [
-            CardResult(
-                each.robot,
-                _title(target),
-                details={
-                    "instance": each.instance,
-                    "host_key": each.host_key,
-                    "first_boot": each.kind,
-                    "boot_partition": each.judged,
-                    "release": shipment.id,
-                    "image_sha256": digest,
-                    "wifi": [network.ssid for network in around.networks],
-                },
-            )
+            CardResult(each.robot, _title(target), details={**each.details, "image_sha256": digest})
             for each, target in zip(prepared, targets, strict=True)
         ]
         if request.dry_run:
@@ -221,17 +207,15 @@ def _flash(
             outcomes = _write(request.image, jobs)
             _keep(targets, paths, outcomes)
     for line, outcome in zip(lines, outcomes, strict=True):
-        _tell_outcome(line, outcome)
+        _note_outcome(line, outcome)
     return lines
 
 
 def _check_sizes(targets: Sequence[Card | Path], needed: int) -> None:
     for each in targets:
-        free = each.size_bytes if isinstance(each, Card) else shutil.disk_usage(each.parent).free
-        what = _title(each)
-        if isinstance(each, Card) and free < needed:
+        if isinstance(each, Card) and each.size_bytes < needed:
             hint = f"take one of {needed / 1e9:.0f} GB or more"
-            raise ConfigError(f"the image needs {needed / 1e9:.1f} GB", where=what, hint=hint)
+            raise ConfigError(f"the image needs {needed / 1e9:.1f} GB", where=each.title, hint=hint)
 
 
 def _title(target: Card | Path) -> str:
@@ -240,7 +224,7 @@ def _title(target: Card | Path) -> str:
 
 @contextmanager
 def _partial(targets: Sequence[Card | Path]) -> Iterator[list[Path]]:
-    """Name what is written: cards themselves, files under a name that says they are not whole yet."""
+    """Return where to write: cards themselves, files as `*.partial` until they are complete."""
     paths = [Path(each.path) if isinstance(each, Card) else each.with_name(f"{each.name}.partial") for each in targets]
     files = [path for path, each in zip(paths, targets, strict=True) if isinstance(each, Path)]
     for path in files:
@@ -260,11 +244,11 @@ def _keep(targets: Sequence[Card | Path], paths: Sequence[Path], outcomes: Seque
 
 
 def _write(picture: Path, jobs: Sequence[Job]) -> list[Outcome]:
-    teller = _Teller()
+    progress = _Progress()
     try:
         with image.opened(picture) as stream:
-            return write_jobs(image.chunks(stream), jobs, teller)
-    except (ConfigError, OSError) as error:  # of the image: what goes wrong with a card stands in its outcome
+            return write_jobs(image.chunks(stream), jobs, progress)
+    except (ConfigError, OSError) as error:  # of the image: an error of a card is in its outcome
         what = error.what if isinstance(error, ConfigError) else f"cannot be read: {error.strerror or error}"
         hint = f"{image.AGAIN}, then flash this card again"
         failed = CardFailed(f"half written, not usable: {picture} {what}", hint=hint)
@@ -274,7 +258,7 @@ def _write(picture: Path, jobs: Sequence[Job]) -> list[Outcome]:
         raise
 
 
-def _tell_outcome(line: CardResult, outcome: Outcome) -> None:
+def _note_outcome(line: CardResult, outcome: Outcome) -> None:
     if outcome.error is not None:
         line.state, line.note = "FAILED", str(outcome.error)
         return
@@ -292,9 +276,9 @@ def _tell_outcome(line: CardResult, outcome: Outcome) -> None:
     }
 
 
-# ---------------------------------------------------------------- telling
-class _Teller:
-    """Tells how far cards are, every other second; called from the writers' threads."""
+# ---------------------------------------------------------------- progress and result
+class _Progress:
+    """Prints how far cards are, every other second; called from the writers' threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -303,15 +287,15 @@ class _Teller:
     def __call__(self, name: str, what: str, done: int) -> None:
         now_s = time.monotonic()
         with self._lock:
-            if now_s < self._next.setdefault((name, what), now_s + TELL_S):
+            if now_s < self._next.setdefault((name, what), now_s + PROGRESS_S):
                 return
-            self._next[name, what] = now_s + TELL_S
+            self._next[name, what] = now_s + PROGRESS_S
         output.progress(f"{name}: {what}: {done / 1e6:.0f} MB")
 
 
-def _teller(what: str) -> image.Tell:
-    teller = _Teller()
-    return lambda done: teller("image", what, done)
+def _progress(what: str) -> image.Report:
+    progress = _Progress()
+    return lambda done: progress("image", what, done)
 
 
 def _show(request: FlashRequest, lines: Sequence[CardResult], heard: dict[str, FirstReport]) -> int:
@@ -330,12 +314,10 @@ def _show(request: FlashRequest, lines: Sequence[CardResult], heard: dict[str, F
         ]
         output.data_json({"ok": not failed, "dry_run": request.dry_run, "cards": rows})
     else:
-        table = Table(box=None, pad_edge=False)
-        for column in ("robot", "card", "state", "what"):
-            table.add_column(column, overflow="fold")
+        table = output.plain_table("robot", "card", "state", "what")
         for line in lines:
             note = line.note or f"{line.details['first_boot']}, release {line.details['release']}"
-            table.add_row(line.robot, line.target, line.state, note)
+            table.add_row(*map(escape, (line.robot, line.target, line.state, note)))
         output.data_table(table, into_file=160)
         if not failed and not request.dry_run:
             output.progress("put the card in and switch the robot on; the first boot takes some minutes")
@@ -357,9 +339,9 @@ def _configure(
     Raises
     ------
     ConfigError
-        Anything is wrong; partitions before the one named may have been written then.
+        A partition cannot be written; those before the named one may have been written then.
     """
-    work = [_BootPartition.of(robot, target) for robot, target in zip(robots, targets, strict=True)]
+    work = [_Place(robot, target) for robot, target in zip(robots, targets, strict=True)]
     built = [place.build(around, keys, shipment, request.first_boot) for place in work]
     if not request.dry_run:
         confirm_loss(targets, request.agreed)
@@ -367,80 +349,42 @@ def _configure(
     lines = []
     for place, (files, instance, kind) in zip(work, built, strict=True):
         judged = "" if request.dry_run else place.put(files)
-        robot = place.robot.id
         state = "planned" if request.dry_run else "seeded"
-        details = {
-            "instance": instance,
-            "host_key": fingerprint(keys.host_key(around.config.swarm, robot)),
-            "first_boot": kind,
-            "boot_partition": judged,
-            "release": shipment.id,
-            "wifi": [network.ssid for network in around.networks],
-        }
-        lines.append(CardResult(robot, place.title, state, "" if request.dry_run else judged, details))
+        details = details_of(place.robot, around, keys, shipment, instance, kind, judged)
+        lines.append(CardResult(place.robot.id, place.title, state, "" if request.dry_run else judged, details))
     return lines
 
 
-class _BootPartition:
-    """A boot partition: in a disk, or as a mounted folder."""
+class _Place:
+    """Where a boot partition is: in a disk (`volume`), or mounted at a folder (None)."""
 
-    def __init__(self, robot: RobotConfig, path: Path, title: str, volume: Volume | None) -> None:
-        self.robot, self.path, self.title, self._volume = robot, path, title, volume
-
-    @classmethod
-    def of(cls, robot: RobotConfig, target: Card | Path) -> _BootPartition:
-        path = Path(target.path) if isinstance(target, Card) else target
-        title = target.title if isinstance(target, Card) else str(target)
-        if path.is_dir():
-            return cls(robot, path, title, None)
-        try:
-            number = os.open(path, os.O_RDWR | os.O_CLOEXEC | (os.O_EXCL if path.is_block_device() else 0))
-        except OSError as error:
-            raise explain(error, path, 0) from error
-        try:
-            return cls(robot, path, title, boot_volume(number, str(path)))
-        finally:
-            os.close(number)
+    def __init__(self, robot: RobotConfig, target: Card | Path) -> None:
+        self.robot, self.title = robot, _title(target)
+        self._path = Path(target.path) if isinstance(target, Card) else target
+        self._volume = None if self._path.is_dir() else _volume_of(self._path)
 
     def build(
         self, around: Surroundings, keys: Keys, shipment: Shipment, wanted: str
     ) -> tuple[dict[str, bytes], str, str]:
-        """Return the files, checked for room; the instance id; how the first boot is told."""
-        if self._volume is None:
-            return self._for_folder(around, keys, shipment, wanted)
-        made = seed_files(self.robot, around, keys, shipment, self.path, self._volume, wanted)
-        old = sum(len(fat.get_file(self.path, self._volume, name) or b"") for name in made[0])
-        roomy = replace(self._volume, free_bytes=self._volume.free_bytes + old)  # what is overwritten makes room
-        fat.check_room(roomy, made[0], str(self.path))
+        """Return the files, checked for room; the instance id; the kind of first boot."""
+        path, volume = self._path, self._volume
+        partition = BootPartition.of_folder(path) if volume is None else BootPartition.of_disk(path, volume)
+        made = boot_files(self.robot, around, keys, shipment, partition, wanted)
+        if volume is not None:
+            old = sum(len(partition.read(name) or b"") for name in made[0])
+            roomy = replace(volume, free_bytes=volume.free_bytes + old)  # what is overwritten makes room
+            fat.check_room(roomy, made[0], str(path))
         return made
 
-    def _for_folder(
-        self, around: Surroundings, keys: Keys, shipment: Shipment, wanted: str
-    ) -> tuple[dict[str, bytes], str, str]:
-        from fullswarm.deploy.robot.support_package import support_package
-
-        there = frozenset(each.name.lower() for each in self.path.iterdir())
-        access = access_for(self.robot, around.config.swarm, keys)
-        wish = payload.wish_for(self.robot, access, around)
-        kind = payload.first_boot_kind(there, self.path.name, wanted)
-        tool = support_package(self.robot, around.config, access.signers)
-        hub = around.config.hub.endpoint
-
-        def read(name: str) -> bytes | None:
-            file = self.path / name
-            return file.read_bytes() if file.is_file() else None
-
-        return payload.build(kind, wish, access, shipment, tool, hub, "", read), wish.instance, kind
-
     def put(self, files: dict[str, bytes]) -> str:
-        """Write; return how the partition was judged."""
+        """Write; return how the partition was found afterwards."""
         if self._volume is not None:
-            fat.put_files(self.path, self._volume, files)
-            with self.path.open("rb") as disk:
+            fat.put_files(self._path, self._volume, files)
+            with self._path.open("rb") as disk:
                 os.fsync(disk.fileno())
-            return fat.fsck(self.path, self._volume)
+            return fat.fsck(self._path, self._volume)
         for name, content in files.items():
-            target = self.path / name
+            target = self._path / name
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with target.open("wb") as file:
@@ -454,9 +398,20 @@ class _BootPartition:
         return f"{len(files)} files written; unmount it before you pull the card out"
 
 
+def _volume_of(disk: Path) -> Volume:
+    try:
+        number = os.open(disk, os.O_RDWR | os.O_CLOEXEC | (os.O_EXCL if disk.is_block_device() else 0))
+    except OSError as error:
+        raise explain(error, disk, 0) from error
+    try:
+        return boot_volume(number, str(disk))
+    finally:
+        os.close(number)
+
+
 # ---------------------------------------------------------------- host keys
 def pin_host_key(robot: RobotConfig, swarm: str, keys: Keys) -> bool:
-    """Pin a robot's own host key at its address; True when another one was known there before."""
+    """Pin a robot's own host key at its address; True when another one was pinned there before."""
     host = robot.host or f"{robot.id}.local"
     own = " ".join(public(keys.host_key(swarm, robot.id)).split()[:2])
     pins = Pins(keys.known_hosts, keys.host_key(swarm, robot.id).parent)
@@ -468,9 +423,9 @@ def pin_host_key(robot: RobotConfig, swarm: str, keys: Keys) -> bool:
 
 @contextmanager
 def provisional_host_keys(robots: Sequence[RobotConfig], swarm: str, keys: Keys) -> Iterator[Callable[[], None]]:
-    """Drop the host keys that are made in here, unless what it gives is called because writing begins.
+    """Remove the host keys that are made within this context, unless the function it yields is called before writing.
 
-    Without a card that has it, a key would only make a strange computer of the robot that answers.
+    A pinned key that is on no card would make the robot at that address look like another computer.
     """
     fresh = [each.id for each in robots if not keys.has_host_key(swarm, each.id)]
     try:

@@ -29,7 +29,7 @@ _ISO = (
     "TN TO TR TT TV TW TZ UA UG UM US UY UZ VA VC VE VG VI VN VU WF WS YE YT ZA ZM ZW"
 )
 COUNTRIES = frozenset(_ISO.split())
-"""ISO 3166-1: what a regulatory domain may be."""
+"""ISO 3166-1: the valid regulatory domains."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +51,17 @@ def check_country(text: str | None, *, wireless: bool) -> str:
     Raises
     ------
     ConfigError
-        It is missing although there is Wi-Fi, or no country's code.
+        It is missing although there is Wi-Fi, or is not a country's code.
     """
     if not text:
         if not wireless:
             return ""
-        what = "Wi-Fi needs the country where the robot is used: without it the radio stays switched off"
+        what = "Wi-Fi needs the country where the robot is used: without it the radio stays off"
         raise ConfigError(what, where="--country", hint="two letters, e.g. --country DE")
     country = text.strip().upper()
     if country not in COUNTRIES:
         hint = "the United Kingdom is GB" if country == "UK" else "two letters of ISO 3166, e.g. DE, US, JP"
-        raise ConfigError(f"'{text:.20}' is no country", where="--country", hint=hint)
+        raise ConfigError(f"'{text:.20}' is not a country", where="--country", hint=hint)
     return country
 
 
@@ -71,18 +71,18 @@ def network(ssid: str, passphrase: str, *, hidden: bool = False, where: str = "-
     Raises
     ------
     ConfigError
-        The name or the passphrase cannot be one.
+        The name or the passphrase is invalid.
     """
     raw = ssid.encode("utf-8", "surrogatepass")
     if not 1 <= len(raw) <= 32 or not ssid.isprintable():
-        what = f"'{ssid:.40}' cannot name a Wi-Fi network"
+        what = f"'{ssid:.40}' is not a valid Wi-Fi network name"
         raise ConfigError(what, where=where, hint="1 to 32 bytes, no control characters")
     if not passphrase:
         return Network(ssid, "", hidden)
     if _KEY.match(passphrase):
         return Network(ssid, passphrase.lower(), hidden)
     if not (8 <= len(passphrase) <= 63 and passphrase.isascii() and passphrase.isprintable()):
-        what = f"the passphrase of '{ssid}' is not one: {len(passphrase)} characters"
+        what = f"the passphrase of '{ssid}' is invalid: {len(passphrase)} characters"
         raise ConfigError(what, where=where, hint="8 to 63 ASCII characters, or the 64 hexadecimal digits of its key")
     key = hashlib.pbkdf2_hmac("sha1", passphrase.encode("ascii"), raw, 4096, 32).hex()
     return Network(ssid, key, hidden)
@@ -102,7 +102,7 @@ def read_file(path: Path) -> tuple[tuple[Network, ...], str]:
     Raises
     ------
     ConfigError
-        It cannot be read, others may read it, or it says something else.
+        It cannot be read, others may read it, or its content is invalid.
     """
     example = 'write [[network]] ssid = "lab" passphrase = "…", one per network'
     try:
@@ -117,7 +117,7 @@ def read_file(path: Path) -> tuple[tuple[Network, ...], str]:
         raise ConfigError(f"unknown: {', '.join(sorted(unknown))}", where=str(path), hint=example)
     entries = document.get("network", [])
     if not isinstance(entries, list) or not entries:
-        raise ConfigError("names no network", where=str(path), hint=example)
+        raise ConfigError("has no [[network]]", where=str(path), hint=example)
     return tuple(_entry(each, path, example) for each in entries), str(document.get("country", ""))
 
 
@@ -138,18 +138,18 @@ def gather(
     ask: Callable[[str], str],
     environment: Mapping[str, str] = os.environ,
 ) -> tuple[tuple[Network, ...], str]:
-    """Return all networks and the country; `ask` gets the passphrase of a network that no file knows.
+    """Return all networks and the country; `ask` returns the passphrase of a network that is in no file.
 
     Raises
     ------
     ConfigError
         Something about them is wrong, or the country is missing.
     """
-    networks, said = read_file(file) if file is not None else ((), "")
+    networks, from_file = read_file(file) if file is not None else ((), "")
     for ssid in ssids:
         known = environment.get(PASSPHRASE)
         networks += (network(ssid, ask(ssid) if known is None else known),)
     twice = {each.ssid for each in networks if [other.ssid for other in networks].count(each.ssid) > 1}
     if twice:
-        raise ConfigError(f"'{min(twice)}' is there twice", where="--wifi", hint="once is enough")
-    return networks, check_country(country or said, wireless=bool(networks))
+        raise ConfigError(f"'{min(twice)}' is given twice", where="--wifi", hint="name it once")
+    return networks, check_country(country or from_file, wireless=bool(networks))

@@ -10,7 +10,8 @@ import stat
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,19 +20,19 @@ from fullswarm.errors import ConfigError, FullswarmError
 
 _QUEUED_CHUNKS = 4
 _SYNC_BYTES = 64 << 20
-"""What has been written is waited for this often, so that progress is the card's and not the memory's."""
+"""Data is synchronised this often, so that the progress is that of the card, not of the page cache."""
 
 Progress = Callable[[str, str, int], None]
-"""Is told: which job, what it does (`write` or `read back`), how many bytes so far."""
+"""Called with the job, its phase (`write` or `read back`) and the bytes so far."""
 
 
 class CardFailed(FullswarmError):
-    """A card or its reader did not take, keep or give back what was written."""
+    """A card or its reader did not store what was written."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One card or file to write; `edited` is what takes the place of the image from `edited_at` on."""
+    """One card or file to write; `edited` replaces the image from `edited_at` on."""
 
     name: str
     target: Path
@@ -41,7 +42,7 @@ class Job:
 
 @dataclass(slots=True)
 class Outcome:
-    """How it went; times in seconds."""
+    """The outcome of a job; times in seconds."""
 
     name: str
     bytes: int = 0
@@ -64,7 +65,7 @@ class _Writer:
     _fed: bool = False
 
     def run(self) -> None:
-        """Write, wait for the card, read back; what goes wrong stands in the outcome."""
+        """Write, wait for the card, read back; errors are in the outcome."""
         try:
             self._write()
             self._read_back()
@@ -77,7 +78,7 @@ class _Writer:
                 f"{type(error).__name__}: {error} (a bug in fullswarm)", where=self.job.name
             )
         finally:
-            while not self._fed:  # the feeding thread must not wait for ever
+            while not self._fed:  # or the feeding thread would wait for ever
                 self._next()
 
     def _next(self) -> bytes | None:
@@ -88,46 +89,46 @@ class _Writer:
     def _write(self) -> None:
         began_s, digest, synced = time.monotonic(), hashlib.sha256(), 0
         with _open(self.job.target, os.O_WRONLY) as file, self.job.edited.open("rb") as edited:
-            sparse = stat.S_ISREG(os.fstat(file.number).st_mode)
+            sparse = stat.S_ISREG(os.fstat(file).st_mode)
             while (chunk := self._next()) is not None:
                 at = self.outcome.bytes
                 data = _overlay(chunk, at, edited.fileno(), self.job.edited_at)
                 if sparse:
-                    put_sparse(file.number, data, at)
+                    put_sparse(file, data, at)
                 else:
-                    write_all(file.number, data, at)
+                    write_all(file, data, at)
                 digest.update(data)
                 self._crcs.append(zlib.crc32(data))
                 self.outcome.bytes = at + len(data)
                 if self.outcome.bytes - synced >= _SYNC_BYTES:
-                    os.fdatasync(file.number)
+                    os.fdatasync(file)
                     synced = self.outcome.bytes
                 self.progress(self.job.name, "write", self.outcome.bytes)
             if self.stop.is_set():
                 raise CardFailed("interrupted: half written", where=self.job.name, hint="flash it again")
             if sparse:
-                os.truncate(file.number, self.outcome.bytes)
-            os.fsync(file.number)
+                os.truncate(file, self.outcome.bytes)
+            os.fsync(file)
         self.outcome.sha256 = digest.hexdigest()
         self.outcome.write_s = time.monotonic() - began_s
 
     def _read_back(self) -> None:
         began_s, digest, done = time.monotonic(), hashlib.sha256(), 0
         with _open(self.job.target, os.O_RDONLY) as file:
-            os.posix_fadvise(file.number, 0, 0, os.POSIX_FADV_DONTNEED)  # from the card, not from memory
+            os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)  # from the card, not from memory
             for crc in self._crcs:
                 if self.stop.is_set():
                     raise CardFailed("interrupted before it was read back", where=self.job.name, hint="flash it again")
-                data = os.pread(file.number, min(CHUNK_BYTES, self.outcome.bytes - done), done)
+                data = os.pread(file, min(CHUNK_BYTES, self.outcome.bytes - done), done)
                 if zlib.crc32(data) != crc:
-                    what = f"gives back something else than was written, from {done / 1e6:.0f} MB on"
-                    hint = "the card is worn out or smaller than it says, or the reader is bad: take another one"
+                    what = f"reads back different from what was written, from {done / 1e6:.0f} MB on"
+                    hint = "the card is worn out or smaller than labelled, or the reader is faulty: use another one"
                     raise CardFailed(what, where=self.job.name, hint=hint)
                 digest.update(data)
                 done += len(data)
                 self.progress(self.job.name, "read back", done)
         if digest.hexdigest() != self.outcome.sha256:
-            raise CardFailed("gives back something else than was written", where=self.job.name, hint="take another")
+            raise CardFailed("reads back different from what was written", where=self.job.name, hint="use another one")
         self.outcome.verify_s = time.monotonic() - began_s
 
 
@@ -137,7 +138,7 @@ def write_jobs(chunks: Iterable[bytes], jobs: Sequence[Job], progress: Progress)
     Raises
     ------
     KeyboardInterrupt
-        Ctrl-C: what was begun is half written, and says so in its outcome and on stderr.
+        Ctrl-C: cards in progress are half written, as their outcome and stderr report.
     """
     stop = threading.Event()
     writers = [_Writer(job, progress, stop, Outcome(job.name)) for job in jobs]
@@ -165,21 +166,15 @@ def _finish(writers: Sequence[_Writer], threads: Sequence[threading.Thread]) -> 
         thread.join()
 
 
-@dataclass(slots=True)
-class _open:  # noqa: N801  (reads like the built-in)
-    """A file descriptor for a card or a file; a card only if it is not mounted."""
-
-    path: Path
-    flags: int
-    number: int = -1
-
-    def __enter__(self) -> _open:
-        exclusive = os.O_EXCL if self.path.is_block_device() else 0
-        self.number = os.open(self.path, self.flags | exclusive | os.O_CLOEXEC)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self.number)
+@contextmanager
+def _open(path: Path, flags: int) -> Iterator[int]:
+    """Open a card or a file; a card only if it is not mounted."""
+    exclusive = os.O_EXCL if path.is_block_device() else 0
+    number = os.open(path, flags | exclusive | os.O_CLOEXEC)
+    try:
+        yield number
+    finally:
+        os.close(number)
 
 
 def _overlay(chunk: bytes, at: int, edited: int, edited_at: int) -> bytes:
@@ -193,17 +188,17 @@ def _overlay(chunk: bytes, at: int, edited: int, edited_at: int) -> bytes:
 
 
 def explain(error: OSError, target: Path, at_bytes: int) -> FullswarmError:
-    """Return what a kernel error means for the user who writes a card."""
+    """Return the error that explains an OSError to the user who writes a card."""
     where = str(target)
     if error.errno in (errno.EACCES, errno.EPERM):
         hint = 'cards are root\'s: `sudo -E "$(command -v fullswarm)" flash …`, or join group disk'
-        return ConfigError("this user may not read and write it", where=where, hint=hint)
+        return ConfigError("permission denied", where=where, hint=hint)
     if error.errno == errno.EBUSY:
         return ConfigError("is in use", where=where, hint="unmount it; desktops mount cards by themselves")
     if error.errno == errno.ENOSPC:
         what = f"is full after {at_bytes / 1e6:.0f} MB"
-        return CardFailed(what, where=where, hint="take a larger card, or free some space")
+        return CardFailed(what, where=where, hint="use a larger card, or free some space")
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.ENOMEDIUM):
-        return CardFailed("is gone", where=where, hint="was the card pulled out? Put it back and flash it again")
+        return CardFailed("is gone", where=where, hint="was the card removed? insert it and flash it again")
     what = f"fails at {at_bytes / 1e6:.0f} MB: {error.strerror}"
-    return CardFailed(what, where=where, hint="take another card, then another reader")
+    return CardFailed(what, where=where, hint="use another card, then another reader")

@@ -128,7 +128,7 @@ def missing_of(release: Path, answer: bytes, robot: str) -> tuple[str, ...]:
 
 
 def size_of(release: Path) -> int:
-    """Return the bytes that a whole release takes on a disk."""
+    """Return the bytes that a complete release takes on a disk."""
     return sum((release / each).stat().st_size for each in manifest.read_sums(release))
 
 

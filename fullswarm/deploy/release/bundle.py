@@ -31,17 +31,17 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class BundleRequest:
-    """What a user wants on their robots.
+    """The options of `fullswarm bundle`.
 
     Attributes
     ----------
     packages
         Outside behaviours and drivers: wheels, or folders with a ``pyproject.toml``.
     upgrade
-        Take the newest versions; else those of the latest release for the target stay wherever they fit, so that an
-        update carries what changed and nothing else.
+        Use the newest versions; else those of the latest release for the target stay wherever they fit, so that an
+        update carries only what changed.
     wheels
-        A folder to take all wheels from, instead of a package index.
+        A folder with all wheels, instead of a package index.
     """
 
     target: Target
@@ -52,7 +52,7 @@ class BundleRequest:
 
 
 def plan(request: BundleRequest, store: Store) -> Mapping[str, str]:
-    """Return ``{package: version}`` of what a release would hold; make nothing.
+    """Return ``{package: version}`` of what a release would hold, without making it.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def plan(request: BundleRequest, store: Store) -> Mapping[str, str]:
 
 
 def make(request: BundleRequest, store: Store, keys: Keys, say: Say = lambda _: None) -> Path:
-    """Make a release, or the same one again; return its folder in the store. `say` is told of each step.
+    """Make a release, or the same one again; return its folder in the store. `say` gets a line for each step.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _planned(request: BundleRequest, store: Store, work: Path) -> tuple[Wanted, 
 
 @contextmanager
 def staging(store: Store) -> Iterator[Path]:
-    """Give an empty folder to build a release in, on the store's own file system; what is left in it is removed.
+    """Yield an empty folder to build a release in, on the store's own file system; remove it at the end.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def staging(store: Store) -> Iterator[Path]:
 
 
 def seal(folder: Path, facts: Manifest, store: Store, keys: Keys) -> Path:
-    """Name, sum up and sign what lies in `folder`, and move it into the store; return its place there."""
+    """Add id, checksums and signature to `folder`, and move it into the store; return its path there."""
     _same_modes(folder)
     named = replace(facts, id=manifest.id_for(facts, manifest.sums_of(folder, without=(manifest.MANIFEST,))))
     (folder / manifest.MANIFEST).write_text(named.to_json(), "utf-8")
@@ -143,6 +143,6 @@ def seal(folder: Path, facts: Manifest, store: Store, keys: Keys) -> Path:
 
 
 def _same_modes(folder: Path) -> None:
-    """Make modes those of any other machine's build: 0755 for folders and what may run, 0644 for all else."""
+    """Set the same modes as on any other machine: 0755 for folders and what may run, 0644 for all else."""
     for path in folder.rglob("*"):
         path.chmod(0o755 if path.is_dir() or path.stat().st_mode & 0o100 else 0o644)

@@ -10,15 +10,15 @@ from pathlib import Path
 import fullswarm
 
 OWN = Path(fullswarm.__file__).parent
-"""Where this fullswarm lies, in a checkout or an environment: a release takes the code that made it."""
+"""Folder of this fullswarm, in a checkout or an environment: a release contains the code that made it."""
 NOT_ON_BOARD = ("testing/", "emulators/", "simulation/", "operator/console/page/", "bringup/lab/")
-"""What no robot runs: checks for developers, emulated robots and their world, the console's
+"""Not on robots: checks for developers, emulated robots and their world, the console's
 page, the lab of `fullswarm init`."""
 _LEFTOVERS = (".pyc", ".orig", ".rej", "~", ".md")
-"""The last: notes for readers of a checkout; an installed fullswarm, which must make the same bytes, has none."""
+"""The last, because only a checkout has such notes, and an installed fullswarm must make the same bytes."""
 _INSTALLER = (
-    r"\.[^/]*",  # what the installer leaves at the top
-    r"bin/.*",  # scripts with the first line of this machine
+    r"\.[^/]*",  # files of the installer at the top
+    r"bin/.*",  # scripts with this machine's interpreter
     r"(.*/)?__pycache__/.*",
     r"[^/]+\.dist-info/(RECORD|INSTALLER|REQUESTED|WHEEL|direct_url\.json|uv_[^/]*\.json|sboms/.*)",
 )
@@ -29,7 +29,7 @@ _RULES = (
     r"share/.*|include/.*",
     r"numpy/(f2py|_pyinstaller)/.*",
     r"numpy/conftest\.py",
-    r"pygments/lexers/(?!(__init__|_mapping|python|special|text)\.py$).*",  # rich's: it shows Python at most
+    r"pygments/lexers/(?!(__init__|_mapping|python|special|text)\.py$).*",  # used by rich, for Python at most
     # pymavlink: fullswarm speaks MAVLink 2 with this one dialect, which holds all of `common`.
     r"pymavlink/dialects/v(09|10)/.*",
     r"pymavlink/dialects/v20/(?!(ardupilotmega|common|__init__)\.py$).*",
@@ -50,7 +50,7 @@ def copy_app(place: Path) -> None:
 
 
 def copy_robot_files(place: Path) -> None:
-    """Copy what stands on a robot outside every release to `place`, so that a release can install by itself."""
+    """Copy what stands on a robot outside every release to `place`, so that a release can install itself."""
     source = OWN / "deploy" / "robot"
     for name in _plain_files(source):
         if not name.endswith(".py"):
@@ -58,7 +58,7 @@ def copy_robot_files(place: Path) -> None:
 
 
 def _plain_files(folder: Path) -> Iterator[str]:
-    """Yield the paths of the files below a folder that people wrote; not what tools and editors leave."""
+    """Yield the paths of the source files below a folder, without what tools and editors leave."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder)
         hidden = any(part.startswith(".") or part == "__pycache__" for part in name.parts)
@@ -75,16 +75,16 @@ def _copy(source: Path, place: Path) -> None:
 
 # ---------------------------------------------------------------- what of the wheels stays
 def needed(path: str) -> bool:
-    """Tell whether a file of unpacked wheels, by its path below them, is needed on board."""
+    """Return whether a file of unpacked wheels, by its path below them, is needed on board."""
     if _LICENCE.fullmatch(path) and "__pycache__" not in path:
         return True
     return not _NOT_NEEDED.fullmatch(path)
 
 
 def trim(folder: Path, *, whole: bool = False) -> int:
-    """Delete what is not needed; return how many bytes that was.
+    """Delete what is not needed; return the number of bytes.
 
-    With `whole` the packages stay as their authors made them, but for what the installer left.
+    With `whole` only the files of the installer are deleted.
     """
     gone = 0
     for path in sorted(folder.rglob("*"), reverse=True):  # files before their folder

@@ -35,7 +35,7 @@ IDENTITY = "fullswarm"
 class Keys:
     """The release key signs, the fleet key logs in, a host key is a robot's own; all are Ed25519.
 
-    A backup of the folder is a backup of the power over the fleet: robots trust no other release key.
+    Keep a backup of the folder: robots trust no other release key.
     """
 
     folder: Path
@@ -55,31 +55,31 @@ class Keys:
         return self._key("fleet_ed25519", "fullswarm fleet")
 
     def host_key(self, swarm: str, robot: str) -> Path:
-        """Return the private host key of a robot: made here, so that the base knows the robot before they meet.
+        """Return the private host key of a robot: made here, so that the base knows it before the first connection.
 
         Raises
         ------
         ConfigError
-            A name cannot be a file's.
+            A name is not a valid file name.
         """
         return self._key(self._host_key(swarm, robot), f"fullswarm {swarm} {robot}")
 
     def has_host_key(self, swarm: str, robot: str) -> bool:
-        """Tell whether one was made here before."""
+        """Return whether one was made here before."""
         with usable(self.folder):
             return (self.folder / self._host_key(swarm, robot)).exists()
 
     def forget_host_key(self, swarm: str, robot: str) -> None:
-        """Remove it: no card has it."""
+        """Remove it, when no card has it."""
         path = self.folder / self._host_key(swarm, robot)
         with usable(self.folder), self._alone():
-            path.unlink(missing_ok=True)  # the private half first, as it was made last
+            path.unlink(missing_ok=True)  # the private half first, because it was made last
             Path(f"{path}.pub").unlink(missing_ok=True)
 
     def _host_key(self, swarm: str, robot: str) -> str:
         for each in (swarm, robot):
             if not _NAME.fullmatch(each):
-                raise ConfigError(f"'{each}' cannot be a file's name", hint="letters, digits, - and _")
+                raise ConfigError(f"'{each}' is not a valid file name", hint="letters, digits, - and _")
         return f"hosts/{swarm}/{robot}_ed25519"
 
     @property
@@ -88,7 +88,7 @@ class Keys:
         return self.folder / "known_hosts"
 
     def allowed_signers(self) -> str:
-        """Return the line that a robot keeps: whose signature it takes, and for what."""
+        """Return the line by which a robot accepts our signatures."""
         kind, key = public(self.release_key()).split()[:2]
         return f'{IDENTITY} namespaces="{NAMESPACE}" {kind} {key}\n'
 
@@ -104,7 +104,7 @@ class Keys:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """Keep other processes out: two keys of one name would lock a user out of the fleet."""
+        """Hold the lock: two keys of one name would lock a user out of the fleet."""
         _folder(self.folder)
         with (self.folder / ".lock").open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -113,7 +113,7 @@ class Keys:
 
 @contextmanager
 def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
-    """Say which file of `folder` this user may not read or write: `sudo fullswarm` leaves root's among a user's.
+    """Report which file of `folder` this user may not read or write, such as one that `sudo fullswarm` left.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def usable(folder: Path, writing: Path | None = None) -> Iterator[None]:
     Raises
     ------
     ConfigError
-        In place of the system's own error, unless that is of a file elsewhere or of one that is not there.
+        Instead of an OSError about a file of `folder`, unless the file is missing.
     """
     try:
         yield
@@ -173,7 +173,7 @@ def _folder(path: Path) -> None:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         hint = f"name another folder in {ENVIRONMENT}"
-        raise ConfigError(f"no keys can be kept here: {error.strerror}", where=str(path), hint=hint) from error
+        raise ConfigError(f"keys cannot be stored here: {error.strerror}", where=str(path), hint=hint) from error
 
 
 def _private(path: Path) -> None:
@@ -189,15 +189,15 @@ def ssh_keygen(*arguments: str, feed: bytes = b"", why: str) -> bytes:
     Raises
     ------
     ConfigError
-        It is not installed, or it refuses; `why` says in the message what was wanted of it.
+        It is not installed, or it fails; `why` is the purpose, for the message.
     """
     tool = shutil.which(_SSH_KEYGEN)
     if tool is None:
         raise ConfigError(f"cannot {why}: {_SSH_KEYGEN} is not installed", hint="sudo apt install openssh-client")
-    done = subprocess.run([tool, *arguments], input=feed, capture_output=True, check=False)  # noqa: S603 - no shell, our words
+    done = subprocess.run([tool, *arguments], input=feed, capture_output=True, check=False)  # noqa: S603 - no shell, fixed arguments
     if done.returncode != 0:
         words = (done.stderr or done.stdout).decode(errors="replace").strip().splitlines()
-        raise ConfigError(f"cannot {why}: {_SSH_KEYGEN} says: {words[-1] if words else f'exit {done.returncode}'}")
+        raise ConfigError(f"cannot {why}: {_SSH_KEYGEN}: {words[-1] if words else f'exit {done.returncode}'}")
     return done.stdout
 
 
@@ -221,12 +221,12 @@ def verify_release(folder: Path, allowed_signers: str) -> None:
     Raises
     ------
     ConfigError
-        The signature is missing, foreign or does not fit, or a file was changed, added or lost.
+        The signature is missing or wrong, or a file was changed, added or removed.
     """
     try:
         text, signature = (folder / manifest.SUMS).read_bytes(), folder / manifest.SIGNATURE
     except OSError as error:
-        raise ConfigError("not a whole release: no checksums", where=str(folder), hint="bundle again") from error
+        raise ConfigError("not a complete release: no checksums", where=str(folder), hint="bundle again") from error
     if not signature.is_file():
         raise ConfigError("the release is not signed", where=str(folder), hint="bundle again")
     with tempfile.NamedTemporaryFile("w", encoding="utf-8") as signers:
@@ -236,6 +236,6 @@ def verify_release(folder: Path, allowed_signers: str) -> None:
         try:
             ssh_keygen("-Y", "verify", *arguments, feed=text, why="verify the signature")
         except ConfigError as error:
-            hint = "signed on another base, or changed since: bundle it here"
+            hint = "signed on another base, or changed since; bundle it here"
             raise ConfigError(error.what, where=str(folder), hint=error.hint or hint) from error
     manifest.check_sums(folder)

@@ -1,4 +1,4 @@
-"""Reads and writes what a release says about itself: ``manifest.json``, the first file a robot reads, and checksums.
+"""Reads and writes the description of a release: ``manifest.json``, the first file a robot reads, and checksums.
 
 ``SHA256SUMS`` holds every file of a release with its digest, as ``sha256sum`` writes and checks it.
 """
@@ -30,7 +30,7 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a release runs on: ``arch`` as ``uname -m`` says it; the oldest ``glibc``; Python's ``major.minor``."""
+    """What a release runs on: ``arch`` as ``uname -m`` prints it; the oldest ``glibc``; Python's ``major.minor``."""
 
     name: str
     arch: str
@@ -86,7 +86,7 @@ class Manifest:
             if raw["format"] != FORMAT:
                 hint = "update fullswarm here, or bundle again"
                 raise ConfigError(
-                    f"a release of format {raw['format']}; this fullswarm knows {FORMAT}", where=where, hint=hint
+                    f"a release of format {raw['format']}; this fullswarm reads format {FORMAT}", where=where, hint=hint
                 )
             return _from_json(raw)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -115,12 +115,12 @@ def _from_json(raw: dict[str, Any]) -> Manifest:
 
 
 def is_id(text: str) -> bool:
-    """Tell whether a text can be a release's id: it becomes a folder's name and an argument of a shell command."""
+    """Return whether a text can be a release's id: it becomes a folder's name and an argument of a shell command."""
     return _ID.fullmatch(text) is not None and ".." not in text
 
 
 def id_for(manifest: Manifest, sums: str) -> str:
-    """Return the id of a release: of `manifest` whatever id it has now, and of the `sums` of its other files."""
+    """Return the id of a release: of `manifest` regardless of its present id, and of the `sums` of its other files."""
     nameless = Manifest(
         "", *(getattr(manifest, key) for key in ("version", "target", "extras", "packages", "robot_protocol"))
     )
@@ -135,7 +135,7 @@ def files_of(folder: Path) -> Iterator[str]:
     Raises
     ------
     ConfigError
-        There is a link, a device, or a name that the tools on a robot could misread.
+        There is a link, a device, or a name that tools on a robot could misread.
     """
     found = []
     for parent, folders, names in os.walk(folder):
@@ -197,7 +197,9 @@ def read_sums(folder: Path) -> dict[str, str]:
     try:
         return parse_sums(path.read_text("utf-8"), str(path))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError("this is not a whole release: no checksums", where=str(path), hint="bundle again") from error
+        raise ConfigError(
+            "this is not a complete release: no checksums", where=str(path), hint="bundle again"
+        ) from error
 
 
 def check_sums(folder: Path) -> None:

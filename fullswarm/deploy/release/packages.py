@@ -39,9 +39,9 @@ _EXTRA = re.compile(r"""^(?P<requirement>[^;]+);\s*extra\s*==\s*["'](?P<extra>[^
 _LOWEST = re.compile(r">=\s*([0-9][0-9.]*)")
 _LEAVE = shutil.ignore_patterns(".*", "__pycache__", "build", "dist", "*.egg-info", "venv", "node_modules")
 NEVER = frozenset({"matplotlib", "numba", "pybullet"})
-"""No robot runs these, whatever asks for them."""
+"""Never on a robot, whatever requires them."""
 HEAVY = {"scipy": ("core", "estimation")}
-"""Only in a release that was asked for one of these extras."""
+"""Only in a release with one of these extras."""
 UNNEEDED = ("lxml", "matplotlib")
 """What pymavlink needs to generate dialects, and filterpy to draw: left out, unless an outside package names it."""
 _ELF_MACHINES = {"aarch64": 183, "x86_64": 62}
@@ -69,14 +69,14 @@ def requirements() -> Requirements:
     project = OWN.parent / "pyproject.toml"
     if project.is_file():
         table = tomllib.loads(project.read_text("utf-8")).get("project", {})
-        if table.get("name") == "fullswarm":  # what was installed in a checkout may be older than its pyproject
+        if table.get("name") == "fullswarm":  # the installed metadata may be older than the checkout
             extras = table.get("optional-dependencies", {})
             return Requirements(tuple(table["dependencies"]), {key: tuple(extras[key]) for key in ONBOARD})
     try:
         lines = importlib.metadata.requires("fullswarm") or []
     except importlib.metadata.PackageNotFoundError as error:
         hint = "pip install fullswarm, or run in a checkout"
-        raise ConfigError("what fullswarm requires is not known: it is not installed", hint=hint) from error
+        raise ConfigError("the requirements of fullswarm are unknown: it is not installed", hint=hint) from error
     parts = [(line, _EXTRA.match(line)) for line in lines]
     extras = {
         key: tuple(each["requirement"].strip() for _, each in parts if each is not None and each["extra"] == key)
@@ -108,8 +108,8 @@ def package_name(requirement: str) -> str:
 def code_free_wheel(folder: Path, needs: Requirements) -> Path:
     """Write a wheel that has fullswarm's name and requirements but no code.
 
-    With it the resolver sees fullswarm as any other package: it reports what does not fit in fullswarm's name, and an
-    outside package's ``fullswarm>=0.1`` is held against the version that goes on board.
+    With it the resolver treats fullswarm as any other package: conflicts are reported in its name, and an outside
+    package's ``fullswarm>=0.1`` is compared with the version that goes on board.
     """
     lines = ["Metadata-Version: 2.4", "Name: fullswarm", f"Version: {__version__}", "License-Expression: Apache-2.0"]
     lines += [f"Requires-Dist: {each}" for each in needs.always]
@@ -131,7 +131,7 @@ def code_free_wheel(folder: Path, needs: Requirements) -> Path:
 
 
 def _licence() -> str:
-    """Return the text of our licence, or nothing where it did not come along."""
+    """Return the text of our licence, or an empty text where it is missing."""
     beside = OWN.parent / "LICENSE"
     if beside.is_file():
         return beside.read_text("utf-8")
@@ -170,7 +170,7 @@ def find_outside(path: Path, work: Path, wheels: Path | None) -> Outside:
 
 
 def _build(folder: Path, work: Path, wheels: Path | None) -> Path:
-    # A copy: building leaves folders behind, and an old `build/` would get its stale files into the wheel.
+    # A copy: building leaves folders behind, and stale files of an old `build/` would get into the wheel.
     number = sum(1 for each in work.glob("built-*"))
     source, out = work / f"source-{number}" / folder.name, work / f"built-{number}"
     shutil.copytree(folder, source, ignore=_LEAVE)
@@ -190,8 +190,10 @@ def _build(folder: Path, work: Path, wheels: Path | None) -> Path:
     )
     made = list(out.glob("*.whl"))
     if len(made) != 1 or not made[0].name.endswith("-any.whl"):
-        what = "it has compiled parts, which would be for this machine and not for the robot"
-        raise ConfigError(what, where=f"--package {folder}", hint="build its wheel on such a robot, and give that")
+        what = "it has compiled parts, which would be for this machine instead of the robot"
+        raise ConfigError(
+            what, where=f"--package {folder}", hint="build its wheel on such a robot, and give that wheel"
+        )
     return made[0]
 
 
@@ -223,7 +225,7 @@ class Wanted:
 
     def platform(self) -> list[str | Path]:
         """Return uv's options for the target."""
-        # This interpreter only carries out what is asked: without it uv looks through all that the machine has.
+        # Named, because uv would otherwise search all interpreters of the machine.
         options: list[str | Path] = ["--python", sys.executable, "--python-platform", self.target.manylinux]
         options += ["--python-version", self.target.python, "--only-binary", ":all:"]
         if self.wheels is not None:
@@ -237,9 +239,9 @@ def resolve(wanted: Wanted, work: Path) -> dict[str, str]:
     Raises
     ------
     ConfigError
-        A package has no wheel for the target, or the outcome breaks a rule of ours.
+        A package has no wheel for the target, or the result breaks a rule below.
     Unreachable
-        No index answers.
+        No package index answers.
     """
     needs = requirements()
     code_free = code_free_wheel(work, needs)
@@ -249,7 +251,7 @@ def resolve(wanted: Wanted, work: Path) -> dict[str, str]:
     asked = {package_name(line) for each in wanted.outside for line in each.requires}
     _write(work / "wanted.in", lines)
     _write(work / "left-out.txt", [f"{each} ; python_version < '3'" for each in UNNEEDED if each not in asked])
-    # What the file holds already is kept wherever it still fits: the versions that robots have on board.
+    # Versions in the file are kept wherever they fit: those that robots have on board.
     _write(work / "lib.txt", [f"{name}=={version}" for name, version in (wanted.before or {}).items()])
     run_uv(
         work,
@@ -268,7 +270,7 @@ def resolve(wanted: Wanted, work: Path) -> dict[str, str]:
 
 
 def check_versions(plan: Mapping[str, str], needs: Requirements, extras: tuple[str, ...]) -> None:
-    """Hold resolved versions against fullswarm's own bounds, and against what robots must not carry.
+    """Compare resolved versions with fullswarm's own bounds, and with what must not be on a robot.
 
     Raises
     ------
@@ -319,7 +321,7 @@ def install_outside(wanted: Wanted, work: Path, app: Path) -> None:
 
 
 def _unpack(wanted: Wanted, work: Path, place: Path, *what: str | Path, why: str) -> None:
-    # Copied: a hard link into uv's cache would share the modes that we set, and whatever happens to the release.
+    # Copied: a hard link into uv's cache would share modes and later changes with the release.
     options = (
         "--no-deps",
         "--link-mode",
@@ -332,7 +334,7 @@ def _unpack(wanted: Wanted, work: Path, place: Path, *what: str | Path, why: str
 
 
 def check_there(folder: Path, plan: Mapping[str, str]) -> None:
-    """Check that each planned package lies in `folder`: what is signed must be what the manifest says.
+    """Check that each planned package is in `folder`: what is signed must match the manifest.
 
     Raises
     ------
@@ -357,7 +359,7 @@ def check_machine(folder: Path, target: Target) -> None:
             head = file.read(20)
         if head[:4] == b"\x7fELF" and struct.unpack_from("<H", head, 18)[0] != _ELF_MACHINES[target.arch]:
             what = f"this library is not for {target.arch}"
-            raise ConfigError(what, where=str(path.relative_to(folder)), hint="bring a wheel that was built there")
+            raise ConfigError(what, where=str(path.relative_to(folder)), hint="use a wheel that was built for it")
 
 
 def _write(path: Path, lines: list[str]) -> None:
@@ -366,7 +368,7 @@ def _write(path: Path, lines: list[str]) -> None:
 
 # ---------------------------------------------------------------- uv
 def run_uv(folder: Path, *arguments: str | Path, why: str) -> str:
-    """Run uv in `folder` and return its stdout; `why` says in an error what was wanted of it.
+    """Run uv in `folder` and return its stdout; `why` is the purpose, for errors.
 
     Raises
     ------
@@ -375,7 +377,7 @@ def run_uv(folder: Path, *arguments: str | Path, why: str) -> str:
     Unreachable
         The package index does not answer.
     ConfigError
-        uv says no, for instance because a package has no wheel for the target.
+        uv fails, for instance because a package has no wheel for the target.
     """
     tool = shutil.which("uv", path=f"{_HERE}{os.pathsep}{os.environ.get('PATH', '')}")
     if tool is None:

@@ -25,7 +25,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 ENVIRONMENT = "FULLSWARM_RELEASES"
 """Names another folder for the releases."""
 HEAD = (manifest.MANIFEST, manifest.SUMS, manifest.SIGNATURE)
-"""The files by which a robot judges a release before it takes any other."""
+"""The files by which a robot verifies a release before it accepts any other."""
 _GZIP = 31  # window bits that make zlib write a gzip header, without a name or a time
 _BLOCK = 1 << 16
 
@@ -43,7 +43,7 @@ class Store:
         return cls(Path(named) if named else platformdirs.user_data_path("fullswarm") / "releases")
 
     def ids(self) -> list[str]:
-        """Return the ids of all releases, the one that was made last at the end."""
+        """Return the ids of all releases, the latest one last."""
         if not self.folder.is_dir():
             return []
         there = [
@@ -68,7 +68,7 @@ class Store:
         raise ConfigError(f"there is no release '{release}'", where=str(self.folder), hint=hint)
 
     def latest(self, target: str | None = None, python: str | None = None) -> Path | None:
-        """Return the release that was made last, of a target and a Python if they are named."""
+        """Return the latest release, of a target and a Python if they are named."""
         for name in reversed(self.ids()):
             made_for = Manifest.read(self.folder / name).target
             if target in (None, made_for.name) and python in (None, made_for.python):
@@ -78,7 +78,7 @@ class Store:
     def add(self, fresh: Path) -> Path:
         """Move a release into the store, hard-linked to the latest one of its target where they agree.
 
-        `fresh` must be a signed release on the same file system; it is gone afterwards.
+        `fresh` must be a signed release on the same file system; it is moved away.
         """
         facts = Manifest.read(fresh)
         place = self.folder / facts.id
@@ -87,9 +87,9 @@ class Store:
             _share(fresh, before)
         newest = max((each.stat().st_mtime_ns for each in self._made()), default=0)
         if place.exists():
-            shutil.rmtree(place)  # the same content by its name, unless it was modified: ours is intact
+            shutil.rmtree(place)  # of the same content, unless it was modified since
         fresh.replace(place)
-        now = max(time.time_ns(), newest + 1)  # whatever the clock did, this one is the latest
+        now = max(time.time_ns(), newest + 1)  # the latest one, even if the clock was set back
         os.utime(place, ns=(now, now))
         return place
 
@@ -102,7 +102,7 @@ def _share(fresh: Path, before: Path) -> None:
     old = manifest.read_sums(before)
     for path, digest in manifest.read_sums(fresh).items():
         mine, theirs = fresh / path, before / path
-        # Compared byte by byte: a file that was damaged since must not get into the next release.
+        # Compared byte by byte: a file that was damaged since must not be linked into the next release.
         if old.get(path) == digest and theirs.is_file() and filecmp.cmp(mine, theirs, shallow=False):
             linked = mine.with_name(f"{mine.name}.linked")
             os.link(theirs, linked)
@@ -111,7 +111,7 @@ def _share(fresh: Path, before: Path) -> None:
 
 # ---------------------------------------------------------------- archives
 def head_archive(folder: Path) -> bytes:
-    """Return the tar of the three files that say what a release is, for ``fullswarm-robot want``."""
+    """Return the tar of the three files that describe a release, for ``fullswarm-robot want``."""
     return b"".join(plain_archive(folder, HEAD))
 
 

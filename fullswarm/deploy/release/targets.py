@@ -1,4 +1,4 @@
-"""The computers that releases are made for, and plain words for those that none can be made for."""
+"""Defines the computers that releases are made for, and the errors for those that are not supported."""
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ def target(name: str, python: str | None = None) -> Target:
     chosen = usual.python if python is None else python
     if chosen not in PYTHONS:
         what = f"no release for Python {chosen}: fullswarm runs on {', '.join(PYTHONS)}"
-        raise ConfigError(what, where="--python", hint=_HINTS.get(name, "python3 --version on the robot says which"))
+        raise ConfigError(what, where="--python", hint=_HINTS.get(name, "see `python3 --version` on the robot"))
     return Target(usual.name, usual.arch, usual.glibc, chosen)

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Spreads a kit; run as root in the folder that its tar was unpacked to. Safe to run again: it prints `changed: …` for
+# Installs a robot support package; run as root in the folder that its tar was unpacked to. Safe to run again: it prints `changed: …` for
 # what it changed, and nothing when all is as it should be. Afterwards only /opt/fullswarm, /var/lib/fullswarm and /run
 # need to be writable; the root file system may be read-only.
 #
 # An agent that ran before and does not start with new settings gets its old ones back, and this exits with 1. With
-# --settings-stay (a card's first boot, which switches the release next) the new ones hold whatever the agent says.
+# --settings-stay (a card's first boot, which switches the release next) the new ones stay even if the agent fails.
 set -eu
 LC_ALL=C
 export LC_ALL
@@ -12,21 +12,21 @@ umask 022
 
 ROOT=${FULLSWARM_ROOT:-}
 SYSTEMCTL=${FULLSWARM_SYSTEMCTL:-systemctl}
-# The line of a file stands here once whoever must know of this file has been told.
-TOLD=$ROOT/opt/fullswarm/bin/kit.sums
+# Holds the line of a file once every program that reads the file has been notified.
+NOTIFIED=$ROOT/opt/fullswarm/bin/kit.sums
 AGENT=fullswarm-agent.service
 SETTINGS="etc/systemd/system/$AGENT etc/fullswarm/fleet.toml etc/fullswarm/robot.env"
 START_S=60
 stay=''
 [ "${1-}" != --settings-stay ] || stay=yes
 cd "$(dirname "$(readlink -f "$0")")"
-trap '' PIPE HUP # a link that breaks takes our words, not our work
+trap '' PIPE HUP # a broken link must not end the installation
 
 say() { printf '%s\n' "install.sh: $*" >&2 || :; }
 changed() { printf 'changed: %s\n' "$*" 2> /dev/null || :; }
 cannot() { say "cannot write $1: is the file system read-only or full?"; exit 1; }
 
-(cd files && sha256sum -c --quiet ../kit.sums >&2) || { say "the kit is damaged; nothing was changed"; exit 1; }
+(cd files && sha256sum -c --quiet ../kit.sums >&2) || { say "the support package is damaged; nothing was changed"; exit 1; }
 if [ -z "$ROOT" ] && [ "$(id -u)" -ne 0 ]; then
     say "must be run as root"
     exit 1
@@ -43,18 +43,18 @@ mode_of() {
     esac
 }
 
-untell() { # PATH: before it changes, so that the run after a killed one tells what that one did not
-    grep -q "  $1\$" "$TOLD" 2> /dev/null || return 0
-    sed "\\|  $1\$|d" "$TOLD" > "$TOLD.new~" && mv -fT "$TOLD.new~" "$TOLD" || cannot "$TOLD"
+unmark() { # PATH: before it changes, so that a run after a killed one notifies what that one did not
+    grep -q "  $1\$" "$NOTIFIED" 2> /dev/null || return 0
+    sed "\\|  $1\$|d" "$NOTIFIED" > "$NOTIFIED.new~" && mv -fT "$NOTIFIED.new~" "$NOTIFIED" || cannot "$NOTIFIED"
 }
 
-keep() { # PATH: with what the agent runs now, until it runs with what comes
+keep() { # PATH: the agent's present settings, until it runs with the new ones
     case " $SETTINGS " in *" $1 "*) ;; *) return 0 ;; esac
     [ -n "$running" ] && [ -e "$ROOT/$1" ] && [ ! -e "$ROOT/$1.was~" ] || return 0
     cp -p "$ROOT/$1" "$ROOT/$1.new~" && mv -fT "$ROOT/$1.new~" "$ROOT/$1.was~" || cannot "$ROOT/$1.was~"
 }
 
-put_back() { # what was kept; fails when nothing was
+put_back() { # the kept settings; fails when there are none
     back=''
     for path in $SETTINGS; do
         [ -e "$ROOT/$path.was~" ] || continue
@@ -68,14 +68,14 @@ put() { # PATH LINE: copies one file to its place in one step, unless it is ther
     to=$ROOT/$1
     mode=$(mode_of "$1")
     if ! cmp -s "files/$1" "$to" || [ "$(stat -c 0%a "$to")" != "$mode" ]; then
-        untell "$1"
+        unmark "$1"
         keep "$1"
         # A name with a dot in it: neither sudo nor udev nor systemd reads a half-written one.
         mkdir -p "$(dirname "$to")" && cp "files/$1" "$to.new~" && chmod "$mode" "$to.new~" &&
             mv -fT "$to.new~" "$to" || cannot "$to"
         changed "$1"
     fi
-    if grep -qxF "$2" "$TOLD" 2> /dev/null; then
+    if grep -qxF "$2" "$NOTIFIED" 2> /dev/null; then
         return 0
     fi
     case $1 in
@@ -94,7 +94,7 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
     fi
     for group in dialout input plugdev gpio i2c spi; do
         if getent group "$group" > /dev/null && ! id -nG fullswarm | tr ' ' '\n' | grep -qx "$group"; then
-            untell etc/fullswarm/robot.env
+            unmark etc/fullswarm/robot.env
             usermod -aG "$group" fullswarm
             changed "group $group"
             agent=yes
@@ -102,13 +102,13 @@ make_user() { # the agent's own, with the groups of ports and gamepads that this
     done
 }
 
-reload_sshd() { # connections that are open stay; a server that minds our lines must not end without them
+reload_sshd() { # connections that are open stay; a server that rejects our lines must not stay down
     sshd=$(command -v sshd || command -v /usr/sbin/sshd) || return 0
-    if ! "$sshd" -t 2> /dev/null; then # is it for our lines, or was something missing before?
+    if ! "$sshd" -t 2> /dev/null; then # because of our lines, or was it broken before?
         ours=/etc/ssh/sshd_config.d/60-fullswarm.conf
         mv -f "$ours" "$ours.off~"
         if "$sshd" -t 2> /dev/null; then
-            say "sshd does not take $ours; it is named $ours.off~ now"
+            say "sshd does not accept $ours; it is named $ours.off~ now"
             return 0
         fi
         mv -f "$ours.off~" "$ours"
@@ -124,7 +124,7 @@ start_agent() { # restart|try-restart: waits until it says READY, has failed, or
     timeout --foreground "$START_S" "$SYSTEMCTL" "$1" "$AGENT"
 }
 
-its_last_word() { # SINCE: of the agent, in seconds since the epoch
+last_log_line() { # SINCE: of the agent, in seconds since the epoch
     ! command -v journalctl > /dev/null ||
         journalctl -q --no-pager -o cat -n 1 --since "@$1" "_SYSTEMD_UNIT=$AGENT" 2> /dev/null | tail -n 1 | cut -c1-160
 }
@@ -139,7 +139,7 @@ while read -r digest path; do
     case $path in
     etc/sudoers.d/*)
         if command -v visudo > /dev/null && ! visudo -cqf "files/$path" > /dev/null; then
-            say "sudo does not take $path"
+            say "sudo does not accept $path"
             exit 1
         fi
         ;;
@@ -155,7 +155,7 @@ if [ -z "$ROOT" ]; then
 fi
 sync
 
-# What runs already is told only of what has changed.
+# Programs that run already are notified only of what has changed.
 if [ -n "$units" ]; then
     "$SYSTEMCTL" daemon-reload
 fi
@@ -177,22 +177,22 @@ fi
 began=$(date +%s)
 if [ -n "$agent" ] && ! start_agent try-restart; then
     why="the agent does not start with the new settings"
-    said=$(its_last_word "$began")
+    line=$(last_log_line "$began")
     if [ -z "$stay" ] && put_back; then
         "$SYSTEMCTL" daemon-reload
         why="$why; the old ones are back"
         start_agent restart || why="$why, and it does not start with them either"
-        say "$why; do they need a newer release? \`fullswarm update\` first, deploy then.${said:+ It said: $said}"
+        say "$why; do they need a newer release? \`fullswarm update\` first, deploy then.${line:+ Its last log line: $line}"
         exit 1
     fi
-    say "$why${said:+: $said}"
+    say "$why${line:+: $line}"
     [ -z "$running" ] || exit 1
 fi
 for path in $SETTINGS; do
     rm -f "$ROOT/$path.was~"
 done
 
-# Last: whoever finds it finds the rest, too.
-if ! cmp -s kit.sums "$TOLD"; then
-    cp kit.sums "$TOLD.new~" && mv -fT "$TOLD.new~" "$TOLD" || cannot "$TOLD"
+# Last, so that this file is there only when all others are.
+if ! cmp -s kit.sums "$NOTIFIED"; then
+    cp kit.sums "$NOTIFIED.new~" && mv -fT "$NOTIFIED.new~" "$NOTIFIED" || cannot "$NOTIFIED"
 fi

@@ -1,4 +1,4 @@
-# Sourced by fullswarm-robot: what the base asks for.
+# Sourced by fullswarm-robot: the information that the base reads.
 # shellcheck shell=sh disable=SC2154
 
 text() { # TEXT: as a JSON string
@@ -24,7 +24,7 @@ texts() { # lines of stdin as a JSON list
     printf ']'
 }
 
-pythons() { # those of our minors that are here
+pythons() { # the installed minor versions that are supported
     python3_minor
     for minor in 10 11 12 13 14 15; do
         python_for "3.$minor" > /dev/null && printf '3.%s\n' "$minor"
@@ -35,11 +35,11 @@ release_or_null() { # NAME of a link
     if id=$(target_of "$1"); then text "$id"; else printf null; fi
 }
 
-pending_or_null() { # what waits for its verdict
+pending_or_null() { # the pending release
     if read_pending; then text "$new"; else printf null; fi
 }
 
-kit_json() { # the name of the installed kit while all its files are as it brought them
+kit_json() { # the id of the installed support package while all its files are unchanged
     if (cd "${ROOT:-/}" && sha256sum -c --status "$HOME_DIR/bin/kit.sums") 2>/dev/null; then
         text "$(sha256sum "$HOME_DIR/bin/kit.sums" | cut -c1-12)"
     else
@@ -65,7 +65,7 @@ temperature_c() {
     done | sort -n | tail -n 1
 }
 
-throttled() { # the Raspberry Pi's own word: bits of low voltage and heat, now and since it was switched on
+throttled() { # the Raspberry Pi's bits of low voltage and heat, now and since it was switched on
     for each in /sys/devices/platform/soc/soc:firmware/get_throttled /sys/class/hwmon/hwmon*/in0_lcrit_alarm; do
         [ -r "$each" ] && head -n 1 "$each" && return
     done
@@ -75,7 +75,7 @@ disk_errors() {
     cat /sys/fs/ext4/*/errors_count 2>/dev/null | awk '{ sum += $1; seen = 1 } END { if (seen) print sum + 0 }'
 }
 
-card_errors() { # how often the kernel's log complains of the card or its file system; nothing when it is not readable
+card_errors() { # errors of the card or its file system in the kernel's log; nothing when it is not readable
     dmesg 2>/dev/null | awk '
         /mmc[0-9]+: .*([Ee]rror|[Tt]imeout|timed out)|I\/O error, dev (mmcblk|sd)|EXT4-fs error|Remounting .* read-only/ { bad++ }
         END { if (NR) print bad + 0 }'
@@ -86,7 +86,7 @@ health_or_null() {
 }
 
 facts() { # one JSON object
-    [ $# -eq 0 ] || usage "facts takes nothing"
+    [ $# -eq 0 ] || usage "facts takes no arguments"
     python3_minor
     # shellcheck disable=SC1091
     robot=$(. "$ETC/robot.env" 2>/dev/null && printf %s "${ROBOT:-}")
@@ -136,7 +136,7 @@ facts() { # one JSON object
 FACTS
 }
 
-health() { # [--healthy]: the health file while it is new and of the release that should run; 1: it does not say it is well
+health() { # [--healthy]: the health file while it is new and of the release that should run; 1: not healthy
     case $#${1:-} in 0 | 1--healthy) ;; *) usage "health [--healthy]" ;; esac
     [ -s "$HEALTH" ] || fail "the agent has written no health yet"
     fresh || fail "the agent's health is $(health_age_s 2>/dev/null || printf '?') s old"

@@ -2,7 +2,7 @@
 # machine are known; nothing gets the name of a release before every file of it has the digest that was signed.
 # shellcheck shell=sh disable=SC2154
 
-MOST_HEAD=67108864 # bytes of manifest, sums and signature together: far more than any release has
+MOST_HEAD=67108864 # bytes of manifest, sums and signature together: far more than any release needs
 SPARE_KB=65536     # what must stay free for the journal and the latched e-stop
 FLOOR_KB=16384     # below this a shipment that failed is removed: the disk is full
 
@@ -23,7 +23,7 @@ private() { # a folder of root's in memory for this run
 }
 
 check_signature() { # FOLDER
-    [ -s "$ETC/allowed_signers" ] || refuse "$ETC/allowed_signers names nobody: install the kit again"
+    [ -s "$ETC/allowed_signers" ] || refuse "$ETC/allowed_signers is empty: install the support package again"
     ssh-keygen -Y verify -f "$ETC/allowed_signers" -I fullswarm -n fullswarm-release \
         -s "$1/SHA256SUMS.sig" < "$1/SHA256SUMS" > /dev/null 2> "$work/why" ||
         refuse "the signature is not one that this robot trusts ($(tr '\n' ' ' < "$work/why"))"
@@ -52,7 +52,7 @@ check_sums() { # SUMS: lines of sha256sum, in order, none of which leads out of 
         }' "$1" > "$work/why" || refuse "SHA256SUMS: $(head -n 1 "$work/why")"
 }
 
-check_manifest() { # FOLDER ID: it is what was signed, and it names itself after its content
+check_manifest() { # FOLDER ID: it is what was signed, and its id is that of its content
     digest=$(sha256sum < "$1/manifest.json" | cut -c1-64)
     grep -qxF "$digest  manifest.json" "$1/SHA256SUMS" || refuse "manifest.json is not the one that was signed"
     grep -q "^ *\"id\": \"$2\",\{0,1\}\$" "$1/manifest.json" || refuse "the manifest is not that of $2"
@@ -74,9 +74,9 @@ at_least() { # HAVE WANT: versions by number
 check_machine() { # MANIFEST
     protocol=$(sed -n 's/^ *"robot_protocol": \([0-9]*\),\{0,1\}$/\1/p' "$1")
     [ "${protocol:-0}" -ge 1 ] && [ "$protocol" -le "$PROTOCOL" ] ||
-        refuse "it needs protocol ${protocol:-?}, this robot's tools know $PROTOCOL: install the newer kit first"
+        refuse "it needs protocol ${protocol:-?}, this robot's tools know $PROTOCOL: install the newer support package first"
     arch=$(target_field "$1" arch) glibc=$(target_field "$1" glibc) python=$(target_field "$1" python)
-    [ "$(uname -m)" = "$arch" ] || refuse "it is for $arch, this is $(uname -m)"
+    [ "$(uname -m)" = "$arch" ] || refuse "it is for $arch, this computer is $(uname -m)"
     [ "$(getconf LONG_BIT)" = 64 ] || refuse "this system is a 32-bit one: write a card with a 64-bit image"
     have=$(getconf GNU_LIBC_VERSION 2>/dev/null) || refuse "this system has no glibc"
     at_least "${have#* }" "$glibc" || refuse "it needs glibc $glibc, this system has ${have#* }"
@@ -93,7 +93,7 @@ missing() { # FOLDER: what its SHA256SUMS lists and it has not
     done
 }
 
-plain_files() { # FOLDER: neither links nor devices: what is not there comes over the air
+plain_files() { # FOLDER: neither links nor devices: what is missing comes over the network
     find "$1" ! -type d ! -type f -exec rm -f {} +
 }
 
@@ -101,20 +101,20 @@ whole() { # FOLDER: all that was signed is there, and has its digest
     (cd "$1" && sha256sum -c --status SHA256SUMS 2>/dev/null)
 }
 
-drop_damaged() { # FOLDER: remove what has not the digest that was signed, or cannot be read
+drop_damaged() { # FOLDER: remove files with another digest than the signed one, or that cannot be read
     (cd "$1" && sha256sum -c --quiet SHA256SUMS 2>/dev/null |
         sed -n 's/: FAILED\( open or read\)\{0,1\}$//p' | xargs -r -d '\n' rm -f)
 }
 
-link_from() { # RELEASE FOLDER: what RELEASE has the same, as hard links
+link_from() { # RELEASE FOLDER: files that RELEASE has as well, as hard links
     missing "$2" | sort > "$work/missing"
     sort "$1/SHA256SUMS" > "$work/there"
     sort "$2/SHA256SUMS" | comm -12 - "$work/there" | cut -c67- | sort | comm -12 - "$work/missing" > "$work/same"
-    # One that cannot be linked is missing, and comes over the air.
+    # One that cannot be linked counts as missing.
     (cd "$1" && xargs -r -d '\n' cp -l --parents -t "$2" 2>/dev/null < "$work/same") || :
 }
 
-want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the paths that must still come
+want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the paths that are still missing
     need_id "${1:-}"
     id=$1 near='' bytes=0
     shift
@@ -155,7 +155,7 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the 
     done
     if [ ! -d "$incoming" ]; then
         need_kb=$((bytes / 1024)) have_kb=$(free_kb)
-        # Without a size there is still a floor; what a release nearby has the same takes no room again.
+        # Without a size there is still a floor; files of a near release take no room again.
         [ -z "${bases:-}" ] || same_kb=$(shared_kb "$work/SHA256SUMS" $bases)
         [ "$need_kb" -gt "$same_kb" ] && need_kb=$((need_kb - same_kb)) || need_kb=0
         [ "$have_kb" -ge $((need_kb + SPARE_KB)) ] ||
@@ -166,7 +166,7 @@ want() { # stdin: tar of manifest.json, SHA256SUMS, SHA256SUMS.sig; stdout: the 
         cp "$work/$name" "$incoming/.$name" && mv -fT "$incoming/.$name" "$incoming/$name" ||
             fail "cannot write $incoming"
     done
-    plain_files "$incoming" # of an earlier try that was cut
+    plain_files "$incoming" # of an earlier try that was interrupted
     drop_damaged "$incoming"
     for each in ${bases:-}; do
         link_from "$each" "$incoming"
@@ -198,7 +198,7 @@ receive() { # stdin: tar of missing files; stdout: what is still missing (exit 1
     [ ! -d "$RELEASES/$id" ] || return 0
     lock ship 5
     private receive
-    [ -f "$incoming/SHA256SUMS" ] || fail "nothing is known of $id: \`want\` comes first"
+    [ -f "$incoming/SHA256SUMS" ] || fail "$id is unknown: run \`want\` first"
     check_signature "$incoming"
     missing "$incoming" > "$work/asked"
     mkfifo "$work/copy"
@@ -213,11 +213,11 @@ receive() { # stdin: tar of missing files; stdout: what is still missing (exit 1
     wait "$listing"
     if ! check_listing "$work/listing"; then
         rm -rf "$incoming"
-        refuse "the tar holds what nobody asked for, or no plain file: $(head -n 1 "$work/why")"
+        refuse "the tar holds a file that was not requested, or no plain file: $(head -n 1 "$work/why")"
     fi
     if [ "$(free_kb)" -lt "$FLOOR_KB" ] && grep -q 'No space left' "$work/errors"; then
         rm -rf "$incoming"
-        refuse "the disk is full; the shipment was removed, $(current) goes on"
+        refuse "the disk is full; the shipment was removed, $(current) stays"
     fi
     plain_files "$incoming"
     if ! whole "$incoming"; then

@@ -36,7 +36,7 @@ DESTINATIONS = {
     "60-fullswarm-journal.conf": "etc/systemd/journald.conf.d/60-fullswarm-journal.conf",
     "60-fullswarm-sshd.conf": "etc/ssh/sshd_config.d/60-fullswarm.conf",
 }
-"""Where each file of this folder belongs, from the root."""
+"""Destination of each file of this folder, from the root."""
 PROGRAMS = frozenset({"install.sh", "opt/fullswarm/bin/fullswarm-robot"})
 SUDOERS = "etc/sudoers.d/fullswarm"
 
@@ -53,24 +53,24 @@ def support_package(
     environment: Mapping[str, str] | None = None,
     tools: Path = TOOLS,
 ) -> bytes:
-    """Return the kit of one robot: an uncompressed tar, some 50 kB.
+    """Return the support package of one robot: an uncompressed tar, some 50 kB.
 
     Parameters
     ----------
     signers
-        Text of ``allowed_signers``: whose releases the robot takes.
+        Text of ``allowed_signers``: the keys whose releases the robot accepts.
     ssh_user
         The user who may run ``fullswarm-robot`` as root without a password; None: the fleet file's. ``root`` needs no
         rule.
     environment
         Further lines of ``robot.env``, which the agent gets as its environment.
     tools
-        Folder of the files to install; another release's ``robot/`` for its own.
+        Folder of the files to install, for example ``robot/`` of another release.
 
     Raises
     ------
     ConfigError
-        A user or an environment that cannot be written to the robot's files.
+        A user or an environment variable is invalid.
     """
     files = {destination: (tools / name).read_bytes() for name, destination in DESTINATIONS.items()}
     files["etc/fullswarm/robot.env"] = robot_env(robot, config, environment or {}).encode()
@@ -85,7 +85,7 @@ def support_package(
 
 
 def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
-    """Refuse an endpoint of the hub that leads a robot to itself.
+    """Refuse an endpoint of the hub at which a robot would reach itself.
 
     Raises
     ------
@@ -101,17 +101,17 @@ def check_hub(robot: RobotConfig, config: SwarmConfig) -> None:
 
 
 def package_id(archive: bytes) -> str:
-    """Return the name of a kit: what a robot answers under ``kit`` that has it installed, and unchanged."""
+    """Return the id of a support package: what ``fullswarm-robot facts`` reports while it is installed unchanged."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         sums = tar.extractfile("kit.sums")
-        assert sums is not None  # noqa: S101  (`kit` has put it there)
+        assert sums is not None  # noqa: S101  (`support_package` adds it)
         return hashlib.sha256(sums.read()).hexdigest()[:12]
 
 
 def fleet_file(config: SwarmConfig) -> str:
     """Return the fleet as a robot needs it: only what differs from the defaults.
 
-    An older release that the robot goes back to must be able to read it: each key less is one that it need not know.
+    An older release that the robot rolls back to must be able to read it, so no key is written that is not needed.
     """
     values = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     for each in values.get("robot", ()):
@@ -127,14 +127,15 @@ def robot_env(robot: RobotConfig, config: SwarmConfig, environment: Mapping[str,
     for name, value in values.items():
         if not _VARIABLE.match(name) or re.search(r'["\\$`\n\0]', value):
             raise ConfigError(
-                f"'{name}={value}' cannot stand in a robot's environment", hint="no quotes, $, backslashes or newlines"
+                f"'{name}={value}' is not allowed in a robot's environment",
+                hint="no quotes, $, backslashes or newlines",
             )
     return "".join(f'{name}="{value}"\n' for name, value in sorted(values.items()))
 
 
 def _sudoers(user: str) -> str:
     if not _USER.match(user):
-        raise ConfigError(f"'{user}' cannot name a user", where="ssh_user", hint="a plain Linux login: a-z, 0-9, - _")
+        raise ConfigError(f"'{user}' is not a valid user", where="ssh_user", hint="a plain Linux login: a-z, 0-9, - _")
     return f"{user} ALL=(root) NOPASSWD: /opt/fullswarm/bin/fullswarm-robot\n"
 
 

@@ -72,7 +72,7 @@ def _no_twins(values: tuple[T, ...]) -> tuple[T, ...]:
     """Refuse what would count each of its trials twice."""
     for place, value in enumerate(values):
         if value in values[:place]:
-            raise ValueError(f"{value!r} is there twice")
+            raise ValueError(f"{value!r} is given twice")
     return values
 
 
@@ -81,7 +81,7 @@ def _no_twin_behaviours(values: tuple[Behaviour, ...]) -> tuple[Behaviour, ...]:
     for place, (name, parameters) in enumerate(known):
         if (name, parameters) in known[:place]:
             words = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
-            raise ValueError(f"'{words}' is there twice")
+            raise ValueError(f"'{words}' is given twice")
     return values
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +17,7 @@ from fullswarm.keys import TRUTH
 from fullswarm.messages import BehaviourRequest, CoverageMeasurement, Interventions, SeenObstacles
 from fullswarm.operator.view import Snapshot
 from fullswarm.perf.coverage import GridFrame, unpack_bits
+from fullswarm.recent import Recent
 
 TRAIL_S, TRAIL_RATE_HZ = 60.0, 5.0
 STEP_M = 0.01
@@ -59,13 +60,11 @@ class Goals:
     """
 
     def __init__(self) -> None:
-        self._requests: OrderedDict[str, BehaviourRequest] = OrderedDict()
+        self._requests: Recent[str, BehaviourRequest] = Recent(REMEMBERED)
 
     def add(self, request: BehaviourRequest) -> None:
         """Remember a request."""
         self._requests[request.id] = request
-        while len(self._requests) > REMEMBERED:
-            self._requests.popitem(last=False)
 
     def shown(self, orders: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
         """Return robot → its goal, of those that have one."""

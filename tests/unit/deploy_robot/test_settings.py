@@ -18,7 +18,7 @@ def test_settings_that_the_agent_does_not_take_are_taken_back(two: tuple[Robot, 
     done = robot.install(swarm="bad")
     assert done.returncode == 1
     assert "the old ones are back" in done.stderr.splitlines()[-1]
-    assert "It said: no driver for bad://" in done.stderr.splitlines()[-1]
+    assert "Its last log line: no driver for bad://" in done.stderr.splitlines()[-1]
     assert (fleet.read_text(), robot.agent) == (before, old.name)
     assert not list(robot.root.rglob("*~"))
     assert robot.install().returncode == 0

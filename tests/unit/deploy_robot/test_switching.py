@@ -28,7 +28,7 @@ def test_the_guard_goes_back(two: tuple[Robot, Path, Path]) -> None:
     robot.ok("switch", new.name, "--guard", "7")
     robot.fire_guard()
     assert (robot.current, robot.agent, robot.pending) == (old.name, old.name, False)
-    assert "nobody approved it within 7 s" in str(robot.facts["last_rollback"])
+    assert "not committed within 7 s" in str(robot.facts["last_rollback"])
     assert "last rollback" in robot.no(1, "commit", new.name)
 
 
