@@ -6,13 +6,12 @@ import itertools
 from collections.abc import Callable, Mapping
 
 from fullswarm.bus.base import OPERATOR
-from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed
-from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive_in_world, result_of
+from fullswarm.evaluate.trial import TIME_LIMIT, Keeper, configure, drive_in_world
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
@@ -134,9 +133,7 @@ def widened(limits: Limits) -> Limits:
 
 def run_trial(trial: Trial) -> TrialResult:
     """Run a trial and keep nothing of it but its result; whatever goes wrong in it is its result."""
-    clock = MonotonicClock()
-    began_s = clock.now_s()
-    return result_of(trial, attempt(trial, measure), clock.now_s() - began_s)
+    return Keeper(None, "", measure)(trial)
 
 
 def measure(trial: Trial) -> Measurement:

@@ -220,7 +220,7 @@ class Track:
         self._touching.append(self._witness.touched())
 
 
-# ---------------------------------------------------------------------------------------------------- in lockstep
+# ---------------------------------------------------------------------------------------------------- keeping
 Measure = Callable[[Trial], Measurement]
 """Runs a trial."""
 
@@ -280,14 +280,15 @@ def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmC
 
 @dataclass(frozen=True, slots=True)
 class Keeper:
-    """Runs trials and keeps them in `out`: what a worker process does.
+    """Runs trials and keeps them: what a worker process does.
 
     Parameters
     ----------
+    out : folder of the results; None: nothing is kept
     run : measures a trial; importable by its name
     """
 
-    out: Path
+    out: Path | None
     experiment: str
     run: Measure
     runner: str = "pool"
@@ -295,6 +296,8 @@ class Keeper:
     def __call__(self, trial: Trial, attempts: int = 1) -> TrialResult:
         """Run a trial; a failure is its result, also when it cannot be kept."""
         result, found, about = perform(trial, self.experiment, attempts, self.run, self.runner)
+        if self.out is None:
+            return result
         try:
             write_trial(self.out, record_of(trial, self.experiment, found), about, found)
         except OSError as error:
@@ -316,30 +319,31 @@ def perform(
 
 def result_of(trial: Trial, found: Measurement | str, wall_s: float, attempts: int = 1) -> TrialResult:
     """Return what a report needs of a trial."""
-    if isinstance(found, str):
-        return TrialResult(
-            seed=trial.seed, outcome=None, failure=found, wall_s=wall_s, end_reason=FAILED, attempts=attempts
-        )
+    outcome, failure, end_reason = _end_of(found)
     return TrialResult(
-        seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason, attempts=attempts
+        seed=trial.seed, outcome=outcome, failure=failure, wall_s=wall_s, end_reason=end_reason, attempts=attempts
     )
 
 
 def record_of(trial: Trial, experiment: str, found: Measurement | str) -> Record:
     """Return ``result.json`` of a trial, or of one that failed."""
-    name = trial_id(trial)
-    if isinstance(found, str):
-        return Record(id=name, experiment=experiment, trial=trial, outcome=None, failure=found, end_reason=FAILED)
+    outcome, failure, end_reason = _end_of(found)
+    measured = None if isinstance(found, str) else found
     return Record(
-        id=name,
+        id=trial_id(trial),
         experiment=experiment,
         trial=trial,
-        outcome=found.outcome,
-        end_reason=found.end_reason,
-        onboard=dict(found.onboard),
-        truth=dict(found.truth),
-        per_robot={key: dict(values) for key, values in found.per_robot.items()},
+        outcome=outcome,
+        failure=failure,
+        end_reason=end_reason,
+        onboard=dict(measured.onboard) if measured else {},
+        truth=dict(measured.truth) if measured else {},
+        per_robot={key: dict(values) for key, values in measured.per_robot.items()} if measured else {},
     )
+
+
+def _end_of(found: Measurement | str) -> tuple[Outcome | None, str, str]:
+    return (None, found, FAILED) if isinstance(found, str) else (found.outcome, "", found.end_reason)
 
 
 def not_kept(result: TrialResult, out: Path, error: OSError) -> TrialResult:
