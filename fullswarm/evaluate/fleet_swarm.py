@@ -27,9 +27,10 @@ from fullswarm.errors import ConfigError, SafetyStop
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_of
 from fullswarm.evaluate.live_swarm import LiveSwarm
-from fullswarm.evaluate.scenarios import Scenario, distance_to_box, goals_for, spawn, world_config
+from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
+from fullswarm.evaluate.scenarios.maps import text_map
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
-from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, perform, request_of, terms, world_witness
+from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, request_of, terms, world_witness
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
@@ -82,10 +83,7 @@ def run_fleet(
     for number, trial in enumerate(fits, 1):
         output.progress(f"trial {number} of {len(fits)}: {trial.label}")
         try:
-            if out is None:
-                result, _, _ = perform(trial, experiment, 1, runner, RUNNER)
-            else:
-                result = Keeper(out, experiment, runner, RUNNER)(trial)
+            result = Keeper(out, experiment, runner, RUNNER)(trial)
         except Over as over:
             raise over.error from None
         yield trial, result
@@ -215,7 +213,7 @@ class FleetRunner:
 
     # ------------------------------------------------------------------------------------------ asking
     def _set_up(self, config: SwarmConfig) -> None:
-        """Wait for Enter, or until pose fixes say that all robots stand in their places."""
+        """Wait for Enter, or until pose fixes show that all robots stand in their places."""
         runtime = Runtime(MonotonicClock())
         fixes: dict[str, tuple[float, PoseFix]] = {}
 
@@ -231,9 +229,7 @@ class FleetRunner:
                 printed = ""
                 while self._typed.line() is None:
                     if self._typed.ended:
-                        raise ConfigError(
-                            f"{UNCONFIRMED} that all is in place", hint="press Enter, or say so with --yes"
-                        )
+                        raise ConfigError(f"{UNCONFIRMED} that all is in place", hint="press Enter, or use --yes")
                     runtime.run(CHECK_PERIOD_S)
                     wrong = _wrong(config, fixes, runtime.now_s())
                     text = printed if wrong is None else "; ".join(wrong) or "all robots stand in their places"
@@ -260,7 +256,7 @@ class FleetRunner:
 
         swarm.until(answered, math.inf)
         if not answers:
-            raise ConfigError(f"{UNCONFIRMED} that it is safe to drive", hint="answer y, or say so with --yes")
+            raise ConfigError(f"{UNCONFIRMED} that it is safe to drive", hint="answer y, or use --yes")
         if answers[0].lower() not in ("y", "yes"):
             output.progress("nothing moved")
             raise KeyboardInterrupt
@@ -293,11 +289,7 @@ def _safe(config: SwarmConfig) -> bool:
 
 NEAR_M, NEAR_RAD = 0.2, 0.3
 """So far from its place a robot may stand at the start."""
-MAP_COLUMNS, MOST_ROWS = 60, 30
-CHARACTER = 2.0
-"""A character is so many times higher than wide."""
 NAMES = "123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-BOX, GOAL, FREE = "#", "+", "."
 
 
 # ---------------------------------------------------------------------------------------------------- which trials
@@ -382,7 +374,7 @@ def _agent(trial: Trial, ours: AgentConfig) -> AgentConfig:
     return AgentConfig.model_validate({**ours.model_dump(), **wanted})
 
 
-# ---------------------------------------------------------------------------------------------------- telling
+# ---------------------------------------------------------------------------------------------------- instructions
 def off(ids: Iterable[str], poses: Array, starts: Array) -> list[str]:
     """Return in words which robots stand elsewhere than they should, poses and starts (n, 3); NaN: not known."""
     found = []
@@ -421,28 +413,14 @@ def names(count: int) -> list[str]:
 
 
 def drawing(config: SwarmConfig, scenario: Scenario, goals: Array) -> list[str]:
-    """Return the arena from above, north up: robots by their names, boxes ``#``, the goal ``+``."""
-    left, low, right, high = scenario.bounds_m
-    cell_m = max((right - left) / MAP_COLUMNS, (high - low) / (CHARACTER * MOST_ROWS))
-    columns = max(1, round((right - left) / cell_m))
-    rows = max(1, round((high - low) / (CHARACTER * cell_m)))
-    grid = [[FREE] * columns for _ in range(rows)]
-    for row in range(rows):
-        for column in range(columns):
-            x_m = left + (column + 0.5) * (right - left) / columns
-            y_m = low + (row + 0.5) * (high - low) / rows
-            if any(distance_to_box(x_m, y_m, box) == 0.0 for box in config.world_or_default.boxes):
-                grid[row][column] = BOX
-            elif (np.hypot(goals[:, 0] - x_m, goals[:, 1] - y_m) <= scenario.goal.radius_m).any():
-                grid[row][column] = GOAL
-    for name, (x_m, y_m, _) in zip(names(len(config.robot)), starts_of(config).tolist(), strict=True):
-        column = min(columns - 1, max(0, int((x_m - left) / (right - left) * columns)))
-        row = min(rows - 1, max(0, int((y_m - low) / (high - low) * rows)))
-        grid[row][column] = name
-    scale = f"{left:g}, {low:g} m at the lower left, {right:g}, {high:g} m at the upper right"
-    return [*("".join(line) for line in reversed(grid)), scale]
+    """Return the arena from above, north up, robots by their names on the map."""
+    x_min, y_min, x_max, y_max = scenario.bounds_m
+    starts = [(x_m, y_m) for x_m, y_m, _ in starts_of(config).tolist()]
+    picture = text_map(scenario, config.world_or_default.boxes, starts, names(len(starts)), goals.tolist())
+    return [picture, f"{x_min:g}, {y_min:g} m at the lower left, {x_max:g}, {y_max:g} m at the upper right"]
 
 
+# ---------------------------------------------------------------------------------------------------- Ctrl-C
 DEADLINE_S = 5.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ESTOP, AT_ONCE = 2, 3

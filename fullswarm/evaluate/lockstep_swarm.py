@@ -6,13 +6,12 @@ import itertools
 from collections.abc import Callable, Mapping
 
 from fullswarm.bus.base import OPERATOR
-from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
 from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed
-from fullswarm.evaluate.trial import TIME_LIMIT, attempt, configure, drive_in_world, result_of
+from fullswarm.evaluate.trial import TIME_LIMIT, Keeper, configure, drive_in_world
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import RequestStatus, Value
@@ -33,7 +32,7 @@ class LockstepSwarm:
         self.config, self.world, self._runtime = lockstep.config, lockstep.world, lockstep.runtime
         for row in range(len(self.world.ids)):
             self.world.set_limits(row, widened(self.world.description.limits))
-        self._look: Callable[[], None] | None = None
+        self._watcher: Callable[[], None] | None = None
         self._steps = 0
         # From the start, so that it comes after each of the world's steps; a later timer might come before them.
         self._runtime.every(self.world.dt_s, self._on_step)
@@ -65,9 +64,9 @@ class LockstepSwarm:
         self._began_s = self._runtime.now_s()
         self._operator.request(behaviour, (), parameters, self._statuses.append)
 
-    def watch(self, look: Callable[[], None]) -> None:
-        """Call `look` after each step of the world."""
-        self._look = look
+    def watch(self, on_step: Callable[[], None]) -> None:
+        """Call `on_step` after each step of the world."""
+        self._watcher = on_step
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
         """Let `CHECK_PERIOD_S` pass, less when a termination condition is met."""
@@ -104,9 +103,9 @@ class LockstepSwarm:
         self._lockstep.close()
 
     def _on_step(self) -> None:
-        if self._look is not None:
+        if self._watcher is not None:
             self._steps += 1
-            self._look()
+            self._watcher()
 
     def _check(self) -> None:
         newest = self._statuses[-1] if self._statuses else None
@@ -134,9 +133,7 @@ def widened(limits: Limits) -> Limits:
 
 def run_trial(trial: Trial) -> TrialResult:
     """Run a trial and keep nothing of it but its result; whatever goes wrong in it is its result."""
-    clock = MonotonicClock()
-    began_s = clock.now_s()
-    return result_of(trial, attempt(trial, measure), clock.now_s() - began_s)
+    return Keeper(None, "", measure)(trial)
 
 
 def measure(trial: Trial) -> Measurement:

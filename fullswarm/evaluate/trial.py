@@ -104,7 +104,8 @@ def drive(
     Raises
     ------
     TrialFailed
-        The request was refused, a robot does not run it, is in FAULT or silent, its law failed, or a process ended.
+        The request was refused, a robot does not run it, is in FAULT or silent, its behaviour failed or a process
+        ended.
     TrialHeld
         A robot is held by an e-stop.
     TrialStopped
@@ -170,7 +171,7 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
 
 
 class Track:
-    """Has the witness look at the bodies, and takes rows of their trajectory: at the request, then each `SAMPLE_S`."""
+    """Has the witness sample the bodies, and takes rows of their trajectory: at the request, then each `SAMPLE_S`."""
 
     def __init__(self, swarm: Swarm, request: TrialRequest, witness: Witness) -> None:
         self._swarm, self._request, self._witness = swarm, request, witness
@@ -181,11 +182,11 @@ class Track:
 
     def begin(self) -> None:
         """Take the first row, and watch."""
-        self._look()
+        self._sample_if_due()
         self._swarm.watch(self._on_step)
 
     def end(self) -> None:
-        """Take the last row, unless it is taken; the witness goes on looking."""
+        """Take the last row, unless it is taken; the witness goes on sampling."""
         if self._time_s[-1] < self._swarm.seen_s:
             self._take()
         self._next_s = np.inf
@@ -206,10 +207,10 @@ class Track:
         )
 
     def _on_step(self) -> None:
-        self._witness.look()
-        self._look()
+        self._witness.sample()
+        self._sample_if_due()
 
-    def _look(self) -> None:
+    def _sample_if_due(self) -> None:
         if self._swarm.seen_s >= self._next_s - TOLERANCE_S:
             self._take()
             self._next_s += SAMPLE_S * (1 + (self._swarm.seen_s - self._next_s + TOLERANCE_S) // SAMPLE_S)
@@ -220,7 +221,7 @@ class Track:
         self._touching.append(self._witness.touched())
 
 
-# ---------------------------------------------------------------------------------------------------- in lockstep
+# ---------------------------------------------------------------------------------------------------- keeping
 Measure = Callable[[Trial], Measurement]
 """Runs a trial."""
 
@@ -231,7 +232,7 @@ def attempt(trial: Trial, run: Measure) -> Measurement | str:
         return run(trial)
     except FullswarmError as error:
         return str(error)
-    except Exception as error:  # a law or an engine is outside code: one trial must not end the experiment
+    except Exception as error:  # a behaviour or an engine is outside code: one trial must not end the experiment
         return f"{type(error).__name__}: {error}"
 
 
@@ -255,7 +256,7 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
 
 
 def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:
-    """Return what the behaviour is asked with: the cell's parameters and the goal, one for all or one for each."""
+    """Return the parameters of the behaviour's request: the cell's and the goal, one for all or one for each."""
     wanted: dict[str, Any] = dict(trial.cell.parameters)
     if scenario.goal.antipodal:
         wanted["targets"] = goals.tolist()
@@ -280,14 +281,15 @@ def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmC
 
 @dataclass(frozen=True, slots=True)
 class Keeper:
-    """Runs trials and keeps them in `out`: what a worker process does.
+    """Runs trials and keeps them: what a worker process does.
 
     Parameters
     ----------
+    out : folder of the results; None: nothing is kept
     run : measures a trial; importable by its name
     """
 
-    out: Path
+    out: Path | None
     experiment: str
     run: Measure
     runner: str = "pool"
@@ -295,6 +297,8 @@ class Keeper:
     def __call__(self, trial: Trial, attempts: int = 1) -> TrialResult:
         """Run a trial; a failure is its result, also when it cannot be kept."""
         result, found, about = perform(trial, self.experiment, attempts, self.run, self.runner)
+        if self.out is None:
+            return result
         try:
             write_trial(self.out, record_of(trial, self.experiment, found), about, found)
         except OSError as error:
@@ -316,30 +320,31 @@ def perform(
 
 def result_of(trial: Trial, found: Measurement | str, wall_s: float, attempts: int = 1) -> TrialResult:
     """Return what a report needs of a trial."""
-    if isinstance(found, str):
-        return TrialResult(
-            seed=trial.seed, outcome=None, failure=found, wall_s=wall_s, end_reason=FAILED, attempts=attempts
-        )
+    outcome, failure, end_reason = _end_of(found)
     return TrialResult(
-        seed=trial.seed, outcome=found.outcome, wall_s=wall_s, end_reason=found.end_reason, attempts=attempts
+        seed=trial.seed, outcome=outcome, failure=failure, wall_s=wall_s, end_reason=end_reason, attempts=attempts
     )
 
 
 def record_of(trial: Trial, experiment: str, found: Measurement | str) -> Record:
     """Return ``result.json`` of a trial, or of one that failed."""
-    name = trial_id(trial)
-    if isinstance(found, str):
-        return Record(id=name, experiment=experiment, trial=trial, outcome=None, failure=found, end_reason=FAILED)
+    outcome, failure, end_reason = _end_of(found)
+    measured = None if isinstance(found, str) else found
     return Record(
-        id=name,
+        id=trial_id(trial),
         experiment=experiment,
         trial=trial,
-        outcome=found.outcome,
-        end_reason=found.end_reason,
-        onboard=dict(found.onboard),
-        truth=dict(found.truth),
-        per_robot={key: dict(values) for key, values in found.per_robot.items()},
+        outcome=outcome,
+        failure=failure,
+        end_reason=end_reason,
+        onboard=dict(measured.onboard) if measured else {},
+        truth=dict(measured.truth) if measured else {},
+        per_robot={key: dict(values) for key, values in measured.per_robot.items()} if measured else {},
     )
+
+
+def _end_of(found: Measurement | str) -> tuple[Outcome | None, str, str]:
+    return (None, found, FAILED) if isinstance(found, str) else (found.outcome, "", found.end_reason)
 
 
 def not_kept(result: TrialResult, out: Path, error: OSError) -> TrialResult:

@@ -65,7 +65,7 @@ def test_robots_check_prints_what_was_checked_or_what_is_wrong() -> None:
     assert "exercise=False" in told["skipped"]["slow driving"]
     failed = CliRunner().invoke(app, ["robots", "check", "--rig", "tests.unit.tethered:dead_band", "--settle", "0.3"])
     assert failed.exit_code == 1
-    assert "return what it really does: zero" in failed.stdout
+    assert "return what it does: zero" in failed.stdout
     assert "Traceback" not in failed.stderr
 
 

@@ -57,7 +57,7 @@ def test_all_conditions_and_two_partitions() -> None:
         ("loss=20", "'loss=20' at character 1", "not a share"),
         ("loss=101%", "'loss=101%' at character 1", "not a share"),
         ("loss=-1%", "'loss=-1%' at character 1", "not a share"),
-        ("loss=20%, lag=3s", "'lag=3s' at character 11", "no condition of a network"),
+        ("loss=20%, lag=3s", "'lag=3s' at character 11", "not a condition of a network"),
         ("loss=20%,dely=3s", "'dely=3s' at character 10", "did you mean 'delay'?"),
         ("delay=100", "'delay=100' at character 1", "no unit"),
         ("delay=soon", "'delay=soon' at character 1", "not a time"),
@@ -108,7 +108,7 @@ def test_what_is_written_is_what_is_meant(loss: int, delay: int, jitter: int, du
 
 
 def test_a_partition_that_names_a_stranger() -> None:
-    with pytest.raises(ConfigError, match=r"names 'rovr1'.*no process of this swarm.*did you mean 'rover1'"):
+    with pytest.raises(ConfigError, match=r"names 'rovr1'.*not a process of this swarm.*did you mean 'rover1'"):
         check_names(parse_network("partition=rovr1|core"), ("rover1", "core"))
 
 

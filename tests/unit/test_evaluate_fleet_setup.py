@@ -15,6 +15,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.evaluate.experiment import Trial, load_experiment, plan, scenario_of
 from fullswarm.evaluate.fleet_swarm import NEAR_M, NEAR_RAD, choose, drawing, fit, instructions, names, off, starts_of
 from fullswarm.evaluate.scenarios import parse_scenario
+from fullswarm.evaluate.scenarios.maps import BOX, GOAL
 from fullswarm.evaluate.trial import terms
 
 ROOM = """
@@ -130,7 +131,7 @@ def test_the_trial_keeps_the_time_itself(stop: Any, limit_s: float | None, trial
     assert config.performance.arrive_radius_m == 0.8
 
 
-# ---------------------------------------------------------------------------------------------------- telling
+# ---------------------------------------------------------------------------------------------------- instructions
 def test_the_instructions_name_every_robot_box_and_whoever_is_spare() -> None:
     trial = one(robots=2)
     scenario = scenario_of(trial)
@@ -149,13 +150,14 @@ def test_the_map_shows_north_up_what_stands_where() -> None:
     scenario = scenario_of(trial)
     config, goals = fit(trial, scenario, fleet(1))
     place = config.robot[0].model_copy(update={"pose": (0.1, 2.9, 0.0)})
-    picture = drawing(config.model_copy(update={"robot": (place,)}), scenario, goals)[:-1]
-    assert {len(line) for line in picture} == {60}
-    assert len(picture) == 15  # twice as wide as high, and so is a character
+    framed = drawing(config.model_copy(update={"robot": (place,)}), scenario, goals)[0].splitlines()
+    picture = [line[1:-1] for line in framed[1:-1]]
+    assert {len(line) for line in picture} == {64}
+    assert len(picture) == 16  # twice as wide as high, and so is a character
     assert picture[0][1] == "1"  # north west
-    assert picture[7][40] == "+"
-    assert picture[-3][50] == "#"  # south east
-    assert picture[0].count("#") == 0
+    assert picture[7][43] == GOAL
+    assert picture[-3][53] == BOX  # south east
+    assert picture[0].count(BOX) == 0
 
 
 @given(st.floats(0.0, 0.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 from rich.table import Table
@@ -43,7 +42,7 @@ from fullswarm.evaluate.results.folder import (
     other_code,
 )
 from fullswarm.evaluate.scenarios import Scenario
-from fullswarm.evaluate.trial import Keeper, Measure, attempt, configure, parameters, perform, record_of, result_of
+from fullswarm.evaluate.trial import Keeper, Measure, configure, parameters, perform, record_of
 from fullswarm.evaluate.trial_folder import (
     TRIALS,
     Measurement,
@@ -64,7 +63,7 @@ PROGRESS_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the command line says."""
+    """The options of the command line."""
 
     experiment: str
     seeds: str | None = None
@@ -86,35 +85,7 @@ class Options:
     insecure_network: bool = False  # with `fleet`
 
 
-@dataclass(frozen=True, slots=True)
-class FleetTrials:
-    """Runs trials on the robots of a fleet file, in this process: a person sets them up and confirms."""
-
-    options: Options
-    fleet: Path
-    experiment: str
-
-    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
-        """Yield the trials that the fleet can run."""
-        from fullswarm.evaluate.fleet_swarm import run_fleet
-
-        options = self.options
-        return run_fleet(
-            trials,
-            self.fleet,
-            self.experiment,
-            options.folder,
-            yes=options.yes,
-            insecure_network=options.insecure_network,
-        )
-
-
-class Runner(Protocol):
-    """Runs trials somewhere."""
-
-    def run(self, trials: list[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
-        """Yield each trial once, with its result, as it ends; those that it cannot run at all are left out."""
-        ...
+Results = Iterator[tuple[Trial, TrialResult]]
 
 
 def run(options: Options, run_one: Measure = measure) -> int:
@@ -238,17 +209,15 @@ def _how(options: Options) -> str:
 
 
 # ---------------------------------------------------------------------------------------------------- running
-def _run_all(
-    trials: list[Trial], experiment: Experiment, options: Options, run_one: Measure
-) -> Iterator[tuple[Trial, TrialResult]]:
+def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_one: Measure) -> Results:
     """Yield every trial with its result; print the progress on stderr."""
     if not trials:
         return
     clock = MonotonicClock()
     began_s = printed_s = clock.now_s()
     collisions = failed = 0
-    with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as runner:
-        for done, (trial, result) in enumerate(runner.run(trials), 1):
+    with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as run_trials:
+        for done, (trial, result) in enumerate(run_trials(trials), 1):
             if result.lost and options.folder is not None:
                 result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
             failed += result.outcome is None
@@ -265,10 +234,21 @@ def _run_all(
             yield trial, result
 
 
-def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> AbstractContextManager[Runner]:
+@contextmanager
+def _runner(
+    jobs: int, experiment: str, options: Options, run_one: Measure
+) -> Iterator[Callable[[list[Trial]], Results]]:
+    """Yield what runs trials: it yields each one with its result as it ends, but those that it cannot run at all."""
     kind = "pool"
     if options.fleet is not None:
-        return nullcontext(FleetTrials(options, options.fleet, experiment))
+        from fullswarm.evaluate.fleet_swarm import run_fleet
+
+        fleet = options.fleet
+        yield lambda trials: run_fleet(
+            trials, fleet, experiment, options.folder,
+            yes=options.yes, insecure_network=options.insecure_network,
+        )  # fmt: skip
+        return
     if options.live:
         from fullswarm.evaluate.live_swarm import measure_live
 
@@ -278,18 +258,12 @@ def _runner(jobs: int, experiment: str, options: Options, run_one: Measure) -> A
         from fullswarm.evaluate.experiment.dask import Cluster, Task
 
         task = Task(experiment, run_one, options.timeout_s)
-        return Cluster(options.dask, jobs, task, options.folder, options.retries)
-    keeper = (
-        partial(_run_only, run_one) if options.folder is None else Keeper(options.folder, experiment, run_one, kind)
-    )
-    return Pool(jobs, options.timeout_s, keeper, retries=options.retries)
-
-
-def _run_only(run_one: Measure, trial: Trial, attempts: int) -> TrialResult:
-    clock = MonotonicClock()
-    began_s = clock.now_s()
-    found = attempt(trial, run_one)
-    return result_of(trial, found, clock.now_s() - began_s, attempts)
+        with Cluster(options.dask, jobs, task, options.folder, options.retries) as cluster:
+            yield cluster.run
+        return
+    keeper = Keeper(options.folder, experiment, run_one, kind)
+    with Pool(jobs, options.timeout_s, keeper, retries=options.retries) as pool:
+        yield pool.run
 
 
 def _keep_lost(out: Path, experiment: str, runner: str, trial: Trial, result: TrialResult) -> TrialResult:
@@ -361,7 +335,7 @@ def _refusal(trial: Trial) -> str:
     try:
         config, goals = configure(trial, scenario)
     except ConfigError:
-        return ""  # so many robots do not fit: only a trial of that size fails, and says so
+        return ""  # so many robots do not fit: only a trial of that size fails, with that reason
     store = Store()
     try:
         store.seed(seeds(config))

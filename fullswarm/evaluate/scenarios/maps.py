@@ -7,6 +7,7 @@ Row 0 of a grid lies at the lowest y; the first row of a picture is its top. Pix
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,7 @@ class Map:
 
 
 def coverage_map(frame: GridFrame, covered: NDArray[np.generic], occupied: NDArray[np.bool_] | None = None) -> Map:
-    """Return what a swarm has seen as a map: covered cells are free, others unknown, `occupied` ones occupied.
+    """Return what a swarm has covered as a map: covered cells are free, others unknown, `occupied` ones occupied.
 
     Parameters
     ----------
@@ -140,33 +141,37 @@ BOX, ROBOT, GOAL, START, FLOOR = "#", "R", "o", ".", " "
 LEGEND = f"{BOX} box or wall   {ROBOT} robot   {GOAL} goal   {START} where robots start"
 
 
-def text_map(scenario: Scenario, boxes: tuple[Box, ...], robots: list[tuple[float, float]]) -> str:
-    """Return the arena seen from above, y upwards, with a frame where it has walls."""
+def text_map(
+    scenario: Scenario,
+    boxes: tuple[Box, ...],
+    robots: Sequence[tuple[float, float]],
+    names: Sequence[str] | None = None,
+    goals: Sequence[tuple[float, float]] | None = None,
+) -> str:
+    """Return the arena seen from above, y upwards, with a frame where it has walls.
+
+    Parameters
+    ----------
+    names : a character for each robot; None: `ROBOT` for all
+    goals : of the robots; None: the scenario's
+    """
     x_min, y_min, x_max, y_max = scenario.bounds_m
     cell_x = max((x_max - x_min) / COLUMNS, (y_max - y_min) / COLUMNS)
     columns, rows = max(1, round((x_max - x_min) / cell_x)), max(1, round((y_max - y_min) / (2 * cell_x)))
     # A character is a box when boxes reach into a sixth of its 3 x 6 parts: thin walls stay, most gaps stay open.
     parts = occupied_cells(GridFrame(x_min, y_min, cell_x / 3, 6 * rows, 3 * columns), boxes)
     solid = parts.reshape(rows, 6, columns, 3).mean(axis=(1, 3)) >= 1 / 6 - 1e-9
-    lines = []
-    for row in reversed(range(rows)):
-        line = []
-        for column in range(columns):
-            x, y = x_min + (column + 0.5) * cell_x, y_min + (row + 0.5) * 2 * cell_x
-            line.append(BOX if solid[row, column] else _floor(scenario, x, y))
-        lines.append(line)
-    for x, y in robots:
-        column, row = int((x - x_min) / cell_x), int((y - y_min) / (2 * cell_x))
+    x = x_min + (np.arange(columns) + 0.5) * cell_x
+    y = y_min + (np.arange(rows)[:, None] + 0.5) * 2 * cell_x
+    left, low, right, high = scenario.spawn.region_m
+    grid = np.where((left <= x) & (x <= right) & (low <= y) & (y <= high), START, FLOOR)
+    for goal_x, goal_y in goals or (scenario.goal.centre_m,):
+        grid[(x - goal_x) ** 2 + (y - goal_y) ** 2 <= scenario.goal.radius_m**2] = GOAL
+    grid[solid] = BOX
+    for (robot_x, robot_y), name in zip(robots, names or ROBOT * len(robots), strict=True):
+        column, row = int((robot_x - x_min) / cell_x), int((robot_y - y_min) / (2 * cell_x))
         if 0 <= column < columns and 0 <= row < rows:
-            lines[rows - 1 - row][column] = ROBOT
+            grid[row, column] = name
     side, corner = (BOX, BOX) if scenario.walls else ("|", "+")
     edge = corner + (BOX if scenario.walls else "-") * columns + corner
-    return "\n".join([edge, *(f"{side}{''.join(line)}{side}" for line in lines), edge])
-
-
-def _floor(scenario: Scenario, x: float, y: float) -> str:
-    goal_x, goal_y = scenario.goal.centre_m
-    if (x - goal_x) ** 2 + (y - goal_y) ** 2 <= scenario.goal.radius_m**2:
-        return GOAL
-    left, low, right, high = scenario.spawn.region_m
-    return START if left <= x <= right and low <= y <= high else FLOOR
+    return "\n".join([edge, *(f"{side}{''.join(line)}{side}" for line in grid[::-1].tolist()), edge])
