@@ -1,4 +1,4 @@
-"""The agent's node: wires requests, laws, filter, controller, driver and calculators to the bus and the clock."""
+"""Wires the parts of an agent to the bus and the clock, and runs the tick."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ class AgentNode:
 
     @property
     def identity(self) -> Identity:
-        """Who this agent is."""
+        """Name of this agent on the bus."""
         return self._identity
 
     def wake(self) -> None:
@@ -199,7 +199,7 @@ class AgentNode:
             self.publish_health()
 
     def _measurement_failed(self, error: Exception) -> None:
-        """Note that a measurement failed. Whatever it was told, it must not end the process that drives the robot."""
+        """Count and log a failed measurement; whatever it raised must not end the process that drives the robot."""
         self.failed_measurements += 1
         if self.failed_measurements == 1:
             log.error("a measurement failed; the robots are not concerned", exc_info=error)
@@ -214,7 +214,7 @@ class AgentNode:
             return np.full((len(self._fleet.ids), 3), math.nan)
 
     def _act(self, now_s: float, reading: FleetReading) -> None:
-        """Wish, decide, command: what stands between knowing and the wheels."""
+        """Evaluate the control laws, decide and command the drivers."""
         period_s = 1.0 / self._config.control_rate_hz
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
@@ -319,7 +319,7 @@ class AgentNode:
         return self._state.driver_ready
 
     def close(self) -> None:
-        """Stop all wheels, tell the last of the story, close the drivers."""
+        """Stop all wheels, publish the last measurements, close the drivers."""
         for timer in self._timers:
             timer.cancel()
         for row in range(len(self._fleet.ids)):

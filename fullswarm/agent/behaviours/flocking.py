@@ -2,7 +2,7 @@
 
 A neighbour nearer than `repulsion_radius_m` pushes with ``-d/|d|``, one nearer than `alignment_radius_m` lends its
 heading, one nearer than `attraction_radius_m` pulls with ``d``. The paper's alignment (``dv = 0, dθ = θ_j - θ_i``)
-turns without saying how fast to go; here each robot adds its wish to cruise along the mean heading of itself and its
+turns without saying how fast to go; here each robot adds a velocity along the mean heading of itself and its
 neighbours, which has the same equilibrium: equal headings. Averages, not sums, keep the speed free of the density.
 
 A kernel, because some thirty array operations on two or three neighbours cost a robot more than all else in a tick.
@@ -45,10 +45,10 @@ def steer(
         lent_y = 0.0
         repulsion_m = float(repulsion_radius_m[i, 0])
         attraction_m = float(attraction_radius_m[i, 0])
-        for edge in range(start[i], start[i + 1]):
-            gap_m = float(distance[edge])
-            x = float(offset[edge, 0])
-            y = float(offset[edge, 1])
+        for pair in range(start[i], start[i + 1]):
+            gap_m = float(distance[pair])
+            x = float(offset[pair, 0])
+            y = float(offset[pair, 1])
             if gap_m < repulsion_m:
                 # Grows from 0 at the radius to 1 at contact, so that no robot chatters at the border.
                 push = (1.0 - gap_m / repulsion_m) / max(gap_m, 1e-6)
@@ -58,8 +58,8 @@ def steer(
                 pull_x += x
                 pull_y += y
             if gap_m < alignment_radius_m[i, 0]:
-                lent_x += math.cos(neighbour_heading[edge])
-                lent_y += math.sin(neighbour_heading[edge])
+                lent_x += math.cos(neighbour_heading[pair])
+                lent_y += math.sin(neighbour_heading[pair])
         along_x = math.cos(heading[i]) + alignment[i, 0] * lent_x
         along_y = math.sin(heading[i]) + alignment[i, 0] * lent_y
         length = max(math.sqrt(along_x * along_x + along_y * along_y), 1e-9)

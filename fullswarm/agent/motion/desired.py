@@ -1,4 +1,4 @@
-"""What the robots would like to do: the laws are evaluated, and their wishes filtered where asked."""
+"""Evaluates the control laws and puts the desired twists, filtered where requested, before the robot controller."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ Bounds = tuple[float, float, float, float]
 
 
 class DesiredMotion:
-    """Puts the wishes of all laws that run before the controller, tick by tick.
+    """The desired motion of n robots.
 
     Attributes
     ----------
-    law_error : what the last failure of each robot's law was, false if it never failed
+    law_error : the last failure of each robot's control law, false if it never failed
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class DesiredMotion:
         return self._near
 
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
-        """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
+        """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
@@ -81,7 +81,7 @@ class DesiredMotion:
         if not planar and not tasks.any_filtered:
             return
         if tasks.any_filtered:
-            # A stick is not turned aside: its operator sees the robot.
+            # A stick's twist is not turned: its operator sees the robot.
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
@@ -90,19 +90,19 @@ class DesiredMotion:
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
-        """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
+        """Call one control law; if it raises or returns what is not finite, its robots are stopped with that reason.
 
         Returns
         -------
         bool
-            It wishes planar velocities, which have yet to be mapped to twists.
+            It returned planar velocities, which have yet to be mapped to twists.
         """
         try:
             desired = group.call(view, group.params)
             # On board there is one robot, and reducing an array costs it five times as much as two numbers.
             if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
                 raise ValueError("the law's answer is not finite")
-        except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
+        except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)
             return False
         controller = self._controller
@@ -119,4 +119,4 @@ class DesiredMotion:
             self.law_error[row] = why
         if why.text not in self._logged_errors:
             self._logged_errors.add(why.text)
-            log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)
+            log.error("a control law failed; its robots are stopped", law=group.law, error=str(error), exc_info=error)

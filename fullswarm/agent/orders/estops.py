@@ -101,7 +101,7 @@ class EStops:
         return True
 
     def carry_out(self, order: EStop, rows: Iterable[int], now_s: float) -> None:
-        """Latch or release the robots `rows`; confirm at once, an engaged one again when it stands.
+        """Latch or release the robots `rows`; confirm at once, an engaged one again at standstill.
 
         The wheels come first, then the receipts, then the disk, which may take its time.
         """

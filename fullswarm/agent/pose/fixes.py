@@ -109,11 +109,11 @@ class Fixes:
         self._timer: Timer | None = None  # from the first fix on
         self.contacts = np.zeros(len(ids), np.int64)
         self.touching = False
-        whose = ids[0] if len(ids) == 1 else "*"
-        self._subscription = bus.subscribe(keys.pose_fix(whose), PoseFix, self._on_fix, latest=True)
+        robot = ids[0] if len(ids) == 1 else "*"
+        self._subscription = bus.subscribe(keys.pose_fix(robot), PoseFix, self._on_fix, latest=True)
 
     def close(self) -> None:
-        """Stop listening."""
+        """Drop the subscription and the timer."""
         self._subscription.close()
         if self._timer is not None:
             self._timer.cancel()
@@ -192,7 +192,7 @@ class Fixes:
 
     # ------------------------------------------------------------------ what is missing
     def _watch(self) -> None:
-        """Notice sources that have gone silent, or that tell nothing of use."""
+        """Detect sources that have gone silent, or whose fixes are all refused."""
         now_s, timeout_s = self._scheduler.now_s(), self._config.fix_timeout_s
         for row, source_state in self._source_states.items():
             if now_s - source_state.accepted_s > timeout_s:

@@ -1,4 +1,4 @@
-"""Tells operators what the safety filter changes now, which way, and what it keeps clear of."""
+"""Publishes what the safety filter changes now, in which direction, and because of what."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def blame(
             sign = -1.0 if side < 2 else 1.0
             between = sign * (bounds_m[side] - (x if side % 2 == 0 else y)) - radius[i]
             worth = weight(-sign * (away_x if side % 2 == 0 else away_y), between)
-            if between < reach_m and 1.1 * worth > best:  # walls are obstacles too: that it is the edge says more
+            if between < reach_m and 1.1 * worth > best:  # walls are obstacles too; the edge is the better answer
                 best = worth
                 kind[k] = 3
                 which[k] = -1
@@ -130,7 +130,7 @@ class InterventionReporter:
         self._bus.publish(self._key, message)
 
     def _rows(self) -> Index:
-        """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
+        """Return the robots that the filter slows down; one that is stopped for another reason is not among them."""
         moving = self._state.stop_reason == StopReason.MOVING
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 

@@ -25,7 +25,7 @@ PERIOD_S = 0.1
 ARRIVE_M = 0.1
 """A robot so near its goal has arrived, when neither the request nor the file says another radius."""
 FRESH_S = 0.3
-"""A neighbour heard longer ago may be anywhere: it makes no gap."""
+"""A neighbour whose newest state is older counts for no gap: it may be anywhere."""
 
 # Columns of the goals and of the state, one row per robot.
 GOAL_X, GOAL_Y, REACH, ASKED, BUSY = range(5)
@@ -80,7 +80,7 @@ def sample(
 
 
 class MetricSampler:
-    """The gauges of the robots of one agent.
+    """Samples the metrics of the robots of one agent.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class MetricSampler:
         self._state[:, GAP] = math.inf
 
     def sample(self, now_s: float) -> None:
-        """Take in how things are now: every `PERIOD_S`, and before they are told."""
+        """Take a sample: every `PERIOD_S`, and before a message."""
         dt_s = min(max(now_s - self._sampled_s, 0.0), PERIOD_S)
         self._sampled_s = now_s
         if self._tasks != self._all_tasks.of:
@@ -122,7 +122,7 @@ class MetricSampler:
         traffic: CountingBus,
         counted: Mapping[str, Array],
     ) -> RobotMeasurement:
-        """Return the measurement; what its columns mean stands in ``perf/metrics.py``.
+        """Return the measurement; ``perf/metrics.py`` defines its columns.
 
         `counted` are the columns of others, (n,) each: the calculators' and the filter's.
         """

@@ -1,4 +1,4 @@
-"""What an agent tells the others about its robots: states and health."""
+"""Makes the messages of an agent about its robots: states and health."""
 
 from __future__ import annotations
 
