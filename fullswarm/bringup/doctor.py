@@ -25,8 +25,7 @@ from fullswarm.bringup.machine import (
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Description
-from fullswarm.drivers.fleet_file import load_fleet
-from fullswarm.drivers.frames import check_frames
+from fullswarm.drivers.fleet_file import check_frames, load_fleet
 from fullswarm.drivers.guardian import TakesGuardian, needs_guardian
 from fullswarm.drivers.make import Make, broken, emulated_as, make_of
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable

@@ -12,7 +12,7 @@ from fullswarm.bus.base import PROCESSES, NamedBus, SenderBus
 from fullswarm.bus.endpoint import host_of
 from fullswarm.bus.network_faults import Network, check_names, faulty, parse_network
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.drivers.frames import in_frame
+from fullswarm.drivers.fleet_file import in_frame
 from fullswarm.drivers.make import emulated_as
 from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import Unreachable

@@ -17,7 +17,7 @@ from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
 from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
-from fullswarm.drivers.frames import check_frames, in_frame
+from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED

@@ -117,7 +117,7 @@ class WorldNode:
         np.maximum(self._touched, self.world.contacts, out=self._touched)
         if self._truth is not None:
             world = self.world
-            self._truth.look(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
+            self._truth.sample(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
 
     def _beat(self) -> None:
         # In steps of the rate that the fleet file names, so that a reader of that file can tell the time.
