@@ -32,7 +32,7 @@ from fullswarm.geometry import wrap
 from fullswarm.reasons import Code, Reason, given
 
 TTL_S = 0.3
-"""A command holds for so long; after that the session is told to stop the robot."""
+"""A command holds for so long; after that the session stops the robot."""
 TICK_S = 0.015
 LONGEST_WAIT_S = 0.05
 """A guardian wants a sign of life that often."""
@@ -76,7 +76,7 @@ class LinkSession(Protocol[C]):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs; empty until known."""
+        """What the device reports that it runs; empty until known."""
         return ""
 
     def trouble(self, now_s: float) -> Reason:
@@ -232,7 +232,7 @@ class LinkedDriver(Generic[C]):
     port
         Opens the port; raises ``DriverError`` with what to do.
     guardian
-        Whether a process of its own stops the robot when this one is killed or paused; None: whoever opens the driver
+        Whether a process of its own stops the robot when this one is killed or paused; None: the opener of the driver
         decides by :meth:`guard`.
     warning
         What an operator must know before the robot drives; logged by :meth:`open`.
@@ -302,7 +302,7 @@ class LinkedDriver(Generic[C]):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs; empty until known."""
+        """What the device reports that it runs; empty until known."""
         return "" if self._session is None else self._session.firmware
 
     @final
@@ -485,8 +485,8 @@ class LinkedDriver(Generic[C]):
         due_s = min(session.next_due_s(now_s), self._gate.due_s(now_s), now_s + LONGEST_WAIT_S)
         chunks = port.read() if self._wait(port, due_s - now_s) else ()
         port.beat()
-        # Between reading and parsing, wherever this process was paused: the guardian says that it stops the robot
-        # before it does, so what the robot reports of it is not taken for a person's doing.
+        # Between reading and parsing, wherever this process was paused: the guardian reports its stop before it
+        # sends it, so what the robot shows of it is not taken for a person's doing.
         self._beat(session)
         now_s = self._clock.now_s()
         for chunk in chunks:

@@ -1,4 +1,4 @@
-"""CAN over a serial line (SLCAN, Lawicel): frames as lines of text, and the adapter that speaks them. Bytes only.
+"""CAN over a serial line (SLCAN, Lawicel): frames as lines of text, and the adapter that sends them. Bytes only.
 
 ``t1230`` is a frame with 11 bits of identifier and no data, ``T`` one with 29 bits, ``r`` and ``R`` ask remotely; a
 line ends with a carriage return. The line has no checksum: a flipped bit in a digit makes another valid frame, so
@@ -75,7 +75,7 @@ class Adapter:
     Parameters
     ----------
     bitrate
-        Of the bus behind it: with another one it opens, and hears and says nothing that others understand.
+        Of the bus behind it: with another one it opens, and exchanges nothing that other nodes understand.
     """
 
     def __init__(self, bitrate: int) -> None:
