@@ -10,8 +10,8 @@ The part after ``://`` is python-can's channel:
 ======================================  ==============================================================
 
 ``guardian=0`` and ``guardian=1`` decide whether a process of its own stops the wheels when this one is paused or
-killed; agents and `robots test` have one for controllers without a watchdog of 0.5 s or less. Not with ``virtual``, which no
-other process can reach.
+killed; agents and `robots test` have one for controllers without a watchdog of 0.5 s or less. Not with ``virtual``,
+which no other process can reach.
 
 Multicast stays on this machine (hop limit 0) but needs a route: a machine without any network has none until
 ``ip route add 239.0.0.0/8 dev lo``. Any program on the machine may send on it; a pty has one owner.
