@@ -19,7 +19,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Generic, Protocol, TypeVar, final
+from typing import Generic, Literal, Protocol, TypeVar, final
 
 import structlog
 
@@ -233,7 +233,7 @@ class LinkedDriver(Generic[C]):
         Opens the port; raises ``DriverError`` with what to do.
     guardian
         Whether a process of its own stops the robot when this one is killed or paused; None: the opener of the driver
-        decides by :meth:`guard`.
+        decides by :meth:`guard`; "never": the session has no stop plan.
     warning
         What an operator must know before the robot drives; logged by :meth:`open`.
     log
@@ -247,13 +247,13 @@ class LinkedDriver(Generic[C]):
         *,
         session: Callable[[float], LinkSession[C]],
         port: Callable[[], Port[C]],
-        guardian: bool | None = False,
+        guardian: Literal["never"] | bool | None = "never",
         warning: str = "",
         log: ChunkLog[C] | None = None,
         clock: Clock | None = None,
     ) -> None:
         self.url, self.description, self.warning = url, description, warning
-        self.guarded = bool(guardian)
+        self.guardable, self.guarded = guardian != "never", guardian is True
         self._new_session, self._open_port, self._guardian_wanted, self._log = session, port, guardian, log
         self._clock = clock or MonotonicClock()
         self._lock = threading.Lock()  # guards the session and the gate; held for microseconds
@@ -308,7 +308,7 @@ class LinkedDriver(Generic[C]):
     @final
     def guard(self) -> None:
         """Have a guardian from the next `open` on, unless the URL says otherwise."""
-        self.guarded = self._guardian_wanted is not False
+        self.guarded = self.guardable and self._guardian_wanted is not False
 
     @final
     def open(self) -> None:

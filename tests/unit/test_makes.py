@@ -11,7 +11,7 @@ import pytest
 
 from fullswarm import registry
 from fullswarm.drivers import make as records
-from fullswarm.drivers.guardian import TakesGuardian
+from fullswarm.drivers.guardian import takes_guardian
 from fullswarm.drivers.make import Make, built_in, emulated, make_of, part
 
 README = Path(__file__).parents[2] / "fullswarm" / "drivers" / "README.md"
@@ -31,9 +31,7 @@ def test_what_a_record_names_exists(make: Make) -> None:
     if make.emulation is not None:
         names += [make.emulation.start, make.emulation.bench, make.emulation.clients, make.emulation.mode]
     assert all(part(each) for each in names if each)
-    if isinstance(driver, TakesGuardian):
-        driver.guard()
-    assert make.guarded == getattr(driver, "guarded", False)
+    assert make.guarded == takes_guardian(driver)
 
 
 @pytest.mark.parametrize("make", built_in(), ids=lambda make: make.name)
