@@ -17,7 +17,7 @@ demo: $(VENV)/.user    ## eight robots, and the address of a page to drive them 
 
 test: $(VENV)/.dev     ## all tests that belong to a change
 	$(BIN)/pytest -q -n 2 -m "not slow" tests/unit $(ARGS)
-	$(BIN)/pytest -q -n 4 --dist loadfile -m "not alone and not slow" tests/emulated tests/system $(ARGS)
+	$(BIN)/pytest -q -n 3 --dist loadfile -m "not alone and not slow" tests/emulated tests/system $(ARGS)
 	$(BIN)/pytest -q -m "alone and not slow" tests/emulated tests/system $(ARGS)
 	$(BIN)/pytest -q -m "not slow" tests/browser $(ARGS)
 

@@ -12,8 +12,8 @@ Further files:
                          VESC
 ``create_oi/``           The iRobot Create over serial (Open Interface)
 ``fleet.py``             One driver seen as a fleet of one, so that the agent has a single code path over arrays
-``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, and which robots
-                         would share a port
+``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, shared ports, frames
+                         of positions
 ``guardian.py``          Starts guardian processes, which stop a robot whose driver has stalled or died (decision 14)
 ``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or has died
 ``make.py``              The record of a make, and where all records are found
@@ -22,7 +22,6 @@ Further files:
 ``probe/``               What robot is on a port, asked without moving it: for `fullswarm robots find` and `fullswarm
                          doctor`
 ``sim/``                 The simulated make
-``frames.py``            Robots that know their own position: whose (0, 0) is the swarm's, and which URLs say so
 ``linked.py``            Runs the conversation with one robot for every make: thread, port, rules of the contract
 ``ports.py``             Opens serial devices, TCP and UDP, and says what to do where that fails
 """

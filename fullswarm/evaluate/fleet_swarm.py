@@ -213,7 +213,7 @@ class FleetRunner:
 
     # ------------------------------------------------------------------------------------------ asking
     def _set_up(self, config: SwarmConfig) -> None:
-        """Wait for Enter, or until pose fixes say that all robots stand in their places."""
+        """Wait for Enter, or until pose fixes show that all robots stand in their places."""
         runtime = Runtime(MonotonicClock())
         fixes: dict[str, tuple[float, PoseFix]] = {}
 
@@ -229,9 +229,7 @@ class FleetRunner:
                 printed = ""
                 while self._typed.line() is None:
                     if self._typed.ended:
-                        raise ConfigError(
-                            f"{UNCONFIRMED} that all is in place", hint="press Enter, or say so with --yes"
-                        )
+                        raise ConfigError(f"{UNCONFIRMED} that all is in place", hint="press Enter, or use --yes")
                     runtime.run(CHECK_PERIOD_S)
                     wrong = _wrong(config, fixes, runtime.now_s())
                     text = printed if wrong is None else "; ".join(wrong) or "all robots stand in their places"
@@ -258,7 +256,7 @@ class FleetRunner:
 
         swarm.until(answered, math.inf)
         if not answers:
-            raise ConfigError(f"{UNCONFIRMED} that it is safe to drive", hint="answer y, or say so with --yes")
+            raise ConfigError(f"{UNCONFIRMED} that it is safe to drive", hint="answer y, or use --yes")
         if answers[0].lower() not in ("y", "yes"):
             output.progress("nothing moved")
             raise KeyboardInterrupt

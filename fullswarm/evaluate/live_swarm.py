@@ -87,7 +87,7 @@ class LiveSwarm:
         self.world: WorldNode | None = None
         self._statuses: list[RequestStatus] = []
         self._began_s = self._ended_s = 0.0
-        self._looking: Timer | None = None
+        self._watch_timer: Timer | None = None
         self._insecure_network = insecure_network
         self.kept = False
         """Whether the folder of the logs stays when this ends: it does after an error."""
@@ -176,12 +176,12 @@ class LiveSwarm:
         self._statuses, self._began_s = [], self.runtime.now_s()
         self.operator.request(behaviour, (), parameters, self._statuses.append)
 
-    def watch(self, look: Callable[[], None]) -> None:
-        """Call `look` after each step of the world, so that none is missed on a busy machine; without one, by time."""
+    def watch(self, on_step: Callable[[], None]) -> None:
+        """Call `on_step` after each step of the world, so that none is missed on a busy machine; else by time."""
         if self.world is None:
-            self._looking = self.runtime.every(SAMPLE_S, look)
+            self._watch_timer = self.runtime.every(SAMPLE_S, on_step)
         else:
-            self.world.world.watchers.append(look)
+            self.world.world.watchers.append(on_step)
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
         """Serve for `CHECK_PERIOD_S`, or until `stopped`.
@@ -215,8 +215,8 @@ class LiveSwarm:
             return burst.done and not any(row.health and row.health.moving for row in rows)
 
         self.serve(at_standstill, STAND_S)  # also for those whose neighbour's process has died
-        if self._looking is not None:
-            self._looking.cancel()
+        if self._watch_timer is not None:
+            self._watch_timer.cancel()
 
     def report(self) -> Report:
         """Return what was measured, when summaries of what was measured until the stop have come."""
@@ -366,7 +366,7 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     """
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
-    config = on_free_ports(with_make(config, trial, emulate), wished=False)
+    config = on_free_ports(with_make(config, trial, emulate), prefer_configured=False)
     config, limit = terms(trial, scenario, config)
     kernels.compile_all()
     with LiveSwarm(config) as swarm:

@@ -32,7 +32,7 @@ class LockstepSwarm:
         self.config, self.world, self._runtime = lockstep.config, lockstep.world, lockstep.runtime
         for row in range(len(self.world.ids)):
             self.world.set_limits(row, widened(self.world.description.limits))
-        self._look: Callable[[], None] | None = None
+        self._watcher: Callable[[], None] | None = None
         self._steps = 0
         # From the start, so that it comes after each of the world's steps; a later timer might come before them.
         self._runtime.every(self.world.dt_s, self._on_step)
@@ -64,9 +64,9 @@ class LockstepSwarm:
         self._began_s = self._runtime.now_s()
         self._operator.request(behaviour, (), parameters, self._statuses.append)
 
-    def watch(self, look: Callable[[], None]) -> None:
-        """Call `look` after each step of the world."""
-        self._look = look
+    def watch(self, on_step: Callable[[], None]) -> None:
+        """Call `on_step` after each step of the world."""
+        self._watcher = on_step
 
     def advance(self, stopped: Callable[[], bool]) -> bool:
         """Let `CHECK_PERIOD_S` pass, less when a termination condition is met."""
@@ -103,9 +103,9 @@ class LockstepSwarm:
         self._lockstep.close()
 
     def _on_step(self) -> None:
-        if self._look is not None:
+        if self._watcher is not None:
             self._steps += 1
-            self._look()
+            self._watcher()
 
     def _check(self) -> None:
         newest = self._statuses[-1] if self._statuses else None

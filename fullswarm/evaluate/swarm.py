@@ -91,8 +91,8 @@ class Swarm(Protocol):
         """Request a behaviour of all robots; time counts from here."""
         ...
 
-    def watch(self, look: Callable[[], None]) -> None:
-        """Call `look` from now on whenever the bodies may have moved: after each step of a simulated world."""
+    def watch(self, on_step: Callable[[], None]) -> None:
+        """Call `on_step` from now on whenever the bodies may have moved: after each step of a simulated world."""
         ...
 
     def advance(self, stopped: Callable[[], bool]) -> bool:

@@ -104,7 +104,8 @@ def drive(
     Raises
     ------
     TrialFailed
-        The request was refused, a robot does not run it, is in FAULT or silent, its law failed, or a process ended.
+        The request was refused, a robot does not run it, is in FAULT or silent, its behaviour failed or a process
+        ended.
     TrialHeld
         A robot is held by an e-stop.
     TrialStopped
@@ -170,7 +171,7 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
 
 
 class Track:
-    """Has the witness look at the bodies, and takes rows of their trajectory: at the request, then each `SAMPLE_S`."""
+    """Has the witness sample the bodies, and takes rows of their trajectory: at the request, then each `SAMPLE_S`."""
 
     def __init__(self, swarm: Swarm, request: TrialRequest, witness: Witness) -> None:
         self._swarm, self._request, self._witness = swarm, request, witness
@@ -181,11 +182,11 @@ class Track:
 
     def begin(self) -> None:
         """Take the first row, and watch."""
-        self._look()
+        self._sample_if_due()
         self._swarm.watch(self._on_step)
 
     def end(self) -> None:
-        """Take the last row, unless it is taken; the witness goes on looking."""
+        """Take the last row, unless it is taken; the witness goes on sampling."""
         if self._time_s[-1] < self._swarm.seen_s:
             self._take()
         self._next_s = np.inf
@@ -206,10 +207,10 @@ class Track:
         )
 
     def _on_step(self) -> None:
-        self._witness.look()
-        self._look()
+        self._witness.sample()
+        self._sample_if_due()
 
-    def _look(self) -> None:
+    def _sample_if_due(self) -> None:
         if self._swarm.seen_s >= self._next_s - TOLERANCE_S:
             self._take()
             self._next_s += SAMPLE_S * (1 + (self._swarm.seen_s - self._next_s + TOLERANCE_S) // SAMPLE_S)
@@ -231,7 +232,7 @@ def attempt(trial: Trial, run: Measure) -> Measurement | str:
         return run(trial)
     except FullswarmError as error:
         return str(error)
-    except Exception as error:  # a law or an engine is outside code: one trial must not end the experiment
+    except Exception as error:  # a behaviour or an engine is outside code: one trial must not end the experiment
         return f"{type(error).__name__}: {error}"
 
 
@@ -255,7 +256,7 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
 
 
 def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:
-    """Return what the behaviour is asked with: the cell's parameters and the goal, one for all or one for each."""
+    """Return the parameters of the behaviour's request: the cell's and the goal, one for all or one for each."""
     wanted: dict[str, Any] = dict(trial.cell.parameters)
     if scenario.goal.antipodal:
         wanted["targets"] = goals.tolist()

@@ -66,7 +66,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     outcome: Outcome | None  # None: it failed
     failure: str = ""
     end_reason: str = ""  # "all arrived", "time limit", a termination condition's name, or "failed"
-    onboard: dict[str, float] = {}  # what the swarm's summarizers say: "work.total_m", "coverage.fraction", …
+    onboard: dict[str, float] = {}  # from the swarm's summarizers: "work.total_m", "coverage.fraction", …
     truth: dict[str, float] = {}  # the same names where it is known of the true bodies too
     per_robot: dict[str, dict[str, float]] = {}  # "onboard work.distance_m" or "truth …" → robot → value
 

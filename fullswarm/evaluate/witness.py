@@ -39,7 +39,7 @@ def approach(
     time_s: float, before: Array, pose: Array, radius: Array, near: Index, gaps: Array, least: Array, at_s: Array,
     judged: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Take in one step: pairs in `near` came as close as `gaps` says, others moved straight from `before` to `pose`."""
+    """Take in one step: pairs in `near` came as close as `gaps`, others moved straight from `before` to `pose`."""
     n = pose.shape[0]
     furthest = 0.0
     for i in range(n):
@@ -94,7 +94,7 @@ class Approaches:
         self.least_m, self.at_s = np.full(n * (n - 1) // 2, math.inf), np.zeros(n * (n - 1) // 2)
         self._judged = np.zeros(n * (n - 1) // 2, np.bool_)
 
-    def look(self, time_s: float, pose: Array, near: Index, gaps_m: Array) -> None:
+    def sample(self, time_s: float, pose: Array, near: Index, gaps_m: Array) -> None:
         """Take in one step.
 
         Parameters
@@ -122,7 +122,7 @@ class Referee:
     Parameters
     ----------
     world : its bodies are watched
-    limits : what the robots' drivers say that they can do
+    limits : what the robots' drivers report as their limits
 
     Attributes
     ----------
@@ -144,12 +144,12 @@ class Referee:
         self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
         self.above_limits = 0
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Take in the last step."""
         world, counts, found = self._world, self._counts, self._world.referee
         self._steps += 1
         self._xy.append(world.pose[:, :2].copy())
-        self._approaches.look(self._steps * world.dt_s, world.pose, found.near, found.near_gap_m)
+        self._approaches.sample(self._steps * world.dt_s, world.pose, found.near, found.near_gap_m)
         counts[:] = 0
         if len(found.pairs):
             for first, second in found.pairs.tolist():
@@ -217,8 +217,8 @@ class Witness(Protocol):
         """Count from now on."""
         ...
 
-    def look(self) -> None:
-        """Take in what has happened since the last look."""
+    def sample(self) -> None:
+        """Take in what has happened since the last call."""
         ...
 
     def touched(self) -> NDArray[np.bool_]:
@@ -268,8 +268,8 @@ class WorldWitness:
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
-        Truth(*about).look(0.0, world.pose, world.twist, world.dt_s, world.contacts)
-        Referee(world, self._limits).look()
+        Truth(*about).sample(0.0, world.pose, world.twist, world.dt_s, world.contacts)
+        Referee(world, self._limits).sample()
         self.truth: Truth = Truth(*about)
         self._referee = Referee(world, self._limits)
 
@@ -277,12 +277,12 @@ class WorldWitness:
         """Watch from where the bodies are now."""
         self._referee = Referee(self._world, self._limits)
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Take in one step of the world."""
         world = self._world
         self._steps += 1
-        self._referee.look()
-        self.truth.look(self._steps * world.dt_s, world.pose, world.twist, world.dt_s, world.contacts)
+        self._referee.sample()
+        self.truth.sample(self._steps * world.dt_s, world.pose, world.twist, world.dt_s, world.contacts)
         self._touched |= world.contacts > 0
 
     def touched(self) -> NDArray[np.bool_]:
@@ -346,7 +346,7 @@ class ReportedWitness:
         self._events[:] = 0
         self._touched[:] = False
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Do nothing: messages arrive by themselves."""
 
     def touched(self) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fullswarm.bus.endpoint import check_endpoint
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.frames import check_frames
+from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
 from fullswarm.launch.supervisor import Supervisor

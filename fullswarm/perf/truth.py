@@ -4,7 +4,7 @@ A referee's account, free of noise, of odometry's drift and of the network: what
 with it. One call of one kernel per step; nothing is allocated. A supervisory process (paper II.F.1) publishes it as the
 measurement of the host ``truth``:
 
-    truth = Truth(...)                                       # fed with `look` after each step of the world
+    truth = Truth(...)                                       # fed with `sample` after each step of the world
     node = SupervisorCalculator(bus, keys, scheduler, truth)
 """
 
@@ -88,7 +88,7 @@ def observe(
 
 
 class Truth:
-    """What n bodies did since the first look.
+    """What n bodies did since the first sample.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Truth:
         self._untouched, self.contacts_seen = np.zeros(n, np.int64), False
         self._bounds_m = bounds_m
 
-    def look(self, time_s: float, pose: Array, twist: Array, dt_s: float, contacts: Counts | None = None) -> None:
+    def sample(self, time_s: float, pose: Array, twist: Array, dt_s: float, contacts: Counts | None = None) -> None:
         """Take in one step of the world.
 
         Parameters

@@ -216,6 +216,7 @@ def flood(origin: str, count: int, first: bytes = b"") -> list[socket.socket]:
     return opened
 
 
+@pytest.mark.alone
 def test_a_thousand_connections_without_a_token_keep_no_operator_out(swarm: LiveSwarm) -> None:
     own = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (own[1], own[1]))
@@ -254,6 +255,7 @@ def test_a_thousand_connections_without_a_token_keep_no_operator_out(swarm: Live
     resource.setrlimit(resource.RLIMIT_NOFILE, own)
 
 
+@pytest.mark.alone
 def test_it_ends_within_a_second_although_a_page_answers_nothing(swarm: LiveSwarm) -> None:
     process = swarm.spawn("console", "--listen", "127.0.0.1:0", "--json")
     origin, _, token = _url(process).partition("/#token=")

@@ -92,6 +92,7 @@ def test_ctrl_c_twice_while_it_starts_leaves_nobody(fleet: Path, started: list[s
     assert all_gone(children)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("after_s", [0.0, 0.4, 1.2])
 def test_ctrl_c_while_it_starts(fleet: Path, started: list[subprocess.Popen[str]], after_s: float) -> None:
     process = start(started, "up", str(fleet))
@@ -104,6 +105,7 @@ def test_ctrl_c_while_it_starts(fleet: Path, started: list[subprocess.Popen[str]
     assert all_gone(children, 1.0)
 
 
+@pytest.mark.alone
 def test_a_port_that_is_taken_ends_all_with_a_reason(fleet: Path, started: list[subprocess.Popen[str]]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", int(fleet.read_text().split(":", 2)[1].split('"')[0])))

@@ -11,8 +11,6 @@ import pytest
 from tests.system.fault_matrix import BACKENDS, FAULTS, Result, Round, full_rounds, quick_rounds
 from tests.system.fault_rounds import Matrix
 
-pytestmark = pytest.mark.alone
-
 LOOK_S = 0.05
 """The world is looked at each 5 ms, by a machine that has other work; docs/safety.md has the bare figures."""
 TRIES = 3

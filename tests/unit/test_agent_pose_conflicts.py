@@ -12,7 +12,7 @@ import pytest
 from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.agent.pose.conflicts import APART, DWELL_S, OVERLAP
 from fullswarm.config import load_swarm
-from fullswarm.drivers.frames import check_frames, in_frame, own_frame
+from fullswarm.drivers.fleet_file import check_frames, in_frame, own_frame
 from fullswarm.errors import ConfigError
 from fullswarm.messages import RobotStates
 from tests.unit.agent_bench import TICK_S, Bench

@@ -13,9 +13,18 @@ import random
 
 import pytest
 
-from fullswarm.drivers.create_oi import packets
-from fullswarm.drivers.create_oi.packets import HEADER, Sensors, StreamParser
-from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, CommandParser, Generation, Mode, Op
+from fullswarm.drivers.create_oi import protocol
+from fullswarm.drivers.create_oi.protocol import (
+    CREATE1,
+    CREATE2,
+    HEADER,
+    CommandParser,
+    Generation,
+    Mode,
+    Op,
+    Sensors,
+    StreamParser,
+)
 from fullswarm.drivers.create_oi.senses import stream_ids
 from fullswarm.emulators.create_oi.firmware import Firmware
 from fullswarm.simulation.bodies import FreeBody
@@ -47,19 +56,19 @@ def test_noise_makes_no_more_frames_than_its_checksum_lets_through(both: bool) -
     # Far fewer in fact: lengths and ids have to fit as well.
     assert frames <= at_most(noise.count(HEADER) * (2 if both else 1) / 256)
     parser.feed(bytes(300))
-    assert len(parser.feed(packets.frame(IDS, {"mode": 2}))) == 1  # and it hears on
+    assert len(parser.feed(protocol.frame(IDS, {"mode": 2}))) == 1  # and it hears on
 
 
 @pytest.mark.parametrize("both", [False, True])
 def test_of_well_formed_nonsense_one_in_256_passes(both: bool) -> None:
     """Header, length and ids as asked for, the rest noise: only the sum is left to tell."""
     luck, parser = random.Random(13), StreamParser(IDS, both_checksums=both)
-    good = packets.frame(IDS, {})
+    good = protocol.frame(IDS, {})
     fixed = [0, 1]
     place = 2
     for each in IDS:
         fixed.append(place)
-        place += 1 + packets.SIZES[each]
+        place += 1 + protocol.SIZES[each]
     tried = COUNT // len(good)
     frames = 0
     for _ in range(tried):
@@ -105,8 +114,8 @@ def test_a_damaged_stream_gives_true_frames_and_few_false_ones() -> None:
     bytes_sent = whole = hurt = true = false = 0
     while bytes_sent < COUNT:
         values = truth(luck)
-        frame = packets.frame(IDS, values)
-        told = Sensors(**{packets.PACKETS[each].name: values.get(packets.PACKETS[each].name, 0) for each in IDS})
+        frame = protocol.frame(IDS, values)
+        told = Sensors(**{protocol.PACKETS[each].name: values.get(protocol.PACKETS[each].name, 0) for each in IDS})
         sent = [told, *sent[:1]]  # the one before may have been held back
         if luck.random() < 0.5:
             frame = damaged(luck, frame)
@@ -123,7 +132,7 @@ def test_a_damaged_stream_gives_true_frames_and_few_false_ones() -> None:
 
 
 def test_a_single_wrong_bit_never_passes() -> None:
-    good = packets.frame(IDS, {"encoder_left": 12345, "mode": 2})
+    good = protocol.frame(IDS, {"encoder_left": 12345, "mode": 2})
     for bit in range(8 * len(good)):
         bad = bytearray(good)
         bad[bit // 8] ^= 1 << bit % 8

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.drivers.base import Twist
-from fullswarm.drivers.create_oi import packets, protocol
+from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.odometry import Odometry
 from fullswarm.drivers.create_oi.protocol import (
     CREATE1,
@@ -32,7 +32,7 @@ IDS = (7, 9, 10, 11, 12, 19, 35, 43, 44)
 names = st.sampled_from(IDS)
 values = st.fixed_dictionaries(
     {
-        packets.PACKETS[number].name: st.integers(*((-32768, 32767) if packets.PACKETS[number].signed else (0, 255)))
+        protocol.PACKETS[number].name: st.integers(*((-32768, 32767) if protocol.PACKETS[number].signed else (0, 255)))
         for number in IDS
     }
 )
@@ -55,7 +55,7 @@ def test_the_groups_have_the_sizes_of_the_specification() -> None:
      (43, "encoder_left"), (45, "light_bumper"), (52, "ir_left"), (58, "stasis")],
 )  # fmt: skip
 def test_packets_have_their_numbers(number: int, name: str) -> None:
-    assert packets.PACKETS[number].name == name
+    assert protocol.PACKETS[number].name == name
 
 
 def test_a_generation_knows_its_packets() -> None:
@@ -69,7 +69,7 @@ def test_a_generation_knows_its_packets() -> None:
 
 @given(values)
 def test_an_answer_comes_back_as_it_was_written(written: dict[str, int]) -> None:
-    read = protocol.decode(IDS, packets.encode(IDS, written))
+    read = protocol.decode(IDS, protocol.encode(IDS, written))
     assert read == Sensors(**written)
 
 
@@ -109,7 +109,7 @@ def test_the_older_sum_counts_only_where_the_generation_has_it() -> None:
 def test_frames_are_found_behind_garbage_however_they_are_cut(
     written: dict[str, int], garbage: bytes, cuts: list[int], header_in_sum: bool
 ) -> None:
-    good = packets.frame(IDS, written, header_in_sum=header_in_sum)
+    good = protocol.frame(IDS, written, header_in_sum=header_in_sum)
     parser = StreamParser(IDS, both_checksums=True)
     data = garbage + good + good + bytes(300)  # a false header may wait for 255 bytes
     found = []
@@ -155,7 +155,7 @@ def test_noise_is_survived_and_nearly_all_of_it_skipped() -> None:
         assert not strict.feed(noise[start : start + 97])
     assert strict.skipped > 99_000
     strict.feed(bytes(300))
-    assert len(strict.feed(packets.frame(IDS, {"mode": 2}))) == 1
+    assert len(strict.feed(protocol.frame(IDS, {"mode": 2}))) == 1
 
 
 def test_headers_alone_do_not_choke_the_parser() -> None:
@@ -260,8 +260,8 @@ REFUSED: list[Callable[[], bytes]] = [
     lambda: protocol.simple(Op.DRIVE),
     lambda: protocol.create1_byte(Op.WAIT_EVENT, 0),
     lambda: protocol.script(bytes(101)),
-    lambda: packets.encode([7], {"bumps_drops": 256}),
-    lambda: packets.encode([99], {}),
+    lambda: protocol.encode([7], {"bumps_drops": 256}),
+    lambda: protocol.encode([99], {}),
 ]
 
 

@@ -8,7 +8,7 @@ import random
 import pytest
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Twist
-from fullswarm.drivers.create_oi import packets, protocol
+from fullswarm.drivers.create_oi import protocol
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, ROOMBA500, Generation, Mode, Op
 from fullswarm.drivers.create_oi.senses import stream_ids, wheel_speeds
 from fullswarm.drivers.create_oi.session import CALM_S, REPEAT_S, Session
@@ -293,7 +293,7 @@ def test_an_activation_is_withdrawn() -> None:
 def test_a_late_frame_does_not_confirm_a_new_activation() -> None:
     bench = Bench().active()
     now_s = bench.clock.now_s()
-    late = packets.frame(stream_ids(CREATE2, CREATE2.baud), {"mode": Mode.SAFE})
+    late = protocol.frame(stream_ids(CREATE2, CREATE2.baud), {"mode": Mode.SAFE})
     bench.session.deactivate(now_s)
     bench.session.activate(now_s)
     bench.session.received(late + late, now_s)

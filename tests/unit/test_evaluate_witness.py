@@ -109,7 +109,7 @@ def test_a_world_is_seen_from_the_beginning_on_and_no_step_is_missed() -> None:
         world.step()
         witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1)
         witness.begin()
-        world.watchers.append(witness.look)
+        world.watchers.append(witness.sample)
         began_m = world.pose[0, 0]
         for count in (1, 3, 0, 6):
             for _ in range(count):
@@ -132,7 +132,7 @@ def test_a_graze_between_two_looks_is_counted() -> None:
     try:
         witness = WorldWitness(world, np.full((3, 2), 2.0), 0.5, 0.1)
         witness.begin()
-        world.watchers.append(witness.look)
+        world.watchers.append(witness.sample)
         for _ in range(80):
             world.set_twists(np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
             world.step()
@@ -157,7 +157,7 @@ def test_contacts_and_commands_above_the_limits_of_a_world(emulated: bool) -> No
         for _ in range(30):
             world.set_twists(np.array([[0.6, 0.0], [0.0, 0.0]]))
             world.step()
-            witness.look()
+            witness.sample()
         robot_events, obstacle_events, *_ = witness.tally()
         assert robot_events.tolist() == [1, 1]
         assert obstacle_events.tolist() == [0, 0]

@@ -47,7 +47,7 @@ def drive(body: World, referee: Referee, steps: int, twists: list[list[float]]) 
     for _ in range(steps):
         body.set_twists(np.array(twists))
         body.step()
-        referee.look()
+        referee.sample()
 
 
 def test_a_meeting_counts_once_for_each_robot() -> None:

@@ -52,13 +52,13 @@ def test_a_growing_folder_is_read_once_for_each_trial(tmp_path: Path, monkeypatc
     monkeypatch.setattr(msgspec.json, "decode", counted)
     asked(tmp_path, trials=10)
     folder = ExperimentFolder(tmp_path)
-    assert folder.look()
-    assert not folder.look()
+    assert folder.refresh()
+    assert not folder.refresh()
     for seed in range(4):
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + seed)
     reads.clear()
-    assert folder.look()
-    assert not folder.look()
+    assert folder.refresh()
+    assert not folder.refresh()
     assert len(folder.finished) == 4
     assert len(reads) == 4 + 2  # and experiment.json each time
 
@@ -72,14 +72,14 @@ def test_what_is_half_written_does_not_count(tmp_path: Path) -> None:
     broken.mkdir()
     (broken / RESULT_FILE).write_text("{")
     folder = ExperimentFolder(tmp_path)
-    assert folder.look()  # the broken one is news, once
-    assert not folder.look()
+    assert folder.refresh()  # the broken one is news, once
+    assert not folder.refresh()
     progress = progress_of(folder, BEGAN_S)
     assert (progress.finished, progress.unreadable) == (0, ("broken",))
     assert "unreadable: broken" in text_of(folder, BEGAN_S)
     write_trial(tmp_path, a_trial(0))
     (tmp_path / TRIALS / trial_id(a_trial(0)) / RESULT_FILE).replace(broken / RESULT_FILE)
-    assert folder.look()
+    assert folder.refresh()
     assert progress_of(folder, BEGAN_S).unreadable == ()
 
 
@@ -87,11 +87,11 @@ def test_a_failed_trial_that_is_run_again_is_read_again(tmp_path: Path) -> None:
     folder_path, trial = tmp_path, a_trial(0)
     write_trial(folder_path, trial, failure="killed")
     folder = ExperimentFolder(folder_path)
-    folder.look()
+    folder.refresh()
     assert progress_of(folder, BEGAN_S).failed == 1
-    assert not folder.look()
+    assert not folder.refresh()
     write_trial(folder_path, trial, contacts=2)
-    assert folder.look()
+    assert folder.refresh()
     progress = progress_of(folder, BEGAN_S)
     assert (progress.failed, progress.finished, progress.collisions) == (0, 1, 2)
 
@@ -102,7 +102,7 @@ def test_counts_speed_and_time_left(tmp_path: Path) -> None:
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + 2.0 * seed, contacts=int(seed == 3))
     write_trial(tmp_path, a_trial(11), at_s=BEGAN_S + 22.0, failure="it <raised> [bold]")
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     progress = progress_of(folder, BEGAN_S + 22.0)
     assert progress.trials_per_s == pytest.approx(0.5)
     assert progress.left_s == pytest.approx(88 / 0.5)
@@ -128,7 +128,7 @@ def test_a_pause_says_nothing_about_the_speed(tmp_path: Path) -> None:
     for seed in range(10, 20):
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + 3600.0 + seed)  # started again
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     assert progress_of(folder, BEGAN_S + 3619.0).trials_per_s == pytest.approx(1.0)
 
 
@@ -137,7 +137,7 @@ def test_an_experiment_that_stands_still_is_told(tmp_path: Path) -> None:
     for seed in range(10):
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + seed)
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     assert "nothing has finished" not in text_of(folder, BEGAN_S + 20.0)
     assert progress_of(folder, BEGAN_S + 300.0).left_s is None
     assert "nothing has finished for 5 min" in text_of(folder, BEGAN_S + 309.0)
@@ -148,7 +148,7 @@ def test_a_start_that_is_written_down_counts(tmp_path: Path) -> None:
     for seed in range(12):
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + (seed if seed < 10 else 10 + 5 * (seed - 9)))
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     assert progress_of(folder, BEGAN_S + 20.0).trials_per_s == pytest.approx(0.2)
 
 
@@ -156,7 +156,7 @@ def test_only_trials_that_are_asked_for_count(tmp_path: Path) -> None:
     ids = [write_trial(tmp_path, a_trial(seed)) for seed in range(5)]
     asked(tmp_path, trials=[*ids[:3], "to-come"])
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     progress = progress_of(folder, BEGAN_S)
     assert (progress.finished, progress.total) == (3, 4)
 
@@ -166,7 +166,7 @@ def test_a_strange_experiment_file_does_not_stop_the_view(tmp_path: Path, conten
     write_trial(tmp_path, a_trial(0))
     (tmp_path / "experiment.json").write_text(content)
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     progress = progress_of(folder, BEGAN_S)
     assert (progress.total, progress.left_s, progress.finished, progress.over) == (None, None, 1, False)
     assert headline(progress) == "paper: 1 trials"
@@ -176,7 +176,7 @@ def test_cells_that_do_not_fit_are_counted_and_the_newest_come_first(tmp_path: P
     for robots in range(1, 41):
         write_trial(tmp_path, a_trial(0, robots=robots), at_s=BEGAN_S + robots)
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     text = text_of(folder, BEGAN_S + 40.0, height=24)
     assert "and 31 more cells" in text
     assert len(text.splitlines()) <= 24
@@ -190,7 +190,7 @@ def test_cells_of_several_groups_name_theirs(tmp_path: Path) -> None:
     write_trial(tmp_path, trial)
     write_trial(tmp_path, replace(trial, cell=replace(trial.cell, group="bad network", network="loss=20%")))
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     lines = text_of(folder, BEGAN_S).splitlines()
     assert [sum(line.startswith(name) for line in lines) for name in ("group", "bad network", "paper ")] == [1, 1, 1]
 
@@ -198,7 +198,7 @@ def test_cells_of_several_groups_name_theirs(tmp_path: Path) -> None:
 def test_a_long_failure_is_told_in_full_unless_lines_are_counted(tmp_path: Path) -> None:
     write_trial(tmp_path, a_trial(0), failure="because " * 30 + "of this")
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     assert "of this" in " ".join(text_of(folder, BEGAN_S).split())
     counted = text_of(folder, BEGAN_S, height=24)
     assert "of this" not in counted
@@ -268,12 +268,12 @@ def test_older_settings_are_told_and_counted_nowhere(tmp_path: Path) -> None:
     names = [write_trial(tmp_path, a_trial(seed), contacts=seed) for seed in range(3)]
     asked(tmp_path, trials=names[:1])
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     progress = progress_of(folder, BEGAN_S)
     assert (progress.finished, progress.collisions, progress.older) == (1, 0, 2)
     assert "2 trials of older settings are in no figure" in text_of(folder, BEGAN_S)
     asked(tmp_path, trials=[])
-    folder.look()
+    folder.refresh()
     assert progress_of(folder, BEGAN_S).finished == 3
 
 
@@ -282,7 +282,7 @@ def test_what_is_not_utf_8_is_unreadable(tmp_path: Path) -> None:
     (tmp_path / TRIALS / name / RESULT_FILE).write_bytes(b'{"id": "\xff"}')
     (tmp_path / "experiment.json").write_bytes(b'"\xff"')
     folder = ExperimentFolder(tmp_path)
-    assert folder.look()
+    assert folder.refresh()
     assert progress_of(folder, BEGAN_S).unreadable == (name,)
 
 
@@ -303,11 +303,11 @@ def test_a_thousand_trials_are_looked_through_quickly(tmp_path: Path) -> None:
     for seed in range(1000):
         write_trial(tmp_path, a_trial(seed), at_s=BEGAN_S + seed)
     folder = ExperimentFolder(tmp_path)
-    folder.look()
+    folder.refresh()
     looked: list[Path] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Path, "stat", lambda self, **_: looked.append(self))
-        assert not folder.look()
+        assert not folder.refresh()
     assert looked == []  # no file is touched again
 
 

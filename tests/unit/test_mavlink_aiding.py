@@ -9,9 +9,9 @@ import pytest
 from fullswarm.agent.motion.robot_controller import StopReason
 from fullswarm.drivers.base import Lifecycle
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.aiding import SIGMA_M, Aiding
 from fullswarm.drivers.mavlink.codec import decode, dialect
 from fullswarm.drivers.mavlink.protocol import Mode
+from fullswarm.drivers.mavlink.vehicle import SIGMA_M, Aiding
 from fullswarm.reasons import Code
 from tests.unit.mavlink_bench import Px4Bench
 from tests.unit.mavlink_wire import Wire

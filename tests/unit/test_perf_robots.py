@@ -295,7 +295,7 @@ def look(truth: Truth, time_s: float) -> None:
     """Robot a drives to its goal at 0.5 m/s and bumps once; b stands."""
     pose = np.array([[0.1 + 0.5 * time_s, 1.0, 0.0], [2.5, 1.0, 1.0]])
     touching = int(0.5 < time_s < 0.7)
-    truth.look(time_s, pose, np.array([[0.5, 0.0], [0.0, 0.0]]), 0.02, np.array([touching, touching]))
+    truth.sample(time_s, pose, np.array([[0.5, 0.0], [0.0, 0.0]]), 0.02, np.array([touching, touching]))
 
 
 def test_no_robot_may_be_called_truth() -> None:

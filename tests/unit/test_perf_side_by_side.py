@@ -37,7 +37,7 @@ def run(noise_m: float, **performance: Any) -> tuple[Truth, dict[str, float], di
         truth = Truth(config.robots, np.full(4, 0.17), np.array(GOALS), REACH_M, config.bounds_m, 0.1)
         world = swarm.world
         swarm.runtime.every(
-            world.dt_s, lambda: truth.look(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
+            world.dt_s, lambda: truth.sample(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
         )
         supervisor = SupervisorCalculator(swarm.bus, keys, swarm.runtime, truth)
         swarm.run(40.0)

@@ -42,7 +42,7 @@ def wander(seed: int, n: int, steps: int) -> tuple[Array, Array]:
 
 def watch(truth: Truth, pose: Array, twist: Array) -> Truth:
     for step, (each, moving) in enumerate(zip(pose, twist, strict=True), start=1):
-        truth.look(step * DT_S, each, moving, DT_S)
+        truth.sample(step * DT_S, each, moving, DT_S)
     return truth
 
 
@@ -51,7 +51,7 @@ def watch(truth: Truth, pose: Array, twist: Array) -> Truth:
 def test_work_is_the_integral_of_the_speed(seed: int, n: int) -> None:
     pose, twist = wander(seed, n, 120)
     values = watch(truth_of(n), pose, twist).values()
-    way_m = (DT_S * np.abs(twist[1:, :, 0])).sum(axis=0)  # nobody knows where they came from at the first look
+    way_m = (DT_S * np.abs(twist[1:, :, 0])).sum(axis=0)  # the first sample has no position before it
     assert values["work.total_m"] == pytest.approx(way_m.sum())
     assert values["work.mean_m"] == pytest.approx(way_m.mean())
     assert values["work.max_m"] == pytest.approx(way_m.max())
@@ -80,7 +80,7 @@ def test_arrival_is_the_last_entry_into_the_disc() -> None:
     for step in range(1, 1001):
         time_s = step * DT_S
         x = [time_s, min(time_s, 2.0), time_s if time_s < 3.0 else 6.0 - time_s]
-        truth.look(10.0 + time_s, np.column_stack([x, y, np.zeros(3)]), np.zeros((3, 2)), DT_S)
+        truth.sample(10.0 + time_s, np.column_stack([x, y, np.zeros(3)]), np.zeros((3, 2)), DT_S)
     values, arrived_s = truth.values(), truth.per_robot()["arrival.arrived_s"]
     assert arrived_s == {"r1": pytest.approx(1.5, abs=2 * DT_S), "r2": pytest.approx(3.5, abs=2 * DT_S)}
     assert values["arrival.fraction"] == pytest.approx(2 / 3)
@@ -92,7 +92,7 @@ def test_arrival_is_the_last_entry_into_the_disc() -> None:
 def test_energy_is_that_of_speeding_up_and_of_rolling() -> None:
     truth, pose = truth_of(1), np.zeros((1, 3))
     for step, speed in enumerate((0.0, 0.5, 1.0, 0.5, 0.0, 0.5, 0.5)):
-        truth.look(step * 0.1, pose, np.array([[speed, 0.0]]), 0.1)
+        truth.sample(step * 0.1, pose, np.array([[speed, 0.0]]), 0.1)
     kinetic_j = 0.5 * 2.0 * (1.0**2 + 0.5**2)  # sped up to 1 m/s and later to 0.5 m/s; brakes give nothing back
     rolling_j = ROLLING * GRAVITY_M_S2 * 2.0 * 0.1 * (0.5 + 1.0 + 0.5 + 0.5 + 0.5)
     assert truth.values()["energy.total_j"] == pytest.approx(kinetic_j + rolling_j)
@@ -101,7 +101,7 @@ def test_energy_is_that_of_speeding_up_and_of_rolling() -> None:
 def test_turning_on_the_spot_costs_the_way_of_the_wheels() -> None:
     truth, pose = truth_of(1), np.zeros((1, 3))
     for step in range(11):
-        truth.look(step * 0.1, pose, np.array([[0.0, 2.0]]), 0.1)
+        truth.sample(step * 0.1, pose, np.array([[0.0, 2.0]]), 0.1)
     wheels_m = 11 * 0.1 * 2.0 * WHEEL_RADII * RADIUS_M
     assert truth.values()["energy.total_j"] == pytest.approx(ROLLING * GRAVITY_M_S2 * 2.0 * wheels_m)
 
@@ -116,7 +116,7 @@ def test_collisions_count_onsets_a_quarter_second_apart(gap_s: float, events: in
     for step in range(1, 500):
         time_s = step * DT_S
         touching = int(0.2 <= time_s <= 0.7 or 0.7 + gap_s <= time_s <= 1.8)
-        truth.look(time_s, pose, twist, DT_S, np.array([touching, touching, 0]))
+        truth.sample(time_s, pose, twist, DT_S, np.array([touching, touching, 0]))
     assert truth.per_robot()["collisions.events"] == {"r0": events, "r1": events, "r2": 0}
     assert truth.values()["collisions.events"] == 2 * events
     assert truth.values()["collisions.robots_touched"] == 2

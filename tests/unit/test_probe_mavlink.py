@@ -6,7 +6,7 @@ import pytest
 
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.mavlink import probe as mavlink
-from fullswarm.drivers.mavlink.stream import dialect
+from fullswarm.drivers.mavlink.codec import dialect
 
 AUTOPILOT, GIMBAL = 1, 154
 ROVER, GIMBAL_KIND, ARDUPILOT, ACTIVE = 10, 26, 3, 4

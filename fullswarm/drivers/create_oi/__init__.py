@@ -1,6 +1,6 @@
 """The iRobot Create over serial (Open Interface). In: twists. Out: odometry, bumps, cliffs, wheel drops, battery.
 
-``protocol`` (commands, generations) and ``packets`` (sensors, the stream) are bytes only. ``session`` is the whole
+``protocol`` is bytes only: commands, generations, sensors, the stream. ``session`` is the whole
 conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back, and how it keeps a
 robot awake; ``odometry`` is its dead reckoning, ``senses`` what it asks for and makes of hazards and power.
 ``settings`` reads the URL, ``driver`` puts a session on a serial port, ``probe`` asks ports for robots.

@@ -14,11 +14,9 @@
           maps.py    how each autopilot makes metres of degrees
         external.py  poses measured from outside, for the vehicle's position filter
         requests.py  commands and parameters asked again until answered
-        aiding.py    whether its position is still measured, and how uncertain it is
-        vehicle.py   what the vehicle has reported so far, and the reading made of it
+        vehicle.py   what the vehicle has reported, and whether its position is still measured
       signing.py     MAVLink 2 signing: key, timestamps over restarts, which frames to accept
-      codec.py       frames ↔ messages (pymavlink's dialect)
-      stream.py      bytes → frames: tolerant parser
+      codec.py       bytes ↔ messages (pymavlink's dialect); a tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU
 
 Set-points (twists) and poses from outside flow in, readings (pose, twist, battery, hazards) flow out.

@@ -28,11 +28,11 @@ from urllib.parse import parse_qsl, urlsplit
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.drivers.mavlink import protocol as p
-from fullswarm.drivers.mavlink.aiding import SIGMA_M
 from fullswarm.drivers.mavlink.autopilot import ArduPilot, Autopilot
 from fullswarm.drivers.mavlink.external import parse_origin
 from fullswarm.drivers.mavlink.px4 import AUTOPILOTS
 from fullswarm.drivers.mavlink.signing import Signing, Timestamps, read_key, state_path
+from fullswarm.drivers.mavlink.vehicle import SIGMA_M
 from fullswarm.drivers.ports import Port, SerialPort, TcpPort, UdpPort
 from fullswarm.errors import ConfigError, did_you_mean
 

@@ -10,10 +10,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from fullswarm.drivers.create_oi.packets import LONGEST_STREAM, MEMBERS, encode, frame, frame_size
 from fullswarm.drivers.create_oi.protocol import (
     BAUD_CODES,
     CREATE1,
+    LONGEST_STREAM,
+    MEMBERS,
     PERIOD_S,
     TOP_MM_S,
     Command,
@@ -21,6 +22,9 @@ from fullswarm.drivers.create_oi.protocol import (
     Generation,
     Mode,
     Op,
+    encode,
+    frame,
+    frame_size,
 )
 from fullswarm.emulators.create_oi.hardware import Battery, Counters, Panel, Surroundings
 from fullswarm.simulation.bodies import Body, drive_wheels, wheels_rolled

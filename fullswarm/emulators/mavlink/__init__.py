@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from fullswarm.drivers.frames import origin_of
+from fullswarm.drivers.fleet_file import origin_of
 from fullswarm.earth import SITL_ORIGIN_DEG
 from fullswarm.errors import ConfigError, did_you_mean
 

@@ -61,7 +61,7 @@ class Body(Section):
 
 
 class Behaviour(Section):
-    """A behaviour and what it is asked with, besides the goal."""
+    """A behaviour and the parameters of its request, besides the goal."""
 
     name: str = Field(min_length=1)
     parameters: dict[str, Parameter] = Field(default_factory=dict)

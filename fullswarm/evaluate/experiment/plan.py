@@ -41,7 +41,7 @@ class Cell:
         return " ".join((self.behaviour, *(f"{name}={value}" for name, value in self.parameters)))
 
     def fields(self) -> dict[str, Parameter]:
-        """Return what a filter can look at."""
+        """Return what a filter can match."""
         fields: dict[str, Parameter] = asdict(self)
         del fields["parameters"]
         return {**dict(self.parameters), **fields}

@@ -63,7 +63,7 @@ PROGRESS_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the command line says."""
+    """The options of the command line."""
 
     experiment: str
     seeds: str | None = None
@@ -335,7 +335,7 @@ def _refusal(trial: Trial) -> str:
     try:
         config, goals = configure(trial, scenario)
     except ConfigError:
-        return ""  # so many robots do not fit: only a trial of that size fails, and says so
+        return ""  # so many robots do not fit: only a trial of that size fails, with that reason
     store = Store()
     try:
         store.seed(seeds(config))

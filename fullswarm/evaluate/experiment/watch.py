@@ -34,7 +34,7 @@ LEFT = "left; the experiment goes on"
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the command line says."""
+    """The options of the command line."""
 
     folder: Path
     once: bool = False
@@ -55,7 +55,7 @@ def watch(wanted: Watch, runtime: Runtime | None = None, wall_s: Callable[[], fl
         The folder is missing, unreadable, or no experiment writes there.
     """
     folder = ExperimentFolder(wanted.folder)
-    folder.look()
+    folder.refresh()
     if wanted.once:
         _print(progress_of(folder, wall_s()), wall_s(), as_json=wanted.as_json)
         return 0
@@ -85,7 +85,7 @@ def _live(folder: ExperimentFolder, runtime: Runtime, wall_s: Callable[[], float
     with Live(console=console, auto_refresh=False, screen=console.is_terminal, transient=True) as live:
 
         def refresh() -> None:
-            folder.look()
+            folder.refresh()
             progress = progress_of(folder, wall_s())
             live.update(view(progress, wall_s(), console.size.height), refresh=console.is_terminal)
             if progress.over:
@@ -101,7 +101,7 @@ def _lines(folder: ExperimentFolder, runtime: Runtime, wall_s: Callable[[], floa
 
     def refresh() -> None:
         nonlocal first
-        changed = folder.look() or first
+        changed = folder.refresh() or first
         first = False
         if changed:
             progress = progress_of(folder, wall_s())
@@ -160,7 +160,7 @@ class ExperimentFolder:
                 hint="name the folder of `fullswarm experiment run … --out FOLDER`",
             )
 
-    def look(self) -> bool:
+    def refresh(self) -> bool:
         """Read what is new; return whether anything was."""
         changed = self._read_asked()
         names = set()
@@ -206,7 +206,7 @@ class ExperimentFolder:
         try:
             asked = msgspec.json.decode((self.path / EXPERIMENT_FILE).read_bytes())
         except (OSError, msgspec.DecodeError, ValueError):
-            return False  # not there yet, or no JSON: all that it says can be missed
+            return False  # not there yet, or no JSON: none of it is needed
         changed = isinstance(asked, dict) and asked != self.asked
         if changed:
             self.asked = asked
@@ -293,7 +293,7 @@ def _speed(newest: list[Finished], started_s: float, now_s: float) -> tuple[floa
     recent = _without_pauses([each for each in newest[: RECENT + 1] if each.at_s >= started_s], now_s)
     if len(recent) < 2:
         return None, None
-    # The oldest one only says when the others began. Trials that take longer now slow it down.
+    # The oldest one only shows when the others began. Trials that take longer now slow it down.
     span_s = max(now_s, recent[0].at_s) - recent[-1].at_s
     if span_s <= 0.0:
         return None, None
@@ -322,7 +322,7 @@ def _total(asked: dict[str, Any]) -> int | None:
 
 
 def _started_s(asked: dict[str, Any]) -> float:
-    """Return when it was started last, since 1970: what was finished before says nothing about its speed."""
+    """Return when it was started last, since 1970: what was finished before does not count for its speed."""
     try:
         started = datetime.fromisoformat(asked["started"])
     except (KeyError, TypeError, ValueError):

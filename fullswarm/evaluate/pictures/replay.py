@@ -21,7 +21,7 @@ PROGRESS_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What the command line says. `trial` is the beginning of an id, or a pattern with ``*``."""
+    """The options of the command line. `trial` is the beginning of an id, or a pattern with ``*``."""
 
     folder: Path
     to: Path

@@ -1,4 +1,4 @@
-"""What a trajectory says at any time: poses between its samples, contacts, what has happened so far."""
+"""Evaluates a trajectory at any time: poses between its samples, contacts, what has happened so far."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Timeline:
         return len(self._pose[0])
 
     def window(self, from_s: float | None, until_s: float | None) -> tuple[float, float]:
-        """Return the part that is wanted, inside of what there is.
+        """Return the part of the trial that is asked for and recorded.
 
         Raises
         ------

@@ -79,7 +79,7 @@ def _arena(scenario: str) -> str:
 
 
 def open_folder(out: Path, asked: Asked, trials: Iterable[Trial]) -> tuple[Asked, int]:
-    """Make the folder ready for `trials` and say in it what was asked for.
+    """Make the folder ready for `trials` and write down in it what was asked for.
 
     Returns
     -------

@@ -61,7 +61,7 @@ class Paired:
 def describe(
     values: Values, confidence: float = CONFIDENCE, at_least: float = -math.inf, at_most: float = math.inf
 ) -> Described:
-    """Return what a sample looks like; values that are not finite are left out.
+    """Return the description of a sample; values that are not finite are left out.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def describe(
 
 
 def wilson(successes: int, total: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the interval of a share of which `successes` of `total` were seen; (0, 1) when nothing was seen.
+    """Return the interval of a share of which `successes` of `total` were found; (0, 1) when `total` is 0.
 
     Raises
     ------

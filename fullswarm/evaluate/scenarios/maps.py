@@ -37,7 +37,7 @@ class Map:
 
 
 def coverage_map(frame: GridFrame, covered: NDArray[np.generic], occupied: NDArray[np.bool_] | None = None) -> Map:
-    """Return what a swarm has seen as a map: covered cells are free, others unknown, `occupied` ones occupied.
+    """Return what a swarm has covered as a map: covered cells are free, others unknown, `occupied` ones occupied.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ def read_named(name_or_path: str | Path, folder: Traversable, kind: str) -> tupl
     Raises
     ------
     ConfigError
-        No such file; `kind` says what was looked for.
+        No such file; `kind` names what was looked for.
     """
     text, names = str(name_or_path), package_names(folder)
     if isinstance(name_or_path, str) and text in names:

@@ -58,7 +58,9 @@ def guess_format(path: Path) -> str:
         known = _ENDINGS.get(path.suffix.lower())
     if known is None:
         raise ConfigError(
-            "this is no world of a known format", where=str(path), hint=f"or say which: {', '.join(FORMATS)}"
+            "this is no world of a known format",
+            where=str(path),
+            hint=f"or name it with --format: {', '.join(FORMATS)}",
         )
     return known
 

@@ -185,7 +185,7 @@ Disc = tuple[float, float, float]
 """Centre x, y and radius in metres."""
 
 MARGIN_M = 1.0
-"""Free floor around everything, where a file does not say how large its world is."""
+"""Free floor around everything, where a file does not give the size of its world."""
 
 MAX_M = 1e6
 """What is farther away is a slip, or not finite."""
@@ -282,7 +282,7 @@ class Draft:
         return True
 
     def finish(self, name: str, description: str) -> Imported:
-        """Return the scenario; what the file does not say is chosen here and noted.
+        """Return the scenario; what the file does not specify is chosen here and noted.
 
         Raises
         ------

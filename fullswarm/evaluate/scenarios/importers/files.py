@@ -1,4 +1,4 @@
-"""Reading other simulators' files: bytes, XML with line numbers, numbers; and errors that say where."""
+"""Reading other simulators' files: bytes, XML with line numbers, numbers; and errors that name the place."""
 
 from __future__ import annotations
 

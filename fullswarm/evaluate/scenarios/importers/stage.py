@@ -1,7 +1,7 @@
 """Stage worlds (rtv.github.io/Stage): floor plan, models with blocks, robots, ``define`` and ``include``.
 
-A model's blocks are stretched to its size, whatever their points say (libstage/block.cc). Angles are in degrees,
-lengths in metres, unless the file says otherwise. Dark pixels of a floor plan (127 of 255 or less) are solid. The
+A model's blocks are stretched to its size, whatever their points are (libstage/block.cc). Angles are in degrees,
+lengths in metres, unless the file sets other units. Dark pixels of a floor plan (127 of 255 or less) are solid. The
 syntax is that of libstage/worldfile.cc: words may hold indices (``point[0]``), tuples stand in brackets, ``#`` begins a
 comment.
 """
@@ -341,7 +341,7 @@ class WorldFile:
 
 
 def parse(path: Path) -> WorldFile:
-    """Return what a world file says, includes and all.
+    """Return what a world file and its includes define.
 
     Raises
     ------
