@@ -1,4 +1,4 @@
-"""One line of a check-up: what was looked at, how it is, and what mends it."""
+"""Defines one line of a check-up: what was checked, its status, and what fixes it; prints all of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Status = Literal["ok", "warning", "failure"]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of the report; `mend` is a command or an advice, empty when nothing is to be done."""
+    """One line of the report; `mend` is a command or advice that fixes it, empty when nothing is to be done."""
 
     name: str
     status: Status
@@ -22,9 +22,9 @@ class Check:
 
     @property
     def line(self) -> str:
-        """Return it for people: one line, or two with what mends it."""
+        """Return it for people: one line, or two with the fix."""
         text = f"{self.status:8} {self.name}: {self.what}"
-        return f"{text}\n{'':8} mend it: {self.mend}" if self.mend else text
+        return f"{text}\n{'':8} fix: {self.mend}" if self.mend else text
 
 
 def show(checks: Iterable[Check], *, as_json: bool, about: dict[str, Any] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""`fullswarm doctor`: is this machine, and a fleet's hub and robots, fit to drive? What mends it if not.
+"""Runs `fullswarm doctor`: checks this machine, and a fleet's hub and robots, and says what fixes what is wrong.
 
 Nothing moves and nothing is changed. The machine's own checks are in :mod:`.machine`.
 """
@@ -26,7 +26,7 @@ from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Description
 from fullswarm.drivers.fleet_file import check_frames, load_fleet
-from fullswarm.drivers.guardian import TakesGuardian, needs_guardian
+from fullswarm.drivers.guardian import needs_guardian, takes_guardian
 from fullswarm.drivers.make import Make, broken, emulated_as, make_of
 from fullswarm.errors import ConfigError, FullswarmError, Unreachable
 
@@ -150,9 +150,9 @@ def _evidence(config: SwarmConfig) -> Iterator[Check]:
 def _guardian(name: str, driver: object) -> Iterator[Check]:
     """Warn of a robot that drives on when its agent is killed, and whose driver takes no guardian."""
     description = getattr(driver, "description", None)
-    if isinstance(description, Description) and needs_guardian(description) and not isinstance(driver, TakesGuardian):
+    if isinstance(description, Description) and needs_guardian(description) and not takes_guardian(driver):
         what = "it drives on when its agent is killed: no quick watchdog of its own, and its driver takes no guardian"
-        yield Check(name, "warning", what, "keep a hand at its switch; its driver needs guard(), see decision 14")
+        yield Check(name, "warning", what, "keep a hand on its switch; its driver needs guard(), see decision 14")
 
 
 def _frame(config: SwarmConfig) -> Iterator[Check]:
@@ -183,7 +183,7 @@ def _answer(name: str, url: str) -> Iterator[Check]:
     asked = ask.ask_url(url)
     if not asked.robots:
         mend = "" if asked.held else "fullswarm robots find"
-        yield Check(name, "warning" if asked.held else "failure", f"not asked: {asked.problem}", mend)
+        yield Check(name, "warning" if asked.held else "failure", f"not probed: {asked.problem}", mend)
         return
     for each in asked.robots:
         if _family(each.url) != _family(url):

@@ -26,7 +26,7 @@ from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 from fullswarm.simulation.bodies import Body, FreeBody
 
-LOOK_S, TELL_S, LISTEN_S = 0.1, 1.0, 0.05
+LOOK_S, PRINT_S, LISTEN_S = 0.1, 1.0, 0.05
 SWITCHES = {"on": True, "off": False, "1": True, "0": False, "yes": True, "no": False}
 
 
@@ -64,8 +64,8 @@ def run(
         for each in orders:
             inject(emulator, each)
         _announce(options, emulator.url, as_json=as_json)
-        teller, typed = _Teller(emulator, body), TypedLines()
-        runtime.every(LOOK_S, lambda: teller.look(runtime.now_s()), first_s=0.0)
+        printer, typed = _Printer(emulator, body), TypedLines()
+        runtime.every(LOOK_S, lambda: printer.print_change(runtime.now_s()), first_s=0.0)
         runtime.every(LISTEN_S, lambda: _listen(typed, emulator, runtime))
         runtime.run(seconds)
     return output.INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0
@@ -149,21 +149,21 @@ def _json_line(value: object) -> str:
 
 
 # ---------------------------------------------------------------- while it runs
-class _Teller:
+class _Printer:
     """Prints on stderr what the robot receives and does: on a change, and each second while it moves."""
 
     def __init__(self, emulator: Emulator, body: FreeBody) -> None:
         self._emulator, self._body = emulator, body
-        self._told, self._told_s = "", -math.inf
+        self._printed, self._printed_s = "", -math.inf
 
-    def look(self, now_s: float) -> None:
-        """Look once."""
+    def print_change(self, now_s: float) -> None:
+        """Print the state when it has changed."""
         state = self._body.state()
         doing = f"{self._mode()}{_plain(state.speed_m_s):+.2f} m/s {_plain(state.turn_rad_s):+.2f} rad/s"
         moves = bool(_plain(state.speed_m_s) or _plain(state.turn_rad_s))
-        if doing == self._told and not (moves and now_s - self._told_s >= TELL_S):
+        if doing == self._printed and not (moves and now_s - self._printed_s >= PRINT_S):
             return
-        self._told, self._told_s = doing, now_s
+        self._printed, self._printed_s = doing, now_s
         heading = math.degrees(state.heading_rad)
         x, y = _plain(state.x_m), _plain(state.y_m)
         output.progress(f"{doing}  at x {x:.2f} y {y:.2f} m, heading {heading:.0f} degrees")
@@ -296,7 +296,7 @@ FAULTS: dict[str, Fault] = {
     "unplug": Fault("", "pull the cable", lambda it, _: it.unplug(), "unplug"),
     "replug": Fault("", "put it back", lambda it, _: it.replug(), "replug"),
     "reboot": Fault("", "restart the firmware", lambda it, _: it.reboot(), "reboot"),
-    "mute": Fault("on|off", "hears, but says nothing", lambda it, text: it.mute(switch(text)), "mute"),
+    "mute": Fault("on|off", "receives, but sends nothing", lambda it, text: it.mute(switch(text)), "mute"),
     "stick": Fault("on|off", "repeats old sensor values", lambda it, text: it.stick_sensors(switch(text)),
                    "stick_sensors"),
     "battery": Fault("0..1", "charge", lambda it, text: it.set_battery(number(text, 0.0, 1.0)), "set_battery"),
@@ -308,7 +308,7 @@ FAULTS: dict[str, Fault] = {
     "pilot": Fault("NUMBER", "the pilot's mode switch", lambda it, text: it.pilot_mode(int(number(text, 0, 255))),
                    "pilot_mode"),
     "gps": Fault("on|off", "position from satellites", lambda it, text: it.set_gps(switch(text)), "set_gps"),
-    "dock": Fault("on|off", "stands on its home base", lambda it, text: it.set_dock(switch(text)), "set_dock"),
+    "dock": Fault("on|off", "on its home base", lambda it, text: it.set_dock(switch(text)), "set_dock"),
     "button": Fault("NAME[,NAME]|none", "buttons held down", _button, "press_buttons"),
     "wall": Fault("0..1023", "wall at its right", lambda it, text: it.set_wall(int(number(text, 0, 1023))), "set_wall"),
     "light": Fault("LEFT [RIGHT]", "light bumper, 0 to 4095", _light, "set_light_bumper"),
@@ -337,15 +337,15 @@ def inject(emulator: object, line: str) -> None:
         raise ConfigError(f"no command '{name}'", hint=did_you_mean(name, [*FAULTS, "help", "quit"]))
     if order.needs and not hasattr(emulator, order.needs):
         raise ConfigError(
-            f"'{name}' means nothing to this robot", hint=f"it knows: {', '.join(supported_faults(emulator))}"
+            f"'{name}' is not supported by this make", hint=f"supported: {', '.join(supported_faults(emulator))}"
         )
     if bool(argument) != bool(order.usage):
-        raise ConfigError(f"'{line}' is not how it is written", hint=f"{name} {order.usage}".strip())
+        raise ConfigError(f"'{line}' has wrong arguments", hint=f"{name} {order.usage}".strip())
     order.act(emulator, argument)
 
 
 def supported_faults(emulator: object) -> list[str]:
-    """Return the commands that mean something to an emulator."""
+    """Return the commands that an emulator supports."""
     return [name for name, order in FAULTS.items() if not order.needs or hasattr(emulator, order.needs)]
 
 

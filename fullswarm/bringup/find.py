@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
-from rich.table import Table
 
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.make import Scope, make_of, makes
 from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.found import Found
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_json: bool) -> int:
@@ -21,7 +24,7 @@ def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_jso
     Raises
     ------
     ConfigError
-        A bus or a UDP port is not written as it must be.
+        A bus or a UDP port is malformed.
     MissingExtra
         A bus was named and python-can is not installed.
     """
@@ -70,18 +73,9 @@ def _checks() -> str:
 
 
 def _table(found: Sequence[Found]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for name in ("port", "make", "model", "firmware", "battery", "note"):
-        table.add_column(name, overflow="fold")
+    table = output.plain_table("port", "make", "model", "firmware", "battery", "note")
     for each in found:
         battery = "-" if each.battery is None else f"{each.battery:.0%}"
-        cells = (
-            each.port,
-            each.make,
-            each.model,
-            each.firmware or "-",
-            battery,
-            each.note or (each.advice if not each.url else ""),
-        )
-        table.add_row(*map(escape, cells))
+        note = each.note or (each.advice if not each.url else "")
+        table.add_row(*map(escape, (each.port, each.make, each.model, each.firmware or "-", battery, note)))
     return table

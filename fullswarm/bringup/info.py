@@ -1,4 +1,4 @@
-"""`fullswarm info`: what a bug report needs: versions, machine, extras, ports. No address, no environment, no home."""
+"""Runs `fullswarm info`, for bug reports: versions, machine, extras, ports. No address, no environment, no home."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Info:
 
 
 def run(hub: str | None, swarm: str, *, as_json: bool) -> int:
-    """Print what is known of this installation and machine."""
+    """Print the facts of this installation and machine."""
     found = asdict(collect(hub, swarm))
     if as_json:
         output.data_json(found)
@@ -49,7 +49,7 @@ def run(hub: str | None, swarm: str, *, as_json: bool) -> int:
 
 
 def collect(hub: str | None, swarm: str) -> Info:
-    """Collect everything; what cannot be found out is reported as such."""
+    """Collect everything; what is unknown is reported as such."""
     installed, extras = requirements()
     return Info(
         fullswarm={
@@ -88,7 +88,7 @@ def requirements() -> tuple[dict[str, str], dict[str, str]]:
     try:
         wanted = importlib.metadata.requires("fullswarm") or []
     except importlib.metadata.PackageNotFoundError:  # run from a folder, not installed
-        return {"python": platform.python_version()}, {"?": "not known: fullswarm is not installed as a package"}
+        return {"python": platform.python_version()}, {"?": "unknown: fullswarm is not installed as a package"}
     for each in wanted:
         name, extra = _WORD.match(each), _EXTRA.search(each)
         if name is None or name[0] == SELF_REFERENCE:

@@ -1,4 +1,4 @@
-"""`fullswarm init my-lab`: a folder with a fleet file, a behaviour, its test: a lab that works at once."""
+"""Runs `fullswarm init my-lab`: writes a folder with a fleet file, a behaviour and its test."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def run(folder: Path, *, dry_run: bool) -> int:
     Raises
     ------
     ConfigError
-        The folder holds something, cannot be written, or its name cannot name a package.
+        The folder is not empty, cannot be written, or its name is not valid for a package.
     """
     folder = Path(os.path.normpath(folder))  # a/../b is b, also when there is no a
     name = folder.resolve().name
@@ -53,7 +53,7 @@ def lab_files(name: str, where: str = "") -> dict[str, str]:
     Raises
     ------
     ConfigError
-        `name` cannot name a package, or there is one of that name.
+        `name` is not valid for a package, or one of that name exists.
     """
     package = package_name(name, where or name)
 
@@ -64,7 +64,7 @@ def lab_files(name: str, where: str = "") -> dict[str, str]:
 
 
 def package_name(name: str, where: str) -> str:
-    """Return what the lab's Python package is called.
+    """Return the name of the lab's Python package.
 
     Raises
     ------
@@ -74,14 +74,14 @@ def package_name(name: str, where: str) -> str:
     package = name.lower().replace("-", "_")
     if not NAME.match(name) or len(name) > LONGEST_NAME or keyword.iskeyword(package):
         hint = "a letter first, then letters, digits, '-' and '_'; e.g. fullswarm init my-lab"
-        raise ConfigError(f"'{name}' cannot name a lab", where=where, hint=hint)
+        raise ConfigError(f"'{name}' is not a valid name of a lab", where=where, hint=hint)
     if package in ("tests", *sys.stdlib_module_names) or _installed(package):
         raise ConfigError(f"a Python package '{package}' exists already", where=where, hint="give the lab another name")
     return package
 
 
 def next_steps(folder: Path) -> str:
-    """Return what to type next."""
+    """Return the next commands."""
     place = "" if folder.resolve() == Path.cwd() else f"  cd {folder}\n"
     return (
         "Next:\n"
@@ -95,7 +95,7 @@ def next_steps(folder: Path) -> str:
 
 
 def _installed(package: str) -> bool:
-    # The working folder is on the path of `python -m fullswarm`: a lab that was made there before is no obstacle.
+    # The working folder is on the path of `python -m fullswarm`: a lab that was made there before must not count.
     before = sys.path[:]
     sys.path[:] = [each for each in before if each and Path(each).resolve() != Path.cwd()]
     try:

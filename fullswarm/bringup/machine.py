@@ -164,18 +164,18 @@ def network_time() -> Check:
     """Ask systemd whether the wall clock is synchronised; logs of several machines are compared by it."""
     command = shutil.which("timedatectl")
     if command is None:
-        return Check("network time", "ok", "not known: no timedatectl here")
+        return Check("network time", "ok", "unknown: no timedatectl here")
     try:
         answer = subprocess.run(  # noqa: S603  (a fixed command, no user input)
             [command, "show", "--property=NTPSynchronized", "--value"],
             capture_output=True, text=True, timeout=3.0, check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
-        return Check("network time", "ok", "not known: timedatectl does not answer")
+        return Check("network time", "ok", "unknown: timedatectl does not answer")
     if answer.stdout.strip() == "yes":
         return Check("network time", "ok", "synchronised")
     if answer.returncode or not answer.stdout.strip():
-        return Check("network time", "ok", "not known: timedatectl does not answer")
+        return Check("network time", "ok", "unknown: timedatectl does not answer")
     return Check("network time", "warning", "not synchronised", "sudo timedatectl set-ntp true")
 
 

@@ -1,4 +1,4 @@
-"""Checks one robot before it drives, `fullswarm doctor --robot`, and says what fixes what is wrong.
+"""Checks one robot before it drives, `fullswarm doctor --robot`, and reports what fixes what is wrong.
 
 Two ways lead to a robot, and each is checked apart from the other: the bus, on which its agent publishes, and SSH, by
 which its computer answers (``preflight_ssh.py``). Nothing moves; at the end its e-stop is pressed and released once if
@@ -116,7 +116,7 @@ def _named(config: SwarmConfig, robot_id: str) -> RobotConfig:
 
 @dataclass(frozen=True, slots=True)
 class Ways:
-    """What came of the two ways to a robot.
+    """The results of the two ways to a robot.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Ways:
     ssh: RobotComputer | FullswarmError | None
 
     @property
-    def heard(self) -> bool:
+    def received(self) -> bool:
         """Return whether it is reachable on the bus."""
         return isinstance(self.bus, BusState) and self.bus.there
 
@@ -144,7 +144,7 @@ def _checks(config: SwarmConfig, robot: RobotConfig, agree: Agree | None, reache
     with ExitStack() as stack:
         line, view, bus = _listen(config, robot, stack)
         ways = Ways(bus, _look(config, robot))
-        reached["bus"], reached["ssh"] = ways.heard, isinstance(ways.ssh, RobotComputer)
+        reached["bus"], reached["ssh"] = ways.received, isinstance(ways.ssh, RobotComputer)
         yield _by_ssh(ways)
         if isinstance(ways.ssh, RobotComputer):
             port, net = port_of(robot)
@@ -197,14 +197,14 @@ def port_of(robot: RobotConfig) -> tuple[str, str]:
     return "", unquote(parts.netloc)
 
 
-# ---------------------------------------------------------------- one way, the other, both or none
+# ---------------------------------------------------------------- whether it is reached
 def _by_ssh(ways: Ways) -> Check:
     if ways.ssh is None:
         return Check("ssh", "ok", "a simulated robot has no computer of its own")
     if isinstance(ways.ssh, RobotComputer):
-        return Check("ssh", "ok", "its computer lets us in")
+        return Check("ssh", "ok", "the login works")
     what, where = ways.ssh.what, f"{ways.ssh.where}: " if ways.ssh.where else ""
-    if ways.heard:
+    if ways.received:
         what += "; but its agent is received on the bus, so it is switched on and in the network"
     return Check("ssh", "failure", f"{where}{what}", ways.ssh.hint)
 
@@ -215,10 +215,10 @@ def _by_bus(config: SwarmConfig, robot: RobotConfig, ways: Ways) -> Check:
         also = "; but its computer answers: only the hub is missing" if ways.answers else ""
         mend = f"start it there: `fullswarm hub --listen {hub} --insecure-network`; check network and firewall"
         return Check("bus", "failure", f"{hub}: {bus.what}{also}", mend)
-    if ways.heard:
+    if ways.received:
         row = bus.row
-        return Check("bus", "ok", f"{hub}: received, fullswarm {row.version if row else ''} aboard")
-    was = "no longer received" if bus.row is not None else "not heard"
+        return Check("bus", "ok", f"{hub}: received, fullswarm {row.version if row else ''} on board")
+    was = "no longer received" if bus.row is not None else "not received"
     what = f"{hub}: the hub answers, but {robot.id} is {was} in swarm '{config.swarm}'"
     if not ways.answers:
         return Check("bus", "failure", what, "is it switched on and in this network?")
@@ -227,7 +227,7 @@ def _by_bus(config: SwarmConfig, robot: RobotConfig, ways: Ways) -> Check:
         mend = "hub.endpoint in the fleet file is this machine's own loopback: name an address that robots reach"
     elif isinstance(ways.ssh, RobotComputer) and ways.ssh.facts.agent.active:
         mend = f"its agent runs but does not reach {hub}: firewall, other swarm or an old fleet file there; "
-        mend += f"fullswarm deploy {robot.id} brings the new one"
+        mend += f"fullswarm deploy {robot.id} installs the new one"
     else:
         mend = f"its agent does not run: fullswarm logs {robot.id}"
     return Check("bus", "failure", what, mend)
@@ -267,11 +267,11 @@ def listen(line: Session, view: FleetView, robot: str) -> BusState:
         line.run(PATIENCE_S - LISTEN_S)
         waiting.cancel()
     seen = view.snapshot()
-    heard = BusState(_row(view, robot), any(node.node == "core" and node.age_s < LISTEN_S for node in seen.nodes))
-    if not heard.there:
-        return heard
+    received = BusState(_row(view, robot), any(node.node == "core" and node.age_s < LISTEN_S for node in seen.nodes))
+    if not received.there:
+        return received
     trips_s = tuple(took_s for number in range(PINGS) if (took_s := _ping(line, robot, number)) is not None)
-    return BusState(heard.row, heard.core, trips_s, PINGS - len(trips_s))
+    return BusState(received.row, received.core, trips_s, PINGS - len(trips_s))
 
 
 def _row(view: FleetView, robot: str) -> RobotRow | None:
@@ -296,7 +296,7 @@ def _ping(line: Session, robot: str, number: int) -> float | None:
 
 
 # ---------------------------------------------------------------- what that means
-def bus_checks(heard: BusState, battery_low: float) -> Iterator[Check]:
+def bus_checks(received: BusState, battery_low: float) -> Iterator[Check]:
     """Check a robot that is received.
 
     Parameters
@@ -304,26 +304,26 @@ def bus_checks(heard: BusState, battery_low: float) -> Iterator[Check]:
     battery_low
         Share at which its agent lets it stand.
     """
-    row = heard.row
+    row = received.row
     if row is None or row.health is None:
         return
-    yield _round_trip(heard)
-    if not heard.core:
+    yield _round_trip(received)
+    if not received.core:
         yield Check("core", "warning", "no core is received: behaviours cannot be requested", "start `fullswarm core`")
     yield _driver(row)
     yield _battery(row.health.battery, battery_low)
 
 
-def _round_trip(heard: BusState) -> Check:
+def _round_trip(received: BusState) -> Check:
     name = "round trip (bus)"
-    if not heard.trips_s:
-        what = f"none of {heard.lost} pings was answered, although its health reports arrive"
+    if not received.trips_s:
+        what = f"none of {received.lost} pings was answered, although its health reports arrive"
         return Check(name, "failure", what, "an older release? `fullswarm update` brings it to this one")
-    middle_s, worst_s = statistics.median(heard.trips_s), max(heard.trips_s)
-    what = f"half of {len(heard.trips_s)} within {took(middle_s)}, all within {took(worst_s)}"
-    if heard.lost:
-        what += f"; {heard.lost} not answered in {took(PING_S)}"
-    if heard.lost or middle_s > FAR_S:
+    middle_s, worst_s = statistics.median(received.trips_s), max(received.trips_s)
+    what = f"half of {len(received.trips_s)} within {took(middle_s)}, all within {took(worst_s)}"
+    if received.lost:
+        what += f"; {received.lost} not answered in {took(PING_S)}"
+    if received.lost or middle_s > FAR_S:
         return Check(name, "warning", what, "nearer to the access point, another channel, or a less busy hub")
     return Check(name, "ok", what)
 
@@ -340,14 +340,14 @@ def _driver(row: RobotRow) -> Check:
     if status == "ok":
         return Check("driver", "ok", what)
     mend = "fullswarm estop --clear, when the way is free" if health.estop and not bad else advise(row)
-    return Check("driver", status, what, mend or "look at its cable and power")
+    return Check("driver", status, what, mend or "check its cable and power")
 
 
 def _battery(share: float, low: float) -> Check:
     if share < 0.0:
-        return Check("battery", "ok", "not known: this robot does not report it")
+        return Check("battery", "ok", "unknown: this robot does not report it")
     if share <= low:
-        return Check("battery", "failure", f"{share:.0%}: at {low:.0%} it stands", "charge it")
+        return Check("battery", "failure", f"{share:.0%}: at {low:.0%} it stops", "charge it")
     if share < LOW_BATTERY:
         return Check("battery", "warning", f"{share:.0%}", "charge it soon")
     return Check("battery", "ok", f"{share:.0%}")
@@ -361,7 +361,7 @@ def estop_check(line: Session, view: FleetView, robot: str, agree: Agree) -> Che
         line.run(FRESH_S)  # older messages may be minutes old: the operator may have taken so long to answer
         if reason := _unfit(view, robot, line.operator.name):
             return Check(ESTOP, "warning", f"not pressed: {reason}", f"then again: fullswarm doctor --robot {robot}")
-        agreed = agree(f"Press the e-stop of {robot} for a moment and release it again? It stands; nothing moves.")
+        agreed = agree(f"Press the e-stop of {robot} for a moment and release it again? Nothing moves by this.")
         if agreed is None:
             return Check(
                 ESTOP,
@@ -473,16 +473,16 @@ def _judge(robot: str, pressed: EStopOrder, released: EStopOrder | None, other: 
         return Check(ESTOP, "failure", "pressed, but its release was not confirmed: it may still be latched", clear)
     if pressed.silent():
         what = f"not confirmed within {took(pressed.elapsed_s)}"
-        return Check(ESTOP, "failure", what, "do not drive it before this works: look at the network")
+        return Check(ESTOP, "failure", what, "do not drive it before this works: check the network")
     if pressed.unconfirmed():
         what = "latched, but its agent does not see it standing"
-        return Check(ESTOP, "failure", what, f"look at the driver: fullswarm logs {robot}")
+        return Check(ESTOP, "failure", what, f"check the driver: fullswarm logs {robot}")
     answered_s, stood_s = pressed.answered_s[robot], pressed.confirmed_s[robot]
     what = f"receipt after {took(answered_s)}, seen standing after {took(stood_s)}, released again"
     if pressed.receipts[robot].rolled_m > ROLLED_M:
         what = f"{what}; it rolled {pressed.receipts[robot].rolled_m:.3f} m"
         return Check(ESTOP, "failure", what, "it was reported at standstill: check its wheels and its encoders")
     if answered_s > LATE_S:
-        mend = "look at the network before it drives"
+        mend = "check the network before it drives"
         return Check(ESTOP, "failure" if answered_s > TOO_LATE_S else "warning", what, mend)
     return Check(ESTOP, "ok", what)

@@ -19,10 +19,10 @@ from fullswarm.errors import FullswarmError, Unreachable
 
 TRIPS = 5
 TRIP_S = 5.0
-LOOK_S = 20.0
+SCRIPT_S = 20.0
 CLOCK = "date -u +%s.%N"
 # What `fullswarm-robot facts` does not report, as the user that logs in: no root, and nothing is changed.
-LOOK = r"""
+SCRIPT = r"""
 if [ -n "$1" ]; then stat -Lc 'port=%a %U %G %F' -- "$1" 2>/dev/null || echo port=none; fi
 if [ -n "$2" ]; then
   if [ -r "/sys/class/net/$2/flags" ]; then echo "net=$(($(cat "/sys/class/net/$2/flags") & 1))"; else echo net=none; fi
@@ -63,14 +63,14 @@ class ComputerFacts(Facts, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class RobotComputer:
-    """What was found.
+    """What was found on a robot's computer.
 
     Parameters
     ----------
     trouble
-        Why nothing is known of the software there; then `facts` are empty.
-    said
-        The answers of `LOOK`.
+        Why its software is unknown; then `facts` are empty.
+    answers
+        The answers of `SCRIPT`.
     trips_s
         How long commands took that do nothing, there and back.
     clock_off_s, clock_doubt_s
@@ -79,14 +79,14 @@ class RobotComputer:
 
     trips_s: tuple[float, ...]
     facts: ComputerFacts = field(default_factory=ComputerFacts)
-    said: Mapping[str, str] = field(default_factory=dict)
+    answers: Mapping[str, str] = field(default_factory=dict)
     clock_off_s: float | None = None
     clock_doubt_s: float = 0.0
     trouble: FullswarmError | None = None
 
 
 async def inspect(login: Login, address: Address, port: str = "", net: str = "") -> RobotComputer:
-    """Log in and look.
+    """Log in and read everything.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ async def inspect(login: Login, address: Address, port: str = "", net: str = "")
     """
     async with login.connect(address) as remote:
         trips = [await _trip(remote) for _ in range(TRIPS)]
-        said = await _said(remote, port, net)
+        answers = await _answers(remote, port, net)
         facts, trouble = ComputerFacts(), None
         try:
             facts = await _facts(remote)
@@ -109,7 +109,7 @@ async def inspect(login: Login, address: Address, port: str = "", net: str = "")
     timed = [trip for trip in trips if trip[1] is not None]
     # The shortest round trip bounds best when the other clock was read.
     took_s, off_s = min(timed, default=(0.0, None))
-    return RobotComputer(tuple(each for each, _ in trips), facts, said, off_s, took_s / 2.0, trouble)
+    return RobotComputer(tuple(each for each, _ in trips), facts, answers, off_s, took_s / 2.0, trouble)
 
 
 async def _trip(remote: Remote) -> tuple[float, float | None]:
@@ -123,9 +123,9 @@ async def _trip(remote: Remote) -> tuple[float, float | None]:
         return took_s, None
 
 
-async def _said(remote: Remote, port: str, net: str) -> dict[str, str]:
-    script = f"set -- {shlex.quote(port)} {shlex.quote(net)}\n{LOOK}"
-    answer = await remote.run(script, within_s=LOOK_S)
+async def _answers(remote: Remote, port: str, net: str) -> dict[str, str]:
+    script = f"set -- {shlex.quote(port)} {shlex.quote(net)}\n{SCRIPT}"
+    answer = await remote.run(script, within_s=SCRIPT_S)
     lines = (clean(line, 200) for line in answer.out.splitlines()[:64])
     return dict(line.split("=", 1) for line in lines if "=" in line)
 
@@ -141,75 +141,73 @@ async def _facts(remote: Remote) -> ComputerFacts:
 
 
 # ---------------------------------------------------------------- the checks
-def computer(board: RobotComputer, robot: str, version: str, *, port: str = "", net: str = "") -> Iterator[Check]:
-    """Judge a computer.
+def computer(found: RobotComputer, robot: str, version: str, *, port: str = "", net: str = "") -> Iterator[Check]:
+    """Check a computer.
 
     Parameters
     ----------
     version
         Of fullswarm here.
     port, net
-        Where the robot's driver shall find its serial port, or its CAN interface.
+        The serial port of the robot's driver, or its CAN interface.
     """
-    for check in _checks(board, robot, version, port, net):
+    for check in _checks(found, robot, version, port, net):
         yield replace(check, what=clean(check.what))  # much of it comes from the robot
 
 
-def _checks(board: RobotComputer, robot: str, version: str, port: str, net: str) -> Iterator[Check]:
-    yield _ssh(board)
-    yield from _card(board, robot)
-    yield _power(board.facts.throttled)
-    yield _temperature(board.facts.temperature_c)
-    yield _clock(board)
+def _checks(found: RobotComputer, robot: str, version: str, port: str, net: str) -> Iterator[Check]:
+    yield _ssh(found)
+    yield from _card(found, robot)
+    yield _power(found.facts.throttled)
+    yield _temperature(found.facts.temperature_c)
+    yield _clock(found)
     if port:
-        yield _port(port, board.said.get("port", ""), board.said.get("groups", "").split())
+        yield _port(port, found.answers.get("port", ""), found.answers.get("groups", "").split())
     if net:
-        yield _net(net, board.said.get("net", ""))
-    yield from _software(board, robot, version)
+        yield _net(net, found.answers.get("net", ""))
+    yield from _software(found, robot, version)
 
 
-def _ssh(board: RobotComputer) -> Check:
-    middle_s, worst_s = statistics.median(board.trips_s), max(board.trips_s)
-    what = f"half of {len(board.trips_s)} within {took(middle_s)}, all within {took(worst_s)}"
+def _ssh(found: RobotComputer) -> Check:
+    middle_s, worst_s = statistics.median(found.trips_s), max(found.trips_s)
+    what = f"half of {len(found.trips_s)} within {took(middle_s)}, all within {took(worst_s)}"
     if middle_s > SLOW_SSH_S:
         return Check("round trip (ssh)", "warning", what, "a slow network, or a computer that is busy")
     return Check("round trip (ssh)", "ok", what)
 
 
 # ---------------------------------------------------------------- the computer
-def _card(board: RobotComputer, robot: str) -> Iterator[Check]:
-    facts, said = board.facts, board.said
-    anew = f"save what you need and write a new card: fullswarm flash {robot}"
-    options = said.get("state", "").split(",")
+def _card(found: RobotComputer, robot: str) -> Iterator[Check]:
+    facts, answers = found.facts, found.answers
+    new_card = f"save your data and write a new card: fullswarm flash {robot}"
+    options = answers.get("state", "").split(",")
     if "ro" in options:
         # On purpose only the system is read-only, never the folder of what must outlive a release.
         what = "what its agent must remember (a latched e-stop) lies on a file system that is read-only"
-        fell = "rw" in said.get("meant", "").split(",") or "errors=remount-ro" in options
-        yield Check("card", "failure", what, anew if fell else "mount /var/lib/fullswarm so that it can be written")
-    logged = int(said["card_log"]) if said.get("card_log", "").isdecimal() else 0
+        fell = "rw" in answers.get("meant", "").split(",") or "errors=remount-ro" in options
+        yield Check("card", "failure", what, new_card if fell else "mount /var/lib/fullswarm so that it can be written")
+    logged = int(answers["card_log"]) if answers.get("card_log", "").isdecimal() else 0
     errors = max(facts.disk_errors or 0, facts.card_errors or 0, logged)
     if errors:
-        yield Check("card", "failure", f"{errors} errors of its card or file system since it was started", anew)
+        yield Check("card", "failure", f"{errors} errors of its card or file system since it was started", new_card)
     if facts.installed and not facts.disk_writable and not facts.pending:
         yield Check("card", "warning", "/opt/fullswarm cannot be written: no update will go through", "remount it rw")
     free = facts.disk_free_bytes
     if free is None:
-        yield Check("card", "warning", "how much is free is not known", "")
+        yield Check("card", "warning", "the free space is unknown", "")
         return
-    seen = (
-        "" if "card_log" in said or facts.card_errors is not None else "; its kernel's log cannot be read by this user"
-    )
+    seen = "" if "card_log" in answers or facts.card_errors is not None else "; this user cannot read its kernel's log"
     status: Status = "failure" if free < LEAST_FREE else "warning" if free < LITTLE_FREE else "ok"
     mend = "" if status == "ok" else f"make room: fullswarm shell {robot}, then du -xh / | sort -h | tail"
     yield Check("card", status, f"{free / 1e9:.1f} GB free{seen}", mend)
 
 
 def _power(throttled: str) -> Check:
-    """Judge the bits of a Raspberry Pi's ``get_throttled``, in hexadecimal."""
+    """Check the bits of a Raspberry Pi's ``get_throttled``, in hexadecimal."""
     try:
         bits = int(throttled.removeprefix("throttled=").removeprefix("0x"), 16)
     except ValueError:
-        return Check("power", "ok", "not known: this computer does not watch its voltage")
+        return Check("power", "ok", "unknown: this computer does not watch its voltage")
     now = [text for bit, text in POWER.items() if bits >> bit & 1]
     was = [text for bit, text in POWER_WAS.items() if bits >> bit & 1]
     if not bits:
@@ -222,14 +220,14 @@ def _power(throttled: str) -> Check:
 
 def _temperature(celsius: float | None) -> Check:
     if celsius is None or not math.isfinite(celsius):
-        return Check("temperature", "ok", "not known: this computer does not report it")
+        return Check("temperature", "ok", "unknown: this computer does not report it")
     status: Status = "failure" if celsius >= TOO_HOT_C else "warning" if celsius >= HOT_C else "ok"
     mend = "" if status == "ok" else "a heat sink, a fan, or open its case; it will slow down"
     return Check("temperature", status, f"{celsius:.0f} °C", mend)
 
 
-def _clock(board: RobotComputer) -> Check:
-    off_s, doubt_s = board.clock_off_s, board.clock_doubt_s
+def _clock(found: RobotComputer) -> Check:
+    off_s, doubt_s = found.clock_off_s, found.clock_doubt_s
     if off_s is None:
         return Check("clock", "warning", "its clock could not be read", "")
     mend = "let it reach a time server: timedatectl there; its logs cannot be compared with others until then"
@@ -244,14 +242,14 @@ def _clock(board: RobotComputer) -> Check:
 
 
 # ---------------------------------------------------------------- its driver's port
-def _port(path: str, said: str, groups: list[str]) -> Check:
-    if not said or said == "none":
+def _port(path: str, answers: str, groups: list[str]) -> Check:
+    if not answers or answers == "none":
         mend = "plug it in and switch the robot on; `fullswarm robots find` there shows what there is"
         return Check("port", "failure", f"{path} does not exist there", mend)
-    mode, owner, group, kind = (*said.split(" ", 3), "", "", "")[:4]
+    mode, owner, group, kind = (*answers.split(" ", 3), "", "", "")[:4]
     what = f"{path}: {mode}, {owner}:{group}"
     if not mode.isdecimal() or "character" not in kind:
-        return Check("port", "failure", f"{path} is a {kind or 'thing that cannot be looked at'}, no port", "")
+        return Check("port", "failure", f"{path} is a {kind or 'file of unknown kind'}, no port", "")
     if not groups:
         return Check("port", "failure", f"{what}; there is no user '{USER}'", "`fullswarm deploy` makes it")
     bits = int(mode, 8)
@@ -266,26 +264,26 @@ def _port(path: str, said: str, groups: list[str]) -> Check:
     return Check("port", "failure", f"{what}; '{USER}' may not open it", mend)
 
 
-def _net(name: str, said: str) -> Check:
-    if said == "1":
+def _net(name: str, answers: str) -> Check:
+    if answers == "1":
         return Check("port", "ok", f"{name} is up")
-    if said == "0":
+    if answers == "0":
         mend = f"sudo ip link set {name} up type can bitrate 250000   # the bus's own rate"
         return Check("port", "failure", f"{name} is there but down", mend)
     return Check("port", "failure", f"there is no {name}", "plug the adapter in, or load its driver (`dmesg` there)")
 
 
 # ---------------------------------------------------------------- software
-def _software(board: RobotComputer, robot: str, version: str) -> Iterator[Check]:
-    facts = board.facts
-    if board.trouble is not None:
-        yield Check("software", "failure", board.trouble.what, board.trouble.hint)
+def _software(found: RobotComputer, robot: str, version: str) -> Iterator[Check]:
+    facts = found.facts
+    if found.trouble is not None:
+        yield Check("software", "failure", found.trouble.what, found.trouble.hint)
         return
     if not facts.installed:
         yield Check("software", "failure", "nothing of fullswarm is installed there", f"fullswarm deploy {robot}")
         return
-    yield _release(board, robot, version)
-    yield from _units(board, robot)
+    yield _release(found, robot, version)
+    yield from _units(found, robot)
     health = facts.health
     if health is None:
         yield Check("agent", "failure", "it has sent no health report lately", f"fullswarm logs {robot}")
@@ -296,8 +294,8 @@ def _software(board: RobotComputer, robot: str, version: str) -> Iterator[Check]
         yield Check("agent", "ok", f"healthy, {health.lifecycle}")
 
 
-def _release(board: RobotComputer, robot: str, version: str) -> Check:
-    facts = board.facts
+def _release(found: RobotComputer, robot: str, version: str) -> Check:
+    facts = found.facts
     if facts.robot != robot:
         what = f"this computer reports that it is '{facts.robot}'"
         return Check("software", "failure", what, f"`host` in the fleet file, or fullswarm deploy {robot}")
@@ -306,7 +304,7 @@ def _release(board: RobotComputer, robot: str, version: str) -> Check:
     what = f"{facts.current}, python {facts.python}, {facts.arch}"
     if facts.pending:
         mend = "wait a minute: it is approved or goes back by itself"
-        return Check("software", "warning", f"{what}; {facts.pending} waits for its verdict", mend)
+        return Check("software", "warning", f"{what}; {facts.pending} is not committed yet", mend)
     running = facts.health.release if facts.health is not None else ""
     if running and running != facts.current:
         return Check("software", "failure", f"{what}, but its agent runs {running}", "restart its agent")
@@ -317,22 +315,22 @@ def _release(board: RobotComputer, robot: str, version: str) -> Check:
     return Check("software", "ok", f"{what}{back}")
 
 
-def _units(board: RobotComputer, robot: str) -> Iterator[Check]:
-    agent, said = board.facts.agent, board.said
+def _units(found: RobotComputer, robot: str) -> Iterator[Check]:
+    agent, answers = found.facts.agent, found.answers
     if not agent.active:
         what = f"fullswarm-agent.service is {agent.state or 'not active'}"
         yield Check("units", "failure", what, f"fullswarm logs {robot}")
         return
-    if said.get("boot_LoadState", "loaded") != "loaded" or said.get("boot_Result", "success") != "success":
+    if answers.get("boot_LoadState", "loaded") != "loaded" or answers.get("boot_Result", "success") != "success":
         what = "fullswarm-boot.service did not run: after a power cut in an update nothing would go back"
         yield Check("units", "failure", what, f"fullswarm deploy {robot}")
-    if said.get("agent_WatchdogUSec", "") in ("0", "infinity"):
+    if answers.get("agent_WatchdogUSec", "") in ("0", "infinity"):
         what = "no watchdog restarts its agent if it hangs (WatchdogSec)"
         yield Check("watchdog", "warning", what, f"fullswarm deploy {robot}")
-    elif "agent_WatchdogUSec" in said:
-        yield Check("watchdog", "ok", f"systemd starts it again when it hangs for {said['agent_WatchdogUSec']}")
+    elif "agent_WatchdogUSec" in answers:
+        yield Check("watchdog", "ok", f"systemd starts it again when it hangs for {answers['agent_WatchdogUSec']}")
     if agent.restarts:
         what = f"the agent runs, but was started again {agent.restarts} times"
-        yield Check("units", "warning", what, f"fullswarm logs {robot} says why")
+        yield Check("units", "warning", what, f"see fullswarm logs {robot}")
     else:
         yield Check("units", "ok", "the agent runs")

@@ -20,7 +20,7 @@ from fullswarm.runtime import Runtime
 from fullswarm.testing import Report, Rig, Wire, check_driver, serial_wire, udp_wire
 
 MOVES = """The check drives the robot at up to its full speed for a moment and at half of it for seconds.
-Jack it up so that no wheel touches the ground, keep hands and cables away and one hand at its switch."""
+Jack it up so that no wheel touches the ground, keep hands and cables away, and one hand on its switch."""
 
 
 def run(

@@ -11,10 +11,9 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.markup import escape
-from rich.table import Table
 
 from fullswarm import output, registry
 from fullswarm.clock import Clock, MonotonicClock
@@ -25,9 +24,12 @@ from fullswarm.geometry import wrap
 from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
 STEP_S = 0.02
 STILL = 0.04
-"""Share of its limits below which a robot counts as standing, unless its make's noise is greater."""
+"""Share of its limits below which a robot counts as at standstill, unless the noise of its make is greater."""
 Verdict = Literal["passed", "failed", "skipped"]
 ACTIVATE_S, DEACTIVATE_S, STAND_S = 15.0, 10.0, 2.0
 SETTLE_S, LONGEST_SETTLE_S, WINDOW_S = 0.4, 2.0, 0.6
@@ -43,7 +45,7 @@ SILENCE_S = 1.0
 PRESS_S = 30.0
 ON_THE_FLOOR = """Put the robot on the floor with 0.5 m of free room on all sides, away from edges, off its charger.
 (In the air its wheel-drop and cliff sensors would not let it drive.)"""
-NO_WATCHDOG = "Should this computer die or the cable come off, the robot drives on: keep a hand at its switch."
+NO_WATCHDOG = "Should this computer die or the cable come off, the robot drives on: keep a hand on its switch."
 IN_THE_AIR = """Jack the robot up so that no wheel touches the ground, and keep hands and cables away."""
 
 
@@ -66,7 +68,7 @@ class Bench:
         )
 
     def wait(self, until: Callable[[], bool], limit_s: float, each: Callable[[], object] | None = None) -> bool:
-        """Look at 50 Hz, calling `each`, until a condition holds; return whether it did in time.
+        """Check at 50 Hz, calling `each`, until a condition holds; return whether it did in time.
 
         Raises
         ------
@@ -75,7 +77,7 @@ class Bench:
         """
         fulfilled = False
 
-        def look() -> None:
+        def check() -> None:
             nonlocal fulfilled
             self._read()
             fulfilled = fulfilled or until()
@@ -84,7 +86,7 @@ class Bench:
             elif each is not None:
                 each()
 
-        timer = self.runtime.every(STEP_S, look, first_s=0.0)
+        timer = self.runtime.every(STEP_S, check, first_s=0.0)
         try:
             self.runtime.run(limit_s)
         finally:
@@ -93,9 +95,9 @@ class Bench:
             raise KeyboardInterrupt
         return fulfilled
 
-    def drive(self, wished: Twist, duration_s: float) -> None:
-        """Command `wished` for a while."""
-        self.wait(lambda: False, duration_s, lambda: self.driver.command(wished))
+    def drive(self, desired: Twist, duration_s: float) -> None:
+        """Command `desired` for a while."""
+        self.wait(lambda: False, duration_s, lambda: self.driver.command(desired))
 
     def halt(self, limit_s: float) -> bool:
         """Command zero until the robot is at standstill; return whether it is."""
@@ -174,7 +176,7 @@ class Step:
 
 
 def steps(bench: Bench, clock: Clock, speed_m_s: float, ready_s: float, hertz: list[float]) -> Iterator[Step]:
-    """Yield verdicts in order; ends early where going on makes no sense."""
+    """Yield verdicts in order; ends early after a failure that makes the rest meaningless."""
     yield (ready := _ready(bench, clock, ready_s))
     if ready.verdict == "failed":
         return
@@ -197,9 +199,9 @@ def steps(bench: Bench, clock: Clock, speed_m_s: float, ready_s: float, hertz: l
         ("right", Twist(0.0, -turn_rad_s)),
     ]
     blind = False
-    for name, wished in moves:
-        step = _move(bench, name, wished)
-        blind = blind or (step.verdict == "skipped" and wished.linear_m_s >= 0.0)
+    for name, desired in moves:
+        step = _move(bench, name, desired)
+        blind = blind or (step.verdict == "skipped" and desired.linear_m_s >= 0.0)
         yield step
         if bench.driver.state is not Lifecycle.ACTIVE:
             yield Step("stays active", "failed", _why(bench.driver))
@@ -209,18 +211,18 @@ def steps(bench: Bench, clock: Clock, speed_m_s: float, ready_s: float, hertz: l
 
 
 def _ready(bench: Bench, clock: Clock, limit_s: float) -> Step:
-    told, began_s = "", clock.now_s()
+    reported, began_s = "", clock.now_s()
 
-    def tell() -> None:
-        nonlocal told
+    def report() -> None:
+        nonlocal reported
         why = bench.driver.fault or getattr(bench.driver, "why", "")
-        if why and why != told:
-            told = why
+        if why and why != reported:
+            reported = why
             output.progress(f"waiting: {why}")
 
-    if bench.reach(Lifecycle.READY, limit_s, tell):
+    if bench.reach(Lifecycle.READY, limit_s, report):
         return Step("ready", "passed", f"{clock.now_s() - began_s:.1f} s after opening")
-    return Step("ready", "failed", f"not READY within {limit_s:g} s: {told or _why(bench.driver)}")
+    return Step("ready", "failed", f"not READY within {limit_s:g} s: {reported or _why(bench.driver)}")
 
 
 def _identity(bench: Bench) -> Step:
@@ -230,7 +232,7 @@ def _identity(bench: Bench) -> Step:
     hazards = Hazard.NONE if reading is None else reading.hazards
     what = f"firmware {firmware or 'not reported'}, {charge}"
     if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT | Hazard.MOTORS_OFF):
-        return Step("state", "failed", f"{what}, {_names(hazards)}: mend that first")
+        return Step("state", "failed", f"{what}, {_names(hazards)}: fix this first")
     return Step("state", "passed", f"{what}, {_names(hazards)}" if hazards else what)
 
 
@@ -250,29 +252,29 @@ def _activated(bench: Bench) -> Step:
         return Step("activate", "failed", _why(bench.driver))
     if not bench.halt(STAND_S):
         return Step("activate", "failed", "it moves although nothing but zero was commanded")
-    return Step("activate", "passed", "ACTIVE, and it stands")
+    return Step("activate", "passed", "ACTIVE, at standstill")
 
 
-def _move(bench: Bench, name: str, wished: Twist) -> Step:
+def _move(bench: Bench, name: str, desired: Twist) -> Step:
     """Drive for a second and compare the way by odometry with what was applied; then it must stand."""
     driver, limits = bench.driver, bench.driver.description.limits
-    if wished.linear_m_s < 0.0 and not limits.can_reverse:
+    if desired.linear_m_s < 0.0 and not limits.can_reverse:
         return Step(name, "skipped", "this robot cannot reverse")
-    applied = driver.command(wished)
+    applied = driver.command(desired)
     if applied == STAND:
         reason = _why(driver) if driver.state is not Lifecycle.ACTIVE else "too slow for its controllers: raise --speed"
         return Step(name, "failed", f"the driver applies zero ({reason})")
-    bench.drive(wished, SETTLE_S)
-    bench.wait(partial(_settled, bench, applied), LONGEST_SETTLE_S - SETTLE_S, partial(driver.command, wished))
+    bench.drive(desired, SETTLE_S)
+    bench.wait(partial(_settled, bench, applied), LONGEST_SETTLE_S - SETTLE_S, partial(driver.command, desired))
     begin = bench.newest
-    bench.drive(wished, WINDOW_S)
+    bench.drive(desired, WINDOW_S)
     end = bench.newest
-    stands = bench.halt(STAND_S)
+    standing = bench.halt(STAND_S)
     if begin is None or end is None or end.stamp_s <= begin.stamp_s:
         return Step(name, "failed", f"no readings while it drives ({_why(driver)})")
     forward_m, turned_rad = moved(begin, end)
     passed_s = end.stamp_s - begin.stamp_s
-    if wished.linear_m_s:
+    if desired.linear_m_s:
         gone, expected, other, unit = forward_m, applied.linear_m_s * passed_s, turned_rad, "m"
     else:
         gone, expected, other, unit = turned_rad, applied.angular_rad_s * passed_s, forward_m, "rad"
@@ -281,10 +283,10 @@ def _move(bench: Bench, name: str, wished: Twist) -> Step:
     if abs(share) < NOTHING and abs(other) < NOTHING * abs(expected):
         return _unmoved(bench, name, what)
     if not LEAST <= share <= MOST:
-        return Step(name, "failed", f"{what}: {_blame(share, wished)}")
-    if not stands:
+        return Step(name, "failed", f"{what}: {_cause(share, desired)}")
+    if not standing:
         return Step(name, "failed", f"{what}, but it does not stand {STAND_S:g} s after zero")
-    return Step(name, "passed", f"{what}, stands after zero")
+    return Step(name, "passed", f"{what}, at standstill after zero")
 
 
 def _settled(bench: Bench, applied: Twist) -> bool:
@@ -304,20 +306,20 @@ def _unmoved(bench: Bench, name: str, what: str) -> Step:
     return Step(name, "passed" if seen else "failed", f"the operator {'saw' if seen else 'did not see'} it")
 
 
-def _blame(share: float, wished: Twist) -> str:
+def _cause(share: float, desired: Twist) -> str:
     if share < -NOTHING:
-        wrong = "wheels run backwards" if wished.linear_m_s else "left and right are swapped"
+        wrong = "wheels run backwards" if desired.linear_m_s else "left and right are swapped"
         return f"{wrong}, or the odometry's sign is wrong"
     if share < NOTHING:
-        return "it turns instead: one wheel runs the wrong way round" if wished.linear_m_s else "it does not turn"
+        return "it turns instead: one wheel turns the wrong way" if desired.linear_m_s else "it does not turn"
     if HALF[0] < share < HALF[1]:
         return "half the way: one wheel does not turn"
     return "the scale is wrong: check wheel radius, gear and the distance between the wheels"
 
 
-def _watchdog(bench: Bench, clock: Clock, wished: Twist, *, blind: bool) -> Step:
+def _watchdog(bench: Bench, clock: Clock, desired: Twist, *, blind: bool) -> Step:
     """Send no commands while it drives: the driver must stop it."""
-    bench.drive(wished, SETTLE_S + WINDOW_S)
+    bench.drive(desired, SETTLE_S + WINDOW_S)
     began_s = clock.now_s()
     if blind:
         bench.wait(lambda: False, SILENCE_S)
@@ -327,12 +329,12 @@ def _watchdog(bench: Bench, clock: Clock, wished: Twist, *, blind: bool) -> Step
         return Step("silence stops it", "passed" if seen else "failed", "by the operator's eyes")
     if bench.standing():
         return Step("silence stops it", "failed", "it did not drive")
-    stands = bench.wait(bench.standing, SILENCE_S)
+    standing = bench.wait(bench.standing, SILENCE_S)
     took_s = clock.now_s() - began_s
     bench.halt(STAND_S)
-    if not stands:
+    if not standing:
         return Step("silence stops it", "failed", f"it still drives {SILENCE_S:g} s after the last command: DANGEROUS")
-    return Step("silence stops it", "passed", f"stands {took_s:.2f} s after the last command")
+    return Step("silence stops it", "passed", f"at standstill {took_s:.2f} s after the last command")
 
 
 def _sensors(bench: Bench) -> Iterator[Step]:
@@ -485,7 +487,7 @@ def _closed(driver: Driver) -> Step:
 
 
 def _table(steps: list[Step]) -> Table:
-    table = Table("step", "verdict", "what", box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table = output.plain_table("step", "verdict", "what")
     for each in steps:
         verdict = f"[bold red]{each.verdict}[/]" if each.verdict == "failed" else each.verdict
         table.add_row(escape(each.name), verdict, escape(each.what))

@@ -132,9 +132,9 @@ def demo(
     config = show.demo_config(fleet, tuple(overrides or ()), network)
     if lockstep:
         return show.run_lockstep(config, seconds, seed, as_json)
-    from fullswarm.demo.live import Manner, run_live
+    from fullswarm.demo.live import DemoOptions, run_live
 
-    return run_live(config, Manner(seconds, as_json, headless, console, stay, open_browser))
+    return run_live(config, DemoOptions(seconds, as_json, headless, console, stay, open_browser))
 
 
 @app.command(rich_help_panel=START)

@@ -1,4 +1,4 @@
-"""`fullswarm demo` in real time: one process per robot, a live table, the web console, and who has the robots."""
+"""Runs `fullswarm demo` in real time: one process per robot, a live table, the web console."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ REFRESH_S = 0.2
 POLL_S = 0.1
 HOW_TO = "click robots, then a goal; start a behaviour; Space stops all"
 YIELDED = "you have control; Ctrl-C ends"
-OVER = "the show is over and the robots are yours; Ctrl-C ends"
+OVER = "the show is over and you have control; Ctrl-C ends"
 
 
 @dataclass(frozen=True, slots=True)
-class Manner:
-    """How the demo is run; None: as fits the place it runs in.
+class DemoOptions:
+    """How the demo is run; None: decided by the terminal.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ class Manner:
     stay: bool | None = None
     open_browser: bool | None = None
 
-    def settled(self, terminal: bool, screen: bool) -> Manner:
-        """Return it with no None left, for a `terminal` or none, with or without a `screen` for a browser."""
+    def settled(self, terminal: bool, screen: bool) -> DemoOptions:
+        """Return it with each None decided: whether there is a `terminal`, and a `screen` for a browser."""
         headless = self.headless or self.as_json
         console = not headless if self.console is None else self.console
         stay = console and terminal and not headless if self.stay is None else self.stay
@@ -65,23 +65,23 @@ class Manner:
 
 
 class LiveDemo:
-    """A swarm of this machine, its show, and its web console if there is to be one."""
+    """A swarm of this machine, its show, and its web console if wanted."""
 
-    def __init__(self, config: SwarmConfig, manner: Manner) -> None:
+    def __init__(self, config: SwarmConfig, options: DemoOptions) -> None:
         config = on_free_ports(config)
-        self.manner = manner
+        self.options = options
         self.runtime = Runtime(MonotonicClock(), Mailbox())
         self.runtime.stop_on_signals()
         self.supervisor = Supervisor(config, self.runtime)
         self.console: WebConsole | None = None
         self._redirect: RedirectPage | None = None
-        if manner.console:
+        if options.console:
             self._add_console()
         bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
         self._bus = on_network(bus, self.runtime, self.supervisor.config, OPERATOR)
         self._operator = Operator(self._bus, Keys(config.swarm), self.runtime, "demo", clock=clock_id())
-        acts, watched = acts_for(config), manner.console or not manner.headless
-        self.show = Show(self._bus, self.runtime, config, self._operator, manner.seconds, acts, yields=watched)
+        acts, watched = acts_for(config), options.console or not options.headless
+        self.show = Show(self._bus, self.runtime, config, self._operator, options.seconds, acts, yields=watched)
         self._note = HOW_TO
 
     def run(self) -> int:
@@ -93,11 +93,11 @@ class LiveDemo:
         if self._ended():
             return INTERRUPTED
         if self.show.yielded_to:
-            self._tell(YIELDED)
-            self._watch(lambda: self.show.done and not self.manner.stay)
-        code = report(self.show, self.manner.as_json, self.show.real_time_factor())
-        if self.manner.stay and not self._ended():
-            self._tell(OVER)
+            self._announce(YIELDED)
+            self._watch(lambda: self.show.done and not self.options.stay)
+        code = report(self.show, self.options.as_json, self.show.real_time_factor())
+        if self.options.stay and not self._ended():
+            self._announce(OVER)
             self._watch(lambda: False)
         return code
 
@@ -118,7 +118,7 @@ class LiveDemo:
 
     def _on_address(self, address: str) -> None:
         progress(f"\nOpen {address}\n{HOW_TO}\n")
-        if not self.manner.open_browser:
+        if not self.options.open_browser:
             return
         self._redirect = redirect = RedirectPage(address)
         self.runtime.after(OPEN_S, redirect.close)
@@ -144,7 +144,7 @@ class LiveDemo:
     def _ended(self) -> bool:
         return self.runtime.exit_signal is not None
 
-    def _tell(self, note: str) -> None:
+    def _announce(self, note: str) -> None:
         self._note = note
         progress(note)
 
@@ -162,7 +162,7 @@ class LiveDemo:
 
     def _watch(self, condition: Callable[[], bool]) -> None:
         """Show the fleet until `condition` holds or Ctrl-C ends it."""
-        if self.manner.headless:
+        if self.options.headless:
             self._until(condition)
             return
         with Live(self._picture(), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
@@ -171,7 +171,7 @@ class LiveDemo:
             timer.cancel()
 
     def _picture(self) -> Group:
-        """Return the address, so that it stays in sight, above the table of the fleet."""
+        """Return the address above the table of the fleet."""
         lines = Text()
         if self.console is not None and self.console.address:
             lines.append(self.console.address, style=f"bold link {self.console.address}")
@@ -179,7 +179,7 @@ class LiveDemo:
         return Group(lines, fleet_table(self.show.view.snapshot()))
 
 
-def run_live(config: SwarmConfig, manner: Manner) -> int:
+def run_live(config: SwarmConfig, options: DemoOptions) -> int:
     """Run the demo with one process per robot, in real time; return the exit code.
 
     Raises
@@ -187,7 +187,7 @@ def run_live(config: SwarmConfig, manner: Manner) -> int:
     Unreachable
         The swarm did not become ready.
     """
-    demo = LiveDemo(config, manner.settled(terminal=sys.stdout.isatty(), screen=graphical()))
+    demo = LiveDemo(config, options.settled(terminal=sys.stdout.isatty(), screen=graphical()))
     try:
         return demo.run()
     finally:

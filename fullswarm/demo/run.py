@@ -60,14 +60,14 @@ def run_lockstep(config: SwarmConfig, seconds: float, seed: int, as_json: bool) 
 
 
 def report(show: Show, as_json: bool, real_time_factor: float | None) -> int:
-    """Print what came of the show; return the exit code: 1 if an act was not answered or not even asked for."""
+    """Print the result of the show; return the exit code: 1 if an act was not answered or not requested."""
     document = show.document(real_time_factor)
     if as_json:
         print(json.dumps(document, indent=2))  # noqa: T201
     else:
         print_summary(document, show.view.snapshot())
     if show.yielded_to:
-        return 0  # whatever was asked after that is not the show's to judge
+        return 0  # requests after that are not the show's
     answered = all(each.acknowledged_s is not None for each in show.sent)
     return 0 if answered and len(show.sent) == len(show.acts) else 1
 

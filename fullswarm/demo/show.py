@@ -1,4 +1,4 @@
-"""The demonstration: eight robots drive to a goal, flock, and meet, switched by requests like those of any operator."""
+"""Runs the demonstration: eight robots drive to a goal, flock, and meet, switched by an operator's requests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fullswarm.runtime import Scheduler, Timer
 
 LOOK_S = 0.05
 STOP_S = 1.0
-"""At the end the robots get this long to stand."""
+"""Time at the end for the robots to stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ CIRCLE = [
     [5.59, 4.17],
     [4.77, 4.99],
 ]
-"""A ring of 3 m, its places in the order of the mixed fleet's robots so that no way crosses another."""
+"""A ring of 3 m, its places in the order of the mixed fleet's robots, so that no path crosses another."""
 
 MIXED_ACTS = (
     Act("formation_bc", {"targets": [list(each) for each in CIRCLE], "gain": 2.0}, 0.5),
@@ -56,7 +56,7 @@ NEAR_M = 0.2
 
 
 def acts_for(config: SwarmConfig) -> tuple[Act, ...]:
-    """Return what a fleet is asked for: eight robots of several makes show other things than eight of one."""
+    """Return the acts of a fleet: eight robots of several makes have other ones than eight of one."""
     emulated = sum(robot.emulate is not None for robot in config.robot)
     return MIXED_ACTS if emulated == len(CIRCLE) == len(config.robot) else ACTS
 
@@ -90,17 +90,17 @@ class Sent:
 
 @dataclass(slots=True)
 class Show:
-    """Asks for one act after the other and keeps what came of it.
+    """Requests one act after the other and keeps the results.
 
     Parameters
     ----------
     seconds : length of the whole show
-    operator : asks; its ids are the caller's choice, so that a lockstep run repeats to the byte
-    yields : whether it leaves the robots to the first other operator who asks for anything
+    operator : sends the requests; its ids are chosen by the caller, so that a lockstep run repeats to the byte
+    yields : whether it leaves the robots to the first other operator that requests anything
 
     Attributes
     ----------
-    yielded_to : who that was; empty: nobody yet
+    yielded_to : the name of that operator; empty: none yet
     """
 
     bus: SenderBus
@@ -129,7 +129,7 @@ class Show:
             self.bus.subscribe_with_sender(keys.estop, EStop, self._on_stop)
 
     def ready(self) -> bool:
-        """Tell whether all robots have been heard, are READY and the core is alive."""
+        """Return whether all robots are received and READY and the core is alive."""
         snapshot = self.view.snapshot()
         present = [row for row in snapshot.robots if row.health and row.health.lifecycle in ("READY", "ACTIVE")]
         nodes = {node.node for node in snapshot.nodes if node.age_s < 1.0}
@@ -165,7 +165,7 @@ class Show:
         sent.request_id = self._asked.request.id
 
     def _look(self) -> None:
-        """Note who has arrived where the present act sends them."""
+        """Note which robots have arrived at the targets of the present act."""
         if self.sent:
             self.sent[-1].arrived = _arrived(self.sent[-1].act, self.config.robots, self.view.snapshot().robots)
 
@@ -214,7 +214,7 @@ class Show:
         return steps / self.config.world_or_default.rate_hz / seconds if seconds > 0 else None
 
     def summary(self, metric: str, value: str) -> float | None:
-        """Return one value of a summarizer; None when it was never heard."""
+        """Return one value of a summarizer; None when it was never received."""
         for summary in self.view.snapshot().summaries:
             if summary.metric == metric and value in summary.values:
                 return summary.values[value]

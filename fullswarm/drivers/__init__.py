@@ -23,5 +23,5 @@ Further files:
                          doctor`
 ``sim/``                 The simulated make
 ``linked.py``            Runs the conversation with one robot for every make: thread, port, rules of the contract
-``ports.py``             Opens serial devices, TCP and UDP, and says what to do where that fails
+``ports.py``             Opens serial devices, TCP and UDP, and reports what to do where that fails
 """

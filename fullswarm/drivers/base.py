@@ -36,7 +36,7 @@ class Lifecycle(enum.StrEnum):
 
 
 class Hazard(enum.IntFlag):
-    """What a robot's own sensors say is wrong right now."""
+    """What a robot's own sensors report as wrong right now."""
 
     NONE = 0
     BUMP = 1
@@ -61,7 +61,7 @@ STAND = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Position in metres and heading in [-π, π]; ENU world frame, or odometry frame where said so."""
+    """Position in metres and heading in [-π, π]; ENU world frame, or odometry frame where stated."""
 
     x_m: float
     y_m: float
@@ -104,7 +104,7 @@ class Standstill:
     window_s: float = 0.0
     way_m: float = 0.0  # between any reading of the window and the newest
     angle_rad: float = 0.0
-    wander_m: float = 0.0  # a way up to this is not told from noise within the seconds of a stop
+    wander_m: float = 0.0  # a way up to this cannot be separated from noise within the seconds of a stop
 
 
 EXACT = Standstill()
@@ -130,7 +130,7 @@ class Description:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The newest that a robot has told. Unknown values are None, not zero."""
+    """The newest that a robot has reported. Unknown values are None, not zero."""
 
     stamp_s: float  # arrival, on this machine's monotonic clock
     odometry: Pose  # since open(), from wheels or gyro; starts at (0, 0, 0)
@@ -168,7 +168,7 @@ class Driver(Protocol):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs; empty until known."""
+        """What the device reports that it runs; empty until known."""
         ...
 
     def open(self) -> None:
@@ -177,7 +177,7 @@ class Driver(Protocol):
         Raises
         ------
         DriverError
-            The port cannot be had; says who holds it or what to do.
+            The port cannot be had; names its holder or what to do.
         """
         ...
 
@@ -196,7 +196,7 @@ class Driver(Protocol):
     def command(self, twist: Twist) -> Twist:
         """Send a set-point; return what was really applied after limits and quantisation.
 
-        It holds for 0.3 s: a driver that hears no further command by then sends zero by itself.
+        It holds for 0.3 s: a driver that gets no further command by then sends zero by itself.
 
         Anything but ACTIVE applies zero. A non-finite value raises ``ValueError`` and stops the robot.
         """
@@ -209,10 +209,10 @@ class Driver(Protocol):
 
 @runtime_checkable
 class TakesFixes(Protocol):
-    """A driver whose robot can be told where it is: an autopilot with external pose input."""
+    """A driver whose robot takes its position from outside: an autopilot with external pose input."""
 
     def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
-        """Pass on where somebody outside has just seen the robot, world frame; standard deviations, per axis.
+        """Pass on where the robot was just seen from outside, world frame; standard deviations, per axis.
 
         Called by the agent for each fix that it accepts, in any state; never blocks. What cannot be sent now is
         dropped: the next one comes soon. A heading with a standard deviation above 1 rad was not seen.

@@ -45,7 +45,7 @@ class OneRobot:
         self._clock = clock or MonotonicClock()
         self._absent: DriverError | None = None
         self._again_s = math.inf
-        self._wished = False
+        self._activating = False
         self._last: Reading | None = None
         self._breaks = np.zeros(1, np.int64)
         self._reading = FleetReading(
@@ -98,13 +98,13 @@ class OneRobot:
         driver, state = self._driver, self._driver.state
         if active[0] and state is Lifecycle.READY:
             driver.activate()
-            self._wished = True
-        elif not active[0] and (state is Lifecycle.ACTIVE or (self._wished and state is Lifecycle.READY)):
+            self._activating = True
+        elif not active[0] and (state is Lifecycle.ACTIVE or (self._activating and state is Lifecycle.READY)):
             # In READY an attempt to arm may be under way: it must not end after an e-stop.
             driver.deactivate()
-            self._wished = False
-        wished = Twist(float(twists[0, 0]), float(twists[0, 1])) if active[0] else Twist()
-        applied = driver.command(wished)
+            self._activating = False
+        desired = Twist(float(twists[0, 0]), float(twists[0, 1])) if active[0] else Twist()
+        applied = driver.command(desired)
         return np.array([[applied.linear_m_s, applied.angular_rad_s]])
 
     def lifecycle(self, row: int) -> Lifecycle:

@@ -71,7 +71,7 @@ def problems(config: SwarmConfig, *, here: bool) -> Iterator[tuple[str, str, str
 def _claims(robot: RobotConfig) -> tuple[Claim, ...]:
     try:
         return make_of(robot.url).claims_of(robot.url, elsewhere=robot.elsewhere)
-    except ConfigError:  # no such driver here: said above, or another computer has it
+    except ConfigError:  # no such driver here: reported above, or another computer has it
         return (Claim(("the URL", robot.url)),)
 
 
@@ -89,7 +89,7 @@ def origin_of(url: str) -> tuple[float, float] | None:
 
 
 def in_frame(url: str, origin: tuple[float, float] | None) -> str:
-    """Return the URL of a driver that puts its poses into the swarm's frame, where the make needs to be told."""
+    """Return the URL of a driver that puts its poses into the swarm's frame, where the make needs it."""
     if origin is None or not own_frame(url):
         return url
     return f"{url}{'&' if urlsplit(url).query else '?'}{OPTION}={origin[0]:.9g},{origin[1]:.10g}"
@@ -102,7 +102,7 @@ def own_frame(url: str) -> bool:
     try:
         description: Description = registry.driver_class(url)(url).description
     except FullswarmError:
-        return False  # whoever opens it says what is wrong
+        return False  # opening it reports what is wrong
     return description.own_frame
 
 

@@ -67,6 +67,11 @@ def needs_guardian(description: Description) -> bool:
     return description.watchdog_s is None or description.watchdog_s > LONG_WATCHDOG_S
 
 
+def takes_guardian(driver: object) -> bool:
+    """Return whether a guardian can stop the driver's robot; a driver that never has one says so by ``guardable``."""
+    return isinstance(driver, TakesGuardian) and bool(getattr(driver, "guardable", True))
+
+
 def guarded(driver: D) -> D:
     """Return the driver; ask it for a guardian where its device needs one and it can have one."""
     description = getattr(driver, "description", None)

@@ -138,7 +138,7 @@ class Relay:
             self._stop(time.monotonic())
             self._write()
             poll.poll(5.0 if self._outbox else 0.0)
-            time.sleep(0.002)  # the port takes more at once, and nothing tells when its own buffer has drained
+            time.sleep(0.002)  # the port takes more at once, and gives no sign when its own buffer has drained
 
     def _waiting(self) -> bool:
         """Return whether bytes are still in the port's own buffer."""

@@ -19,7 +19,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Generic, Protocol, TypeVar, final
+from typing import Generic, Literal, Protocol, TypeVar, final
 
 import structlog
 
@@ -32,7 +32,7 @@ from fullswarm.geometry import wrap
 from fullswarm.reasons import Code, Reason, given
 
 TTL_S = 0.3
-"""A command holds for so long; after that the session is told to stop the robot."""
+"""A command holds for so long; after that the session stops the robot."""
 TICK_S = 0.015
 LONGEST_WAIT_S = 0.05
 """A guardian wants a sign of life that often."""
@@ -76,7 +76,7 @@ class LinkSession(Protocol[C]):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs; empty until known."""
+        """What the device reports that it runs; empty until known."""
         return ""
 
     def trouble(self, now_s: float) -> Reason:
@@ -232,8 +232,8 @@ class LinkedDriver(Generic[C]):
     port
         Opens the port; raises ``DriverError`` with what to do.
     guardian
-        Whether a process of its own stops the robot when this one is killed or paused; None: whoever opens the driver
-        decides by :meth:`guard`.
+        Whether a process of its own stops the robot when this one is killed or paused; None: the opener of the driver
+        decides by :meth:`guard`; "never": the session has no stop plan.
     warning
         What an operator must know before the robot drives; logged by :meth:`open`.
     log
@@ -247,13 +247,13 @@ class LinkedDriver(Generic[C]):
         *,
         session: Callable[[float], LinkSession[C]],
         port: Callable[[], Port[C]],
-        guardian: bool | None = False,
+        guardian: Literal["never"] | bool | None = "never",
         warning: str = "",
         log: ChunkLog[C] | None = None,
         clock: Clock | None = None,
     ) -> None:
         self.url, self.description, self.warning = url, description, warning
-        self.guarded = bool(guardian)
+        self.guardable, self.guarded = guardian != "never", guardian is True
         self._new_session, self._open_port, self._guardian_wanted, self._log = session, port, guardian, log
         self._clock = clock or MonotonicClock()
         self._lock = threading.Lock()  # guards the session and the gate; held for microseconds
@@ -302,13 +302,13 @@ class LinkedDriver(Generic[C]):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs; empty until known."""
+        """What the device reports that it runs; empty until known."""
         return "" if self._session is None else self._session.firmware
 
     @final
     def guard(self) -> None:
         """Have a guardian from the next `open` on, unless the URL says otherwise."""
-        self.guarded = self._guardian_wanted is not False
+        self.guarded = self.guardable and self._guardian_wanted is not False
 
     @final
     def open(self) -> None:
@@ -485,8 +485,8 @@ class LinkedDriver(Generic[C]):
         due_s = min(session.next_due_s(now_s), self._gate.due_s(now_s), now_s + LONGEST_WAIT_S)
         chunks = port.read() if self._wait(port, due_s - now_s) else ()
         port.beat()
-        # Between reading and parsing, wherever this process was paused: the guardian says that it stops the robot
-        # before it does, so what the robot reports of it is not taken for a person's doing.
+        # Between reading and parsing, wherever this process was paused: the guardian reports its stop before it
+        # sends it, so what the robot shows of it is not taken for a person's doing.
         self._beat(session)
         now_s = self._clock.now_s()
         for chunk in chunks:

@@ -63,11 +63,11 @@ class SerialProbe(Probe, Protocol):
     LISTEN_S: float
     """How long to listen at each rate before asking."""
 
-    def knows(self, port: SerialPort, heard: bytes) -> bool:
+    def knows(self, port: SerialPort, received: bytes) -> bool:
         """Tell whether the port is surely one of this make, so that no other make's question is sent there."""
         ...
 
-    def ask_line(self, line: Line, port: SerialPort, baud: int, heard: bytes, clock: Clock) -> tuple[Found, ...]:
+    def ask_line(self, line: Line, port: SerialPort, baud: int, received: bytes, clock: Clock) -> tuple[Found, ...]:
         """Return the robots on a claimed line at one rate."""
         ...
 

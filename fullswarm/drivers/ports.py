@@ -85,7 +85,7 @@ class Port(Protocol[C]):
     def packed(self, chunk: C) -> bytes:
         """Return a chunk as the bytes to be written to the descriptor."""
         if not isinstance(chunk, bytes):
-            raise NotImplementedError("a port that carries no bytes says how its chunks are packed")
+            raise NotImplementedError("a port that carries no bytes must define how its chunks are packed")
         return chunk
 
 
@@ -201,7 +201,7 @@ class UdpPort(Port[bytes]):
             try:
                 data, sender = self._socket.recvfrom(DATAGRAM_CHUNK)
             except OSError:
-                break  # nothing there, or the other end's port is closed: its silence tells
+                break  # nothing there, or the other end's port is closed: its silence is noticed
             if self._accepts is not None and sender[:2] != self._peer:
                 if not self._accepts(data):
                     continue

@@ -366,7 +366,7 @@ def measure_live(trial: Trial, emulate: str | None = None) -> Measurement:
     """
     scenario = scenario_of(trial)
     config, goals = configure(trial, scenario)
-    config = on_free_ports(with_make(config, trial, emulate), wished=False)
+    config = on_free_ports(with_make(config, trial, emulate), prefer_configured=False)
     config, limit = terms(trial, scenario, config)
     kernels.compile_all()
     with LiveSwarm(config) as swarm:

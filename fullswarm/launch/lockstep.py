@@ -1,8 +1,8 @@
-"""A whole swarm in one process on a simulated clock: deterministic to the byte, as fast as the machine goes.
+"""A whole swarm in one process on a simulated clock: deterministic to the byte, as fast as the machine allows.
 
 The nodes are those of the live processes. One agent carries all robots, so that laws, filter, controller and
 calculators are evaluated once per tick for all robots. On a bad network each robot has an agent of its own, as on
-board: what one robot misses another one hears.
+board: a message that one robot misses may reach another.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Lockstep:
         return nodes.agent(self.bus, self.runtime, self.config, fleet, identity, self.runtime.stats)
 
     def _agent_each(self) -> tuple[AgentNode, ...]:
-        """One table of what is heard cannot serve robots that hear different things."""
+        """Return an agent for each robot: robots that receive different messages need a table each."""
         found = []
         for row, robot in enumerate(self.config.robots):
             fleet = SimFleet(self.world, self.runtime.now_s, self.config.agent.sensing_radius_m, row=row)
@@ -104,7 +104,7 @@ class Lockstep:
         self.wall_s += time.perf_counter() - began_s
 
     def report(self) -> None:
-        """Have the agents tell what they have measured until now, and the summarizers what it comes to."""
+        """Have the agents and the summarizers publish what they have measured until now."""
         for agent in self.agents:
             agent.publish_measurements()
         self.runtime.mailbox.drain()

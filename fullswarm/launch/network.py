@@ -87,12 +87,12 @@ def emulated_url(config: SwarmConfig, robot: RobotConfig) -> str:
     return in_frame(url, config.origin_deg or SITL_ORIGIN_DEG)  # a simulated world always lies somewhere
 
 
-def on_free_ports(config: SwarmConfig, *, wished: bool = True) -> SwarmConfig:
+def on_free_ports(config: SwarmConfig, *, prefer_configured: bool = True) -> SwarmConfig:
     """Give hub, world and emulated robots free ports of this machine.
 
     Parameters
     ----------
-    wished
+    prefer_configured
         The settings' own port where it is free. Not for swarms that start side by side: they would all find the usual
         port free and then take it.
 
@@ -106,16 +106,16 @@ def on_free_ports(config: SwarmConfig, *, wished: bool = True) -> SwarmConfig:
     from fullswarm.drivers.sim.protocol import parse_address
 
     world = config.world_or_default
-    host_of(config.hub.endpoint)  # says what is wrong with it
-    hub_port = _free(socket.SOCK_STREAM, int(config.hub.endpoint.rpartition(":")[2]), wished)
-    world_port = _free(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1], wished)
+    host_of(config.hub.endpoint)  # raises what is wrong with it
+    hub_port = _free(socket.SOCK_STREAM, int(config.hub.endpoint.rpartition(":")[2]), prefer_configured)
+    world_port = _free(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1], prefer_configured)
     free = config.model_copy(
         update={
             "hub": config.hub.model_copy(update={"endpoint": f"tcp/{LOOPBACK}:{hub_port}"}),
             "world": world.model_copy(update={"address": f"{LOOPBACK}:{world_port}"}),
         }
     )
-    return free.model_copy(update={"robot": tuple(_on_free_port(free, each, wished) for each in free.robot)})
+    return free.model_copy(update={"robot": tuple(_on_free_port(free, each, prefer_configured) for each in free.robot)})
 
 
 def free_port(usual: int) -> int:
@@ -126,10 +126,10 @@ def free_port(usual: int) -> int:
     Unreachable
         This machine has no free port.
     """
-    return _free(socket.SOCK_STREAM, usual, wished=True)
+    return _free(socket.SOCK_STREAM, usual, prefer_configured=True)
 
 
-def _on_free_port(config: SwarmConfig, robot: RobotConfig, wished: bool) -> RobotConfig:
+def _on_free_port(config: SwarmConfig, robot: RobotConfig, prefer_configured: bool) -> RobotConfig:
     """Write the driver of an emulated robot down; its port, if it is one of the network, is free."""
     if not robot.emulate or robot.driver:
         return robot
@@ -137,12 +137,12 @@ def _on_free_port(config: SwarmConfig, robot: RobotConfig, wished: bool) -> Robo
     port = urlsplit(url).port
     if port is not None:
         kind = socket.SOCK_STREAM if emulated_as(robot.emulate)[1].place == "tcp" else socket.SOCK_DGRAM
-        url = url.replace(f":{port}", f":{_free(kind, port, wished)}", 1)
+        url = url.replace(f":{port}", f":{_free(kind, port, prefer_configured)}", 1)
     return robot.model_copy(update={"driver": url})
 
 
-def _free(kind: socket.SocketKind, usual: int, wished: bool) -> int:
-    for port in (usual, ANY) if wished else (ANY,):
+def _free(kind: socket.SocketKind, usual: int, prefer_configured: bool) -> int:
+    for port in (usual, ANY) if prefer_configured else (ANY,):
         with socket.socket(socket.AF_INET, kind) as probe:
             try:
                 probe.bind((LOOPBACK, port))

@@ -31,19 +31,19 @@ WATCHDOG_US, WATCHDOG_PID = "WATCHDOG_USEC", "WATCHDOG_PID"
 log = structlog.get_logger()
 
 LOOK_S = 0.05
-"""How soon after the first tick the agent says that it is ready."""
+"""How soon after the first tick the agent reports READY."""
 SHARE_OF_WATCHDOG = 0.25
 
 
 class Notifier:
-    """A way to the service manager that started this process.
+    """The connection to the service manager that started this process.
 
     Parameters
     ----------
     address
         A path, or ``@name`` for an abstract socket.
     watchdog_s
-        A process that is silent for so long is killed and started again; None: there is no watchdog.
+        A process without a report for so long is killed and restarted; None: there is no watchdog.
     """
 
     def __init__(self, address: str, watchdog_s: float | None = None) -> None:
@@ -54,7 +54,7 @@ class Notifier:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Notifier | None:
-        """Return the way to the service manager, None when it asks for no notices."""
+        """Return the connection to the service manager, None when it wants no notices."""
         address = environment.get(SOCKET, "")
         if address[:1] not in ("/", "@") or len(address) < 2:
             return None
@@ -64,44 +64,44 @@ class Notifier:
         return cls(address, int(microseconds) / 1e6 if watched else None)
 
     def ready(self, status: str) -> None:
-        """Say that the service serves."""
+        """Report that the service is ready."""
         self._send("READY=1", f"STATUS={status}")
 
     def alive(self, status: str) -> None:
-        """Say that it goes on; the watchdog counts anew."""
+        """Report that it is alive, which resets the watchdog."""
         self._send("WATCHDOG=1", f"STATUS={status}")
 
     def stopping(self) -> None:
-        """Say that it is about to end, in order."""
+        """Report that it is about to end, in order."""
         self._send("STOPPING=1")
 
     def _send(self, *lines: str) -> None:
         text = "\n".join(line.replace("\n", " ") for line in lines)
-        # A manager that is being replaced or swamped must not end a robot; the next word comes soon.
+        # A manager that is restarting or overloaded must not end a robot; the next report follows soon.
         with suppress(OSError):
             self._socket.sendto(text.encode(), self._address)
 
     def close(self) -> None:
-        """Let go of the socket. Closing twice is fine."""
+        """Close the socket. Closing twice is allowed."""
         self._socket.close()
 
 
 # ---------------------------------------------------------------- the agent's reports
 def release() -> str:
-    """Return the id of the release that this code lies in, ``<id>/app/fullswarm``; empty when it lies in none."""
+    """Return the id of the release that this code is in, ``<id>/app/fullswarm``; empty when it is in none."""
     folder = Path(fullswarm.__file__).resolve().parents[2]
     return folder.name if (folder / "SHA256SUMS").is_file() else ""
 
 
 class OnBoard:
-    """The agent's scheduler, watched: it knows the control loop's timer, the first one that an agent sets.
+    """The agent's scheduler, watched: it keeps the control loop's timer, the first one that an agent sets.
 
     Parameters
     ----------
     path
-        The health file; None: none is wanted.
+        The health file; None: not wanted.
     notifier
-        The way to systemd; None: it did not start this process.
+        The connection to systemd; None: it did not start this process.
     """
 
     def __init__(self, runtime: Runtime, settings: AgentConfig, path: Path | None, notifier: Notifier | None) -> None:
@@ -119,7 +119,7 @@ class OnBoard:
     def from_environment(
         cls, runtime: Runtime, settings: AgentConfig, environment: Mapping[str, str] = os.environ
     ) -> OnBoard | None:
-        """Return what the environment asks for, None when it asks for nothing."""
+        """Return what the environment requests, None when it requests nothing."""
         path, notifier = environment.get(HEALTH, ""), Notifier.from_environment(environment)
         return cls(runtime, settings, Path(path) if path else None, notifier) if path or notifier else None
 
@@ -141,7 +141,7 @@ class OnBoard:
 
     # ------------------------------------------------------------------ the watch
     def watch(self, agent: AgentNode) -> OnBoard:
-        """Tell how this agent is from now on; return self, to be closed before it."""
+        """Report the state of this agent from now on; return self, to be closed before it."""
         self._agent = agent
         self._timers = [self._runtime.every(LOOK_S, self._until_ready, first_s=0.0)]
         return self
@@ -150,16 +150,16 @@ class OnBoard:
         if not self._ticked():
             return
         self._timers.pop().cancel()
-        self._tell()
+        self._write_health()
         if self._notifier is not None:
             self._notifier.ready(self._status())
             if self._notifier.watchdog_s is not None:
                 period_s = SHARE_OF_WATCHDOG * self._notifier.watchdog_s
                 self._timers.append(self._runtime.every(period_s, self._ping, first_s=0.0))
-        self._timers.append(self._runtime.every(health_file.PERIOD_S, self._tell))
+        self._timers.append(self._runtime.every(health_file.PERIOD_S, self._write_health))
 
     def _ticked(self) -> bool:
-        """Tell whether the control loop has ticked since it was asked last."""
+        """Return whether the control loop has ticked since the last call."""
         ticks = self._control.ticks if self._control is not None and self._control.active else 0
         before, self._ticks = self._ticks, ticks
         return ticks > before
@@ -172,8 +172,8 @@ class OnBoard:
         agent = self._agent
         return f"{agent.fleet.lifecycle(0)} {agent.fleet.fault(0)}".strip() if agent else ""
 
-    def _tell(self) -> None:
-        """Write the health file; a disk that does not take it ends no agent."""
+    def _write_health(self) -> None:
+        """Write the health file; an error of the disk must not end the agent."""
         if self._path is None or self._agent is None or self._control is None:
             return
         now_s, settings = self.now_s(), self._settings
@@ -202,7 +202,7 @@ class OnBoard:
                 log.warning("the health file cannot be written", reason=self._trouble)
 
     def close(self) -> None:
-        """Say that it ends, and take the file away: what it says is over."""
+        """Report the end, and remove the health file."""
         for timer in self._timers:
             timer.cancel()
         if self._notifier is not None:

@@ -26,14 +26,14 @@ from fullswarm.runtime import Mailbox, Runtime
 RUN = "FULLSWARM_RUN"
 """Folder of the `up` or `demo` that started this process; it ends with the run, as its simulated bodies do."""
 STATE = "FULLSWARM_STATE"
-"""Folder for what must outlive every process and a power cut; none: the user's state folder."""
+"""Folder for what must survive every process and a power cut; default: the user's state folder."""
 PARENT_CHECK_S = 0.25
 PARENT = "FULLSWARM_PARENT"
 """Process id of the parent. Asking the system would come too late: the parent may die while this process imports."""
 
 
 def latch_folder(config: SwarmConfig, robot: RobotConfig) -> Path:
-    """Return the folder for the latch of `robot`: a latch lives as long as the body that it holds."""
+    """Return the folder for the latch of `robot`: a latch lasts as long as the body that it stops."""
     run = os.environ.get(RUN, "")
     if robot.simulated and run:
         return Path(run) / "estop"
@@ -156,7 +156,7 @@ def serve_on_bus(
 
 
 def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
-    """Run until told to end; then close the nodes, the last one first."""
+    """Run until a signal or the parent's end; then close the nodes, the last one first."""
     runtime.stop_on_signals()
     if with_parent:
         parent = int(os.environ.get(PARENT) or os.getppid())
@@ -167,7 +167,7 @@ def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
 
         runtime.every(PARENT_CHECK_S, leave_with_parent)
     gc.collect()
-    gc.freeze()  # what is built once need not be looked through for garbage: that would cost 20 ms at a time
+    gc.freeze()  # what is built once need not be collected, which would cost 20 ms each time
     try:
         runtime.run()
     finally:

@@ -1,4 +1,4 @@
-"""Starts the processes of a swarm on this machine, watches them, starts the dead again, ends them in order."""
+"""Starts the processes of a swarm on this machine, watches them, restarts those that died, ends them in order."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Supervisor:
         self._spawn(self.children[name])
 
     def alive(self, name: str) -> bool:
-        """Tell whether a child runs."""
+        """Return whether a child runs."""
         process = self.children[name].process
         return process is not None and process.poll() is None
 

@@ -24,19 +24,19 @@ EXTRA = ("starlette", "uvicorn", "websockets")
 
 
 def missing_extra() -> str:
-    """Say that the console cannot run here; empty: it can."""
+    """Return why the console cannot run here; empty: it can."""
     return "" if all(importlib.util.find_spec(each) for each in EXTRA) else "the web console is not installed"
 
 
 def graphical() -> bool:
-    """Tell whether this process runs where a browser's window can be seen."""
+    """Return whether a browser's window can be seen where this process runs."""
     if sys.platform in ("darwin", "win32"):
         return "SSH_CONNECTION" not in os.environ
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class WebConsole:
-    """Has the supervisor run a console for its swarm, and tells its address.
+    """Has the supervisor run a console for its swarm, and reports its address.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class WebConsole:
         listen = ("--listen", f"127.0.0.1:{free_port(PORT)}", "--hub", config.hub.endpoint, "--swarm", config.swarm)
         if os.environ.get(TOKEN):
             return ("console", "--json", *listen)
-        # In a file, because anybody on this machine can read a command line; the folder is this user's alone.
+        # In a file, because every user of this machine can read a command line, but only this user the folder.
         file = self._supervisor.folder / "console.token"
         file.touch(mode=0o600)
         file.write_text(secrets.token_urlsafe(16))
@@ -87,7 +87,7 @@ class WebConsole:
 
 
 def open_browser(redirect: RedirectPage) -> str:
-    """Show the page in the user's browser; return what to say if that cannot be done, else nothing."""
+    """Show the page in the user's browser; return what to print if that is not possible, else an empty text."""
     if not graphical() and "BROWSER" not in os.environ:
         return "there is no screen for a browser here: open the address yourself"
     return "" if redirect.open() else "found no browser to open: open the address yourself"

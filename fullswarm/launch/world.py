@@ -31,7 +31,7 @@ HEARTBEAT_S = 0.5
 FIX_HZ = 20.0
 MOST_AT_ONCE = 20
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
-"""What a fix claims when the world has no noise: a filter cannot do with a certainty."""
+"""Standard deviations of a fix when the world has no noise: a filter needs a variance above zero."""
 
 
 class WorldNode:
@@ -83,7 +83,7 @@ class WorldNode:
             scheduler.every(HEARTBEAT_S, self._beat, first_s=0.0),
         ]
         if skins:
-            self._timers.append(scheduler.every(1.0 / FIX_HZ, self._tell_where))
+            self._timers.append(scheduler.every(1.0 / FIX_HZ, self._send_fixes))
 
     def _run(self) -> None:
         """Make the steps that are due: physics must keep up with the clocks of the firmware that drives in it."""
@@ -91,7 +91,7 @@ class WorldNode:
         due = int((now_s - self._began_s) / self.world.dt_s + 1e-6) - self._made
         for _ in range(min(due, MOST_AT_ONCE)):
             self._step()
-        if due > MOST_AT_ONCE:  # the machine stood still, or is too slow: the world goes on from here
+        if due > MOST_AT_ONCE:  # the machine was suspended or is too slow: the world continues from now
             self._began_s, self._made = now_s, 0
         else:
             self._made += due
@@ -120,12 +120,12 @@ class WorldNode:
             self._truth.sample(world.time_s, world.pose, world.twist, world.dt_s, world.contacts)
 
     def _beat(self) -> None:
-        # In steps of the rate that the fleet file names, so that a reader of that file can tell the time.
+        # In steps of the rate that the fleet file names, so that a reader of that file can derive the time.
         steps = int(self._steps / self._ratio)
         beat = Heartbeat(node="world", process=self._process, sequence=steps, stamp_s=self._scheduler.now_s())
         self._bus.publish(self._keys.heartbeat("world"), beat)
 
-    def _tell_where(self) -> None:
+    def _send_fixes(self) -> None:
         now_s = self._scheduler.now_s()
         for robot in self.bodies.of:
             row = self.world.row(robot)

@@ -34,9 +34,9 @@ WAITING = 1024
 CLOSING_S = 0.2
 REPORT_S = 10.0
 KNOWN_S = 5.0
-"""By then every robot has told of its health twice."""
+"""By then every robot has reported its health twice."""
 KINDS = 50
-"""Complaints that are told; a sender that finds ever new ones is not worth more lines."""
+"""Most kinds of errors that are logged, so that no sender can fill the log."""
 
 Datagram = tuple[float, str, bytes]
 """Arrival, the sender's IP address, content."""
@@ -44,7 +44,7 @@ Datagram = tuple[float, str, bytes]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the command was given."""
+    """The options of the command."""
 
     listen: str = "127.0.0.1:9870"
     robots: dict[str, str] = field(default_factory=dict)  # robot id by the name in the capture system
@@ -99,7 +99,7 @@ class Port:
             raise ConfigError("expected HOST:PORT", where=f"--listen {listen}", hint="like 127.0.0.1:9870")
         if not is_loopback(host) and not insecure_network:
             raise ConfigError(
-                "this address is open to the network: anybody there could tell the robots that they are elsewhere",
+                "this address is open to the network: any computer there could send the robots wrong poses",
                 where=f"--listen {listen}",
                 hint="use 127.0.0.1, or allow it with --insecure-network on a network that you trust",
             )
@@ -146,7 +146,7 @@ class Port:
 
 
 class FixesNode:
-    """Turns datagrams into fixes, and says once for each kind what is wrong with the others.
+    """Turns datagrams into fixes, and logs one error for each kind of invalid ones.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class FixesNode:
         self._options, self._process, self._waiting = options, process, waiting
         self.sent = 0
         self.bad: Counter[str] = Counter()
-        self._told = (0, 0)
+        self._reported = (0, 0)
         self._known: set[str] = set()
         self._strange: set[str] = set()
         self._began_s = scheduler.now_s()
@@ -174,7 +174,7 @@ class FixesNode:
             arrival_s, sender, data = self._waiting.popleft()
             for each in self._options.format.read(data):
                 if isinstance(each, Refused):
-                    self._complain(each, sender)
+                    self._refuse(each, sender)
                 elif each.tracked:
                     self._publish(each, arrival_s, sender)
 
@@ -182,7 +182,7 @@ class FixesNode:
         robot = self._options.robots.get(seen.name, seen.name)
         if not ROBOT_ID.match(robot):
             hint = f"{seen.name!r:.60}: say --map NAME=ROBOT which one it is"
-            self._complain(Refused("no robot can be called so", hint), sender)
+            self._refuse(Refused("no robot can be called so", hint), sender)
             return
         self._look_for(robot)
         self.sent += 1
@@ -200,7 +200,7 @@ class FixesNode:
         )
         self._bus.publish(self._keys.pose_fix(robot), fix)
 
-    def _complain(self, refused: Refused, sender: str) -> None:
+    def _refuse(self, refused: Refused, sender: str) -> None:
         first = refused.kind not in self.bad
         if first and len(self.bad) >= KINDS:
             self.bad["other"] += 1
@@ -213,7 +213,7 @@ class FixesNode:
         self._known.update(each.robot for each in report.robots)
 
     def _look_for(self, robot: str) -> None:
-        """Say once that a robot is unknown: a wrong name looks like a robot that is switched off."""
+        """Log once that a robot is unknown: a wrong name looks like a robot that is switched off."""
         if robot in self._known or robot in self._strange or self._scheduler.now_s() - self._began_s < KNOWN_S:
             return
         if len(self._strange) < KINDS:
@@ -222,12 +222,12 @@ class FixesNode:
 
     def _report(self) -> None:
         now = (self.sent, self.bad.total())
-        if now != self._told:
+        if now != self._reported:
             log.info("fixes", sent=now[0], refused=now[1], **({"why": dict(self.bad)} if self.bad else {}))
-            self._told = now
+            self._reported = now
 
     def close(self) -> None:
-        """Say how it went."""
+        """Log the result, and stop."""
         self._timer.cancel()
         self._subscription.close()
         self._report()

@@ -28,7 +28,7 @@ FAR_M = 1.0e5
 
 
 class Refused(Exception):
-    """A datagram, or one object of it, is not understood. `kind` has no figures in it: it is told once."""
+    """A datagram, or one object of it, is invalid. `kind` has no numbers in it: each kind is logged once."""
 
     def __init__(self, kind: str, what: str = "") -> None:
         super().__init__(f"{kind}: {what}" if what else kind)
@@ -37,7 +37,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What one object says. World frame, ENU."""
+    """The content of one object. World frame, ENU."""
 
     name: str
     x_m: float
@@ -52,7 +52,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """How a sender writes.
+    """The conventions of a sender.
 
     Parameters
     ----------

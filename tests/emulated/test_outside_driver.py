@@ -108,7 +108,7 @@ def test_a_fleet_file_emulates_it(installed: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.syspath_prepend(str(installed))
     fleet, body = tmp_path / "fleet.toml", FreeBody()
     fleet.write_text('[[robot]]\nid = "a1"\nemulate = "scout"\n', encoding="utf-8")
-    config = on_free_ports(load_fleet(fleet), wished=False)
+    config = on_free_ports(load_fleet(fleet), prefer_configured=False)
     url = emulated_url(config, config.robot[0])
     robot = start_emulator("scout", url, body)
     driver = guarded(registry.driver_class(url)(url))

@@ -182,7 +182,7 @@ def test_a_rover_over_tcp_is_asked_by_its_url() -> None:
     with RoverEmulator("tcp://127.0.0.1:0", system=7) as robot:
         (found,) = ask.ask_url(robot.url).robots
         assert found.url == f"{robot.url}?sysid=7"
-    assert "cannot open the link" in ask.ask_url(robot.url).problem
+    assert "cannot connect" in ask.ask_url(robot.url).problem
 
 
 def test_a_px4_rover_is_named_in_its_url() -> None:

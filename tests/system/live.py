@@ -51,7 +51,7 @@ class LiveSwarm:
 
     def __init__(self, config: dict[str, Any], *, watch: bool) -> None:
         self.clock = MonotonicClock()
-        self.config = on_free_ports(SwarmConfig.model_validate(config), wished=False)
+        self.config = on_free_ports(SwarmConfig.model_validate(config), prefer_configured=False)
         self.runtime = Runtime(self.clock, Mailbox())
         self.supervisor = Supervisor(self.config, self.runtime, restart=False, world=not watch)
         self.bus = ZenohBus(self.runtime.mailbox, hub=self.config.hub.endpoint)

@@ -199,7 +199,7 @@ SetEnv {" ".join(f"{key}={value}" for key, value in variables.items())}
         return self.log.count("restart fullswarm-agent.service")
 
     def pending(self) -> bool:
-        """A switch waits for its verdict."""
+        """A switch is not committed yet."""
         return (self.root / "opt/fullswarm/pending").exists()
 
 

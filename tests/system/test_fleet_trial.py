@@ -72,7 +72,7 @@ class Script:
 @pytest.fixture
 def simulated() -> SwarmConfig:
     return on_free_ports(
-        SwarmConfig.model_validate({"swarm": "lab", "robot": [{"id": "a"}, {"id": "b"}]}), wished=False
+        SwarmConfig.model_validate({"swarm": "lab", "robot": [{"id": "a"}, {"id": "b"}]}), prefer_configured=False
     )
 
 
@@ -80,7 +80,7 @@ def simulated() -> SwarmConfig:
 def creates(tmp_path: Path) -> Iterator[SwarmConfig]:
     """Robots that fullswarm takes for real ones: it knows their ports and nothing else."""
     robots = [{"id": robot, "driver": f"create://{tmp_path}/{robot}?model=create2"} for robot in ("a", "b", "spare")]
-    config = on_free_ports(SwarmConfig.model_validate({"swarm": "lab", "robot": robots}), wished=False)
+    config = on_free_ports(SwarmConfig.model_validate({"swarm": "lab", "robot": robots}), prefer_configured=False)
     with contextlib.ExitStack() as stack:
         for each in config.robot:
             settings = parse_url(each.driver)

@@ -151,19 +151,20 @@ def test_ctrl_c_is_zero_gives_the_leases_back_and_ends_with_0(live: LiveSwarm, g
 
 def test_only_the_robots_that_were_named_move(live: LiveSwarm) -> None:
     assert live.world is not None
-    gamepad = Gamepad(live, "--robots", "r2")
-    world = live.world
-    gamepad.do("axis", "lefty", -1.0)
-    for _ in range(10):
-        gamepad.do("button", "leftshoulder", True)
-        live.rest(0.5)
-        if world.setpoint.any():
-            break
-        gamepad.do("button", "leftshoulder", False)
-        live.rest(0.1)
-    assert world.setpoint[1].any()
-    assert not world.setpoint[[0, 2]].any()
-    gamepad.end(signal.SIGKILL)
+    gamepad, world = Gamepad(live, "--robots", "r2"), live.world
+    try:
+        gamepad.do("axis", "lefty", -1.0)
+        for _ in range(10):
+            gamepad.do("button", "leftshoulder", True)
+            live.rest(0.5)
+            if world.setpoint.any():
+                break
+            gamepad.do("button", "leftshoulder", False)
+            live.rest(0.1)
+        assert world.setpoint[1].any()
+        assert not world.setpoint[[0, 2]].any()
+    finally:
+        gamepad.end(signal.SIGKILL)
     live.until(live.stands, 5.0, "all stand")
 
 

@@ -106,7 +106,7 @@ class Trouble:
         one = trial(2, FAR)
         scenario = scenario_of(one)
         config, goals = configure(one, scenario)
-        with LiveSwarm(on_free_ports(with_make(config, one, self._emulate), wished=False)) as self.swarm:
+        with LiveSwarm(on_free_ports(with_make(config, one, self._emulate), prefer_configured=False)) as self.swarm:
             self.swarm.start()
             assert self.swarm.world is not None
             self._at_s = self.swarm.runtime.now_s() + 1.0

@@ -39,7 +39,7 @@ def fleet(robots: int, seed: int) -> tuple[SwarmConfig, list[list[float]]]:
             ],
         }
     )
-    return on_free_ports(config, wished=False), places[1:] + places[:1]
+    return on_free_ports(config, prefer_configured=False), places[1:] + places[:1]
 
 
 def swap(robots: int, seed: int) -> tuple[float, int, float]:

@@ -87,7 +87,7 @@ def test_a_busy_processor_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_systemd_network_time_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda _: None)
-    assert "not known" in network_time().what
+    assert "unknown" in network_time().what
 
 
 # ---------------------------------------------------------------- a fleet
@@ -177,7 +177,7 @@ def test_the_exit_code_follows_the_worst(capsys: pytest.CaptureFixture[str], mon
     monkeypatch.setattr(doctor, "_checks", lambda _: iter(lines))
     assert doctor.run(None, as_json=False) == 0
     shown = capsys.readouterr()
-    assert shown.out.splitlines() == ["ok       a: fine", "warning  b: hm", "         mend it: mend b"]
+    assert shown.out.splitlines() == ["ok       a: fine", "warning  b: hm", "         fix: mend b"]
     lines.append(Check("c", "failure", "broken"))
     assert doctor.run(None, as_json=True) == 1
     document = json.loads(capsys.readouterr().out)

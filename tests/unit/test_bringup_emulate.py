@@ -83,13 +83,13 @@ def test_orders_reach_link_and_body() -> None:
     [
         ("", "no command"),
         ("umplug", "did you mean 'unplug'"),
-        ("unplug now", "is not how it is written"),
+        ("unplug now", "has wrong arguments"),
         ("mute", "mute on|off"),
         ("mute perhaps", "neither on nor off"),
         ("battery 1.5", "from 0 to 1"),
         ("drop nan", "not a number"),
         ("delay -1", "from 0 to 10"),
-        ("estop on", "means nothing to this robot"),
+        ("estop on", "is not supported by this make"),
     ],
 )
 def test_wrong_orders_are_refused_in_words(line: str, word: str) -> None:

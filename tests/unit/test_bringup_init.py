@@ -61,9 +61,9 @@ def test_the_next_steps_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("folder", "says"),
     [
-        ("9lives", "cannot name a lab"),
-        ("my lab", "cannot name a lab"),
-        ("class", "cannot name a lab"),
+        ("9lives", "is not a valid name of a lab"),
+        ("my lab", "is not a valid name of a lab"),
+        ("class", "is not a valid name of a lab"),
         ("numpy", "a Python package 'numpy' exists already"),
         ("json", "a Python package 'json' exists already"),
         ("tests", "a Python package 'tests' exists already"),

@@ -89,7 +89,7 @@ def test_reached_by_ssh_but_not_heard(lab: Lab) -> None:
     lab.bus = "nobody"
     code, checks, said = lab.run()
     assert (code, said["reached"]) == (1, {"bus": False, "ssh": True})
-    assert "the hub answers, but r1 is not heard" in checks["bus"]["what"]
+    assert "the hub answers, but r1 is not received" in checks["bus"]["what"]
     assert "although its computer answers" in checks["bus"]["what"]
     assert checks["bus"]["mend"] == "its agent does not run: fullswarm logs r1"
     assert "round trip (ssh)" in checks

@@ -43,7 +43,7 @@ def judged(
     """The checks by name; of those with the same name the worst."""
     known = msgspec.convert({**FACTS, **(facts or {})}, ComputerFacts)
     given: dict[str, Any] = {"trips_s": (0.01, 0.02, 0.03), "clock_off_s": 0.02, "clock_doubt_s": 0.01, **board}
-    found = RobotComputer(facts=known, said={**SAID, **(said or {})}, **given)
+    found = RobotComputer(facts=known, answers={**SAID, **(said or {})}, **given)
     order = ["ok", "warning", "failure"]
     every = computer(found, "r1", "1.2.3", port=PORT, net="can0" if said and "net" in said else "")
     return {each.name: each for each in sorted(every, key=lambda each: order.index(each.status))}
@@ -70,10 +70,10 @@ def test_a_robot_in_order_has_nothing_to_mend() -> None:
         ("power", "warning", {"throttled": "0x50000"}, {}, "since it was switched on the voltage was too low"),
         ("power", "warning", {"throttled": "throttled=0x80008"}, {}, "close to its highest temperature"),
         ("power", "failure", {"throttled": "1"}, {}, "the voltage is too low now"),  # Linux' own low-voltage alarm
-        ("power", "ok", {"throttled": ""}, {}, "not known"),
+        ("power", "ok", {"throttled": ""}, {}, "unknown"),
         ("temperature", "warning", {"temperature_c": 72.0}, {}, "72 °C"),
         ("temperature", "failure", {"temperature_c": 84.9}, {}, "85 °C"),
-        ("temperature", "ok", {"temperature_c": None}, {}, "not known"),
+        ("temperature", "ok", {"temperature_c": None}, {}, "unknown"),
         ("port", "failure", {}, {"port": "none"}, "does not exist"),
         ("port", "failure", {}, {"groups": "fullswarm"}, "may not open it"),
         ("port", "failure", {}, {"groups": ""}, "no user 'fullswarm'"),
@@ -86,7 +86,7 @@ def test_a_robot_in_order_has_nothing_to_mend() -> None:
         ("software", "failure", {"protocol": 0}, {}, "nothing of fullswarm is installed"),
         ("software", "failure", {"robot": "r2"}, {}, "reports that it is 'r2'"),
         ("software", "failure", {"current": None}, {}, "no release"),
-        ("software", "warning", {"pending": "1.2.4-ba9876543210"}, {}, "waits for its verdict"),
+        ("software", "warning", {"pending": "1.2.4-ba9876543210"}, {}, "is not committed yet"),
         ("software", "warning", {"current": "1.2.2-0123456789ab", "health": None}, {}, "here it is 1.2.3"),
         ("software", "failure", {"health": {"healthy": True, "release": "1.2.2-f"}}, {}, "its agent runs 1.2.2-f"),
         ("agent", "failure", {"health": None}, {}, "no health report"),
@@ -135,7 +135,7 @@ def test_software_that_cannot_be_asked_is_no_reason_not_to_look_at_the_rest() ->
 def test_a_log_that_may_not_be_read_is_told() -> None:
     for errors, unread in ((None, True), (0, False)):  # root may read it, even if this user may not
         found = RobotComputer(
-            facts=msgspec.convert({**FACTS, "card_errors": errors}, ComputerFacts), said={}, trips_s=(0.1,)
+            facts=msgspec.convert({**FACTS, "card_errors": errors}, ComputerFacts), answers={}, trips_s=(0.1,)
         )
         card = next(each for each in computer(found, "r1", "1.2.3") if each.name == "card")
-        assert (card.status, "cannot be read" in card.what) == ("ok", unread)
+        assert (card.status, "cannot read its kernel" in card.what) == ("ok", unread)

@@ -72,10 +72,10 @@ def test_round_trips(trips_s: tuple[float, ...], lost: int, status: str, what: s
 @pytest.mark.parametrize(
     ("share", "status", "what"),
     [
-        (-1.0, "ok", "not known: this robot does not report it"),
+        (-1.0, "ok", "unknown: this robot does not report it"),
         (0.8, "ok", "80%"),
         (0.15, "warning", "15%"),
-        (0.1, "failure", "10%: at 10% it stands"),
+        (0.1, "failure", "10%: at 10% it stops"),
     ],
 )
 def test_batteries(share: float, status: str, what: str) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from fullswarm.drivers.can import slcan
 from fullswarm.drivers.can.protocol import Frame
+from fullswarm.emulators.can.firmware import Adapter
 
 MILLION = 1_000_000
 
@@ -86,13 +87,13 @@ def same_line(frame: Frame, line: bytes) -> bool:
 
 @given(st.binary(max_size=300))
 def test_no_bytes_make_an_adapter_raise_or_send(data: bytes) -> None:
-    adapter = slcan.Adapter(250_000)
+    adapter = Adapter(250_000)
     assert adapter.receive(data.replace(b"S", b"s"))[1] == []
     assert not adapter.is_open
 
 
 def test_an_adapter_answers_as_a_lawicel() -> None:
-    adapter = slcan.Adapter(250_000)
+    adapter = Adapter(250_000)
     frame = Frame(0x29, False, b"12345678")
     for command, answer in [
         (b"C", b"\r"), (b"O", b"\a"), (b"t1230", b"\a"), (b"S5", b"\r"), (b"Z0", b"\r"), (b"Z1", b"\a"),
@@ -108,6 +109,6 @@ def test_an_adapter_answers_as_a_lawicel() -> None:
 
 
 def test_an_adapter_with_the_wrong_bitrate_hears_nobody() -> None:
-    adapter = slcan.Adapter(250_000)
+    adapter = Adapter(250_000)
     assert adapter.receive(b"S6\rO\rt1230\r") == (b"\r\rz\r", [])
     assert adapter.deliver(Frame(1, False)) == b""

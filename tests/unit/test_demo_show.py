@@ -8,7 +8,7 @@ import pytest
 
 from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
-from fullswarm.demo.live import Manner
+from fullswarm.demo.live import DemoOptions
 from fullswarm.demo.show import Show
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
@@ -123,19 +123,19 @@ def test_a_show_for_programs_goes_on() -> None:
 @pytest.mark.parametrize(
     ("manner", "terminal", "screen", "console", "stay", "opens"),
     [
-        (Manner(), True, True, True, True, True),
-        (Manner(), True, False, True, True, False),
-        (Manner(), False, True, True, False, False),
-        (Manner(stay=True), False, False, True, True, False),
-        (Manner(console=False), True, False, False, False, False),
-        (Manner(headless=True), True, True, False, False, False),
-        (Manner(as_json=True), True, True, False, False, False),
-        (Manner(as_json=True, console=True), True, True, True, False, False),
-        (Manner(open_browser=False), True, True, True, True, False),
+        (DemoOptions(), True, True, True, True, True),
+        (DemoOptions(), True, False, True, True, False),
+        (DemoOptions(), False, True, True, False, False),
+        (DemoOptions(stay=True), False, False, True, True, False),
+        (DemoOptions(console=False), True, False, False, False, False),
+        (DemoOptions(headless=True), True, True, False, False, False),
+        (DemoOptions(as_json=True), True, True, False, False, False),
+        (DemoOptions(as_json=True, console=True), True, True, True, False, False),
+        (DemoOptions(open_browser=False), True, True, True, True, False),
     ],
 )
 def test_the_demo_fits_where_it_is_run(
-    manner: Manner, terminal: bool, screen: bool, console: bool, stay: bool, opens: bool
+    manner: DemoOptions, terminal: bool, screen: bool, console: bool, stay: bool, opens: bool
 ) -> None:
     settled = manner.settled(terminal, screen)
     assert (settled.console, settled.stay, settled.open_browser) == (console, stay, opens)

@@ -11,6 +11,7 @@ import pytest
 
 from fullswarm import registry
 from fullswarm.drivers import make as records
+from fullswarm.drivers.guardian import takes_guardian
 from fullswarm.drivers.make import Make, built_in, emulated, make_of, part
 
 README = Path(__file__).parents[2] / "fullswarm" / "drivers" / "README.md"
@@ -24,12 +25,13 @@ def row(make: Make) -> str:
 @pytest.mark.parametrize("make", built_in(), ids=lambda make: make.name)
 def test_what_a_record_names_exists(make: Make) -> None:
     assert all(make_of(f"{scheme}:") is make for scheme in make.schemes)
-    assert make.driver_class()(make.example).url == make.example
+    driver = make.driver_class()(make.example)
+    assert driver.url == make.example
     names = [make.probe] if make.probe else []
     if make.emulation is not None:
         names += [make.emulation.start, make.emulation.bench, make.emulation.clients, make.emulation.mode]
     assert all(part(each) for each in names if each)
-    assert make.guarded == hasattr(make.driver_class(), "guard")
+    assert make.guarded == takes_guardian(driver)
 
 
 @pytest.mark.parametrize("make", built_in(), ids=lambda make: make.name)

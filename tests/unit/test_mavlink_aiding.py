@@ -29,7 +29,7 @@ def test_a_fix_that_is_repeated_is_none() -> None:
         aiding.receive(p.SatelliteFix(1_000_000 + min(number, 3) * 200_000, 6), 0.2 * number)
     assert aiding.age_s(1.8) == pytest.approx(1.2)
     assert aiding.sigma_m(1.8) > SIGMA_M + 0.1
-    assert "tells nothing new" in aiding.problem(1.8)
+    assert "reports nothing new" in aiding.problem(1.8)
     aiding.receive(p.SatelliteFix(1_800_000, 6), 1.8)
     assert (aiding.age_s(1.8), aiding.sigma_m(1.8), aiding.problem(1.8)) == (0.0, SIGMA_M, "")
 

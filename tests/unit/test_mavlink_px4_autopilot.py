@@ -30,7 +30,7 @@ def test_an_url_that_says_otherwise_is_told() -> None:
     bench = Px4Bench(autopilot=AUTOPILOTS[3])
     bench.run(2.0, bench.insist)
     assert bench.session.state is Lifecycle.FAULT
-    assert "the vehicle runs PX4, but the URL says autopilot=ardupilot" in bench.session.fault
+    assert "the vehicle runs PX4, but its URL has autopilot=ardupilot" in bench.session.fault
     assert not bench.rover.setpoints
 
 

@@ -38,7 +38,7 @@ def test_a_demo_moves_to_ports_that_are_free() -> None:
 def test_swarms_side_by_side_do_not_wish_for_the_same_free_ports() -> None:
     robots = [{"id": "r1"}, {"id": "m1", "emulate": "rover"}, {"id": "c1", "emulate": "create2"}]
     config = SwarmConfig.model_validate({"robot": robots})
-    first, second = (on_free_ports(config, wished=False) for _ in range(2))
+    first, second = (on_free_ports(config, prefer_configured=False) for _ in range(2))
     assert len({config.hub.endpoint, first.hub.endpoint, second.hub.endpoint}) == 3
     assert len({each.world_or_default.address for each in (config, first, second)}) == 3
     rovers = {each.robot[1].driver for each in (first, second)}

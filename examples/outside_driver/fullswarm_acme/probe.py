@@ -29,8 +29,8 @@ def ask_url(url: str, clock: Clock) -> Asked:
             link.sendall(line("HELLO"))
             while clock.now_s() < end_s and (robot is None or battery is None) and (data := link.recv(4096)):
                 for text in parser.feed(data):
-                    robot, told = parse_robot(text) or robot, parse_state(text)
-                    battery = told.battery if told is not None else battery
+                    robot, state = parse_robot(text) or robot, parse_state(text)
+                    battery = state.battery if state is not None else battery
     except OSError as error:
         return Asked(name, problem=f"nothing answers: {error.strerror or error}")
     if robot is None:

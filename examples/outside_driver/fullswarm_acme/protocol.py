@@ -39,7 +39,7 @@ class Robot:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What the robot tells 50 times a second; its pose is counted since its boot."""
+    """What the robot reports 50 times a second; its pose is counted since its boot."""
 
     mode: str
     pose: Pose
@@ -54,7 +54,7 @@ def line(text: str) -> bytes:
 
 
 def drive(twist: Twist) -> str:
-    """Return the words for a set-point; it must be finite."""
+    """Return the text of a set-point; it must be finite."""
     return f"DRIVE {round(twist.linear_m_s * 1e3)} {round(twist.angular_rad_s * 1e3)}"
 
 
@@ -63,12 +63,12 @@ def quantised(twist: Twist) -> Twist:
     return Twist(round(twist.linear_m_s * 1e3) / 1e3, round(twist.angular_rad_s * 1e3) / 1e3)
 
 
-def state(told: State) -> str:
-    """Return the words for a state."""
-    pose, twist = told.pose, told.twist
+def state(known: State) -> str:
+    """Return the text of a state."""
+    pose, twist = known.pose, known.twist
     values = (pose.x_m, pose.y_m, pose.heading_rad, twist.linear_m_s, twist.angular_rad_s)
     numbers = " ".join(str(round(value * 1e3)) for value in values)
-    return f"STATE {told.mode} {numbers} {int(told.bumper)} {round(told.battery * 100)}"
+    return f"STATE {known.mode} {numbers} {int(known.bumper)} {round(known.battery * 100)}"
 
 
 def parse_state(text: str) -> State | None:

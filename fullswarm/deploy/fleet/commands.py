@@ -22,7 +22,15 @@ from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
 from fullswarm.deploy.fleet.login import Address, Login, confirm_host_keys, login_for, pick_robots
 from fullswarm.deploy.fleet.releases import Archives, Desired, extras_needed
 from fullswarm.deploy.fleet.remote import LinkBroke, Remote, clean, clean_log_line, need_asyncssh
-from fullswarm.deploy.fleet.robot_update import Refused, RobotUpdater, SupportPackage, read_health, roll_back
+from fullswarm.deploy.fleet.robot_update import (
+    Refused,
+    RobotUpdater,
+    SupportPackage,
+    check_idle,
+    check_installed,
+    read_health,
+    roll_back,
+)
 from fullswarm.deploy.fleet.rollout import AT_A_TIME, GOOD, Outcome, Plan, Rollout, Stage, UpdateState, perform_rollout
 from fullswarm.deploy.release.keys import Keys, public
 from fullswarm.deploy.release.store import Store
@@ -355,12 +363,8 @@ def reboot(order: FleetRequest, wait_s: float | None) -> int:
 
 async def _idle(remote: Remote, order: FleetRequest) -> Facts:
     facts = await facts_of(remote)
-    if not facts.installed:
-        hint = f"`fullswarm deploy {remote.robot}` installs it"
-        raise FullswarmError("fullswarm is not installed on it", where=remote.robot, hint=hint)
-    if facts.busy_with and not order.force:
-        hint = "stop it (`fullswarm stop`) first, or --force"
-        raise Refused(f"it is {facts.busy_with}", where=remote.robot, hint=hint)
+    check_installed(facts, remote.robot)
+    check_idle(facts, remote.robot, force=order.force)
     return facts
 
 

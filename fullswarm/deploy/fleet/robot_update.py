@@ -59,6 +59,19 @@ class RolledBack(FullswarmError):
     """The robot tried the release, its agent did not start, and it runs the previous one again."""
 
 
+def check_installed(facts: Facts, robot: str) -> None:
+    """Raise when fullswarm is not installed on a robot."""
+    if not facts.installed:
+        hint = f"`fullswarm deploy {robot}` installs it"
+        raise FullswarmError("fullswarm is not installed on it", where=robot, hint=hint)
+
+
+def check_idle(facts: Facts, robot: str, *, force: bool) -> None:
+    """Raise `Refused` when a robot does what a restart of its agent would end."""
+    if facts.busy_with and not force:
+        raise Refused(f"it is {facts.busy_with}", where=robot, hint="stop it (`fullswarm stop`) first, or --force")
+
+
 async def authorize_fleet_key(remote: Remote, public_key: str) -> None:
     """Add the fleet's key to the authorized keys of the user."""
     answer = await remote.run(ADMIT, feed=f"{public_key}\n".encode())
@@ -372,17 +385,13 @@ class RobotUpdater:
     async def _install(self, remote: Remote, facts: Facts) -> Facts:
         package = self.packages.get(remote.robot)
         if package is None:
-            if not facts.installed:
-                hint = f"`fullswarm deploy {remote.robot}` installs it"
-                raise FullswarmError("fullswarm is not installed on it", where=remote.robot, hint=hint)
+            check_installed(facts, remote.robot)
             return facts
         if remote.own_key:
             await authorize_fleet_key(remote, self.public_key)
         if facts.installed and facts.kit == package.name:
             return facts
-        if facts.busy_with and not self.force:
-            # New settings restart its agent.
-            raise Refused(f"it is {facts.busy_with}", where=remote.robot, hint="stop it first, or --force")
+        check_idle(facts, remote.robot, force=self.force)  # new settings restart its agent
         self.progress(f"{remote.robot}: installing")
         await install_package(remote, package.archive, installed=facts.installed)
         now = await facts_of(remote)

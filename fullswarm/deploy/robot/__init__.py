@@ -11,5 +11,7 @@
 ``60-fullswarm-journal.conf`` a cap on the journal
 ``60-fullswarm-sshd.conf``    sshd closes sessions of a base that is gone
 
+A support package is called `kit` in the names of files and fields on robots, which older versions know too.
+
 In: a robot support package and releases, over SSH or from a card. Out: JSON facts and an agent that runs.
 """

@@ -16,7 +16,7 @@ SLACK_M = 0.02
 SKEW_S = 0.05
 """At most so much of a wheel's motion is foreseen."""
 CREEP_M_S = 0.05
-"""A wheel that tells a higher speed than this must count."""
+"""A wheel that reports a higher speed than this must count."""
 HUGE = 1e6
 
 
@@ -46,11 +46,11 @@ class WheelTrack:
     travelled_m: float = 0.0
     speed_m_s: float = 0.0
     seen_s: float = -math.inf
-    _count_m: float = 0.0  # the controller's count when last told …
+    _count_m: float = 0.0  # the controller's count when last reported …
     _count_s: float = -math.inf  # … when that was …
     _at_count_m: float = 0.0  # … and `travelled_m` there
     fresh: bool = False  # something has come since the pose was stepped
-    _still_s: float = math.inf  # since when it has told a speed without counting
+    _still_s: float = math.inf  # since when it has reported a speed without counting
 
     def update(self, motion: Motion, now_s: float) -> None:
         """Take in one message; a speed that no wheel has is noise on the line."""
@@ -78,7 +78,7 @@ class WheelTrack:
         return self.travelled_m + self.speed_m_s * min(now_s - self.seen_s, SKEW_S)
 
     def stuck_for(self, now_s: float) -> float:
-        """Return for how long the wheel has told a speed without counting, in s; negative: not at all."""
+        """Return for how long the wheel has reported a speed without counting, in s; negative: not at all."""
         return now_s - self._still_s
 
     def _count(self, count_m: float, now_s: float) -> None:
@@ -89,7 +89,7 @@ class WheelTrack:
 
 
 class Odometry:
-    """Pose since the start, stepped whenever both wheels have told something new."""
+    """Pose since the start, stepped whenever both wheels have reported something new."""
 
     def __init__(self, base_m: float, limit_m_s: float) -> None:
         self._base_m = base_m

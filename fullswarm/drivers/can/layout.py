@@ -25,7 +25,7 @@ class Layout:
     Parameters
     ----------
     command
-        What the identifier says.
+        The command in the identifier.
     kind
         The dataclass; its first fields are those of `format`, the others keep their defaults.
     format

@@ -175,7 +175,7 @@ class SdoReply:
     value: int
 
 
-# ---------------------------------------------------------------- what it is told
+# ---------------------------------------------------------------- what is sent to it
 @dataclass(frozen=True, slots=True)
 class Estop:
     """Disarm at once and latch ESTOP_REQUESTED until the errors are cleared."""
@@ -200,7 +200,7 @@ class SetNode:
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Asked for remotely: who has which serial number; sent: a node number for it (0.6)."""
+    """Asked for remotely: which node has which serial number; sent: a node number for it (0.6)."""
 
     node: int
     serial: bytes  # 6, little endian
@@ -364,7 +364,7 @@ def encode(node: int, message: object, firmware: Firmware = "0.6") -> Frame:
 
 
 def decode(frame: Frame, firmware: Firmware = "0.6") -> object | None:
-    """Return what `frame` says; None when this firmware has no such message or it is malformed."""
+    """Return the message in `frame`; None when this firmware has no such message or it is malformed."""
     if frame.extended or frame.remote or frame.id >> 5 > MAX_NODE:
         return None
     message: object | None = TABLES[firmware].unpack(frame.id & 0x1F, frame.data)

@@ -46,7 +46,7 @@ class CanPort(Port[Frame]):
     MissingExtra
         python-can, or what it needs for this interface, is not installed.
     DriverError
-        The interface cannot be had; says what to do.
+        The interface cannot be opened; tells what to do.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -197,7 +197,7 @@ class CanPort(Port[Frame]):
         return Frame(message.arbitration_id, message.is_extended_id, bytes(message.data), message.is_remote_frame)
 
     def _worth_reading(self, timeout_s: float) -> bool:
-        """Wait until something has arrived, where the kernel can tell."""
+        """Wait until something has arrived, where the kernel shows it."""
         if self._descriptor is None or not self._drained:
             return True
         return bool(select.select([self._descriptor], [], [], timeout_s)[0])

@@ -1,4 +1,4 @@
-"""Looks who is on a CAN bus: ODrive axes by their heartbeats, VESCs by their status messages and pongs.
+"""Finds the controllers on a CAN bus: ODrive axes by their heartbeats, VESCs by their status messages and pongs.
 
 Nothing that is sent sets a motor: a remote request for the version (ODrive 0.6 answers) and pings (VESC).
 """
@@ -26,17 +26,17 @@ HOST = 253  # our address for pongs
 VESC_STATUS, VESC_PING, VESC_PONG, LAST_VESC = frozenset({9, 14, 15, 16, 27, 58}), 17, 18, 254
 INTERFACES = ("socketcan", "slcan", "virtual", "udp_multicast")
 ANY_BODY = {"left": "0", "right": "1", "wheel_radius": "0.1", "base": "0.3"}
-"""A bus is opened through the settings of a base; who is on it is not known yet."""
+"""A bus is opened through the settings of a base; which nodes are on it is not known yet."""
 
 CAN_DEVICE = "280"
 """ARPHRD_CAN in /sys/class/net/*/type."""
 FILL_IN = "put in wheel radius and distance between the wheels in metres; swap left and right if it turns the wrong way"
-SILENCE = "nobody is heard: are the controllers powered, is the bitrate right, is the bus terminated at both ends?"
+SILENCE = "no node is received: are the controllers powered, is the bitrate right, is the bus terminated at both ends?"
 
 
 @dataclass(slots=True)
 class _Axis:
-    """What one ODrive axis has told."""
+    """What one ODrive axis has reported."""
 
     error: int = 0
     state: int = 0
@@ -51,12 +51,12 @@ class _Axis:
 
 @dataclass(slots=True)
 class _Bus:
-    """Who was heard."""
+    """The nodes that were received."""
 
     axes: dict[int, _Axis] = field(default_factory=dict)
     vescs: set[int] = field(default_factory=set)
 
-    def hear(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Take a frame."""
         if frame.remote:
             return
@@ -162,8 +162,8 @@ def _ask(settings: Settings, wanted: frozenset[int], clock: Clock) -> Asked:
     silent = sorted(wanted - (bus.vescs if settings.make == "vesc" else bus.axes.keys()))
     if silent and (bus.axes or bus.vescs):
         numbers = ", ".join(map(str, silent))
-        heard = ", ".join(map(str, sorted(bus.axes.keys() | bus.vescs)))
-        return Asked(name, problem=f"node {numbers} is silent; heard: {heard}")
+        received = ", ".join(map(str, sorted(bus.axes.keys() | bus.vescs)))
+        return Asked(name, problem=f"node {numbers} is silent; received: {received}")
     robots = (*_odrives(name, settings, bus), *_vescs(name, settings, bus))
     return Asked(name, robots=robots, problem="" if robots else SILENCE)
 
@@ -179,7 +179,7 @@ def _listen(port: CanPort, clock: Clock) -> _Bus:
             port.send(ping)
         frame = port.receive(0.01)
         if frame is not None:
-            bus.hear(frame)
+            bus.receive(frame)
         for node in bus.axes.keys() - asked:
             asked.add(node)
             port.send(odrive.request(node, odrive.Version))

@@ -1,4 +1,4 @@
-"""What the two protocols share: a frame, a wheel, what a controller may tell, what a codec must do. Bytes only."""
+"""What the two protocols share: a frame, a wheel, what a controller may report, what a codec must do. Bytes only."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """How a wheel hangs on its motor.
+    """How a wheel is connected to its motor.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Mode(enum.Enum):
     IDLE = "idle"
     DRIVING = "driving"  # obeys set-points
     BUSY = "busy"  # calibrates, homes, starts up
-    UNKNOWN = "unknown"  # the protocol does not say
+    UNKNOWN = "unknown"  # the protocol does not show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Beat:
     """A sign of life, with the state where the protocol has one."""
 
     mode: Mode
-    state: str = ""  # the maker's word for it
+    state: str = ""  # the maker's name for it
     error: str = ""  # decoded names; empty: none
     estop: bool = False  # among the errors is an emergency stop
 
@@ -93,7 +93,7 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the wheel moves: m/s and m along the robot's x axis; None where this message does not tell."""
+    """How the wheel moves: m/s and m along the robot's x axis; None where this message does not contain it."""
 
     speed_m_s: float | None
     distance_m: float | None  # since the controller started
@@ -111,7 +111,7 @@ Report = Beat | Motion | Version | Power
 
 
 class Want(enum.Flag):
-    """What a controller is asked for where it does not tell by itself."""
+    """What a controller is asked for where it does not report by itself."""
 
     BEAT = 1  # a sign of life
     MOTION = 2
@@ -128,12 +128,12 @@ class WheelCodec(Protocol):
 
     @property
     def max_speed_m_s(self) -> float:
-        """Return the wheel speed that the controller itself allows; ``inf`` when it says nothing."""
+        """Return the wheel speed that the controller itself allows; ``inf`` when it states none."""
         ...
 
     @property
     def generic_firmware(self) -> str:
-        """Return what is known of the firmware when the controller tells nothing."""
+        """Return what is known of the firmware when the controller reports nothing."""
         ...
 
     def quantised(self, speed_m_s: float) -> float:
@@ -165,5 +165,5 @@ class WheelCodec(Protocol):
         ...
 
     def decode(self, frame: Frame) -> Report | None:
-        """Return what `frame` tells about this wheel; None when it is not ours, empty talk or malformed."""
+        """Return what `frame` reports of this wheel; None when it is not ours, irrelevant or malformed."""
         ...

@@ -9,12 +9,12 @@ The part after ``://`` is python-can's channel:
 ``can+odrive://word?…``                 with ``interface=virtual``: emulators in this process
 ======================================  ==============================================================
 
-``guardian=0`` and ``guardian=1`` say whether a process of its own stops the wheels when this one is paused or killed;
-agents and `robots test` have one for controllers without a watchdog of 0.5 s or less. Not with ``virtual``, which no
-other process can reach.
+``guardian=0`` and ``guardian=1`` decide whether a process of its own stops the wheels when this one is paused or
+killed; agents and `robots test` have one for controllers without a watchdog of 0.5 s or less. Not with ``virtual``,
+which no other process can reach.
 
 Multicast stays on this machine (hop limit 0) but needs a route: a machine without any network has none until
-``ip route add 239.0.0.0/8 dev lo``. Anybody on the machine may talk on it; a pty has one owner.
+``ip route add 239.0.0.0/8 dev lo``. Any program on the machine may send on it; a pty has one owner.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Sign = Literal["1", "-1"]
 class BusOptions(Section):
     """How python-can reaches the bus.
 
-    ``udp_multicast`` is for emulators: python-can listens on all addresses, so whoever shares the network could
-    talk on such a bus. Its frames do not leave the machine unless `hop_limit` says so.
+    ``udp_multicast`` is for emulators: python-can listens on all addresses, so any computer on the network could
+    send on such a bus. Its frames do not leave the machine unless `hop_limit` allows it.
     """
 
     interface: Literal["socketcan", "slcan", "virtual", "udp_multicast"] = "socketcan"
@@ -50,7 +50,7 @@ class BusOptions(Section):
     tty_baud: int = Field(115_200, gt=0)  # slcan only, and of no meaning to a USB adapter
     port: int = Field(43113, gt=0, le=65535)  # udp_multicast only
     hop_limit: int = Field(0, ge=0, le=255)  # udp_multicast only; 0: frames do not leave this machine
-    guardian: Literal["0", "1"] | None = None  # None: whoever opens the driver decides
+    guardian: Literal["0", "1"] | None = None  # None: the opener of the driver decides
 
 
 class BaseOptions(Section):
@@ -71,7 +71,7 @@ class BaseOptions(Section):
 
     @property
     def volts(self) -> tuple[float, float] | None:
-        """Return the voltages of the empty and the full battery; None: not told."""
+        """Return the voltages of the empty and the full battery; None: not given."""
         if self.volts_empty is None or self.volts_full is None:
             return None
         return self.volts_empty, self.volts_full
@@ -120,7 +120,7 @@ _MAKERS: dict[str, tuple[Make, type[OdriveOptions] | type[VescOptions], int, int
 
 
 class Settings(Section):
-    """Everything that a URL says."""
+    """All options of a URL."""
 
     url: str
     make: Make
@@ -135,7 +135,7 @@ class Settings(Section):
 
     @property
     def wheel_limit_m_s(self) -> float:
-        """Return how fast a wheel may turn: as wished, or less if the controller allows less."""
+        """Return how fast a wheel may turn: as the URL asks, or less if the controller allows less."""
         return min(self.base.speed, self.codecs()[0].max_speed_m_s)
 
     def description(self) -> Description:
@@ -169,7 +169,7 @@ class Settings(Section):
 
 
 def parse(url: str) -> Settings:
-    """Return what `url` says.
+    """Return the options of `url`.
 
     Raises
     ------

@@ -27,7 +27,7 @@ class SlcanBus(slcanBus):
         self._frames: deque[can.Message] = deque()
         self.refused = 0  # lines that were frames by their letter and none by their rest
         super().__init__(channel, tty_baudrate, bitrate, sleep_after_open=sleep_after_open)
-        self.flush()  # what an adapter that was still open has said meanwhile is old
+        self.flush()  # what an adapter that was still open has sent meanwhile is old
 
     def open(self) -> None:
         """Open the channel, without time stamps: some adapters remember that they were once switched on."""

@@ -91,7 +91,7 @@ class Ping:
     host: int
 
 
-# ---------------------------------------------------------------- what it tells
+# ---------------------------------------------------------------- what it reports
 @dataclass(frozen=True, slots=True)
 class Pong:
     """The answer of `node`; its identifier holds the host."""
@@ -194,7 +194,7 @@ def encode(node: int, message: object) -> Frame:
 
 
 def decode(frame: Frame) -> object | None:
-    """Return what `frame` says; None when it is no message of ours or malformed."""
+    """Return the message in `frame`; None when it is no message of ours or malformed."""
     if not frame.extended or frame.remote:
         return None
     return TABLE.unpack(frame.id >> 8, frame.data)

@@ -28,8 +28,8 @@ FIRST_M, SAVED_M = 0.03, 0.1
 class Odometry:
     """Sums up the wheels' travel since open(); starts at (0, 0, 0).
 
-    A robot goes on counting while it is not heard: after a gap in the line its counters still hold the motion, which
-    is then taken for one even arc. `breaks` counts the gaps that lost it.
+    A robot goes on counting while nothing is received from it: after a gap in the line its counters still
+    hold the motion, which is then taken for one even arc. `breaks` counts the gaps that lost it.
     """
 
     def __init__(self, generation: Generation) -> None:
@@ -67,18 +67,18 @@ class Odometry:
         self._track.clear()
 
     def gap(self) -> None:
-        """Take note that the robot is not heard for a while."""
+        """Note that nothing is received for a while."""
         self._gap = True
         self._track.clear()
 
     def restarted(self) -> None:
-        """Take note that the robot has been switched off and on: its counts began anew."""
+        """Note that the robot has been switched off and on: its counts began anew."""
         if self._stamp_s is not None:
             self.breaks += 1
         self.rebase()
 
     def update(self, sensors: Sensors, now_s: float) -> bool:
-        """Take one frame in; tell whether a wheel moved. An impossible jump re-bases instead of moving the pose."""
+        """Take one frame; return whether a wheel moved. An impossible jump re-bases instead of moving the pose."""
         gap, self._gap, before = self._gap, False, self._counts
         first = self._stamp_s is None
         elapsed_s = 0.0 if self._stamp_s is None else now_s - self._stamp_s
@@ -100,7 +100,7 @@ class Odometry:
         return farthest > 0.0
 
     def _lost(self, before: tuple[int, int] | None, sensors: Sensors, farthest_m: float) -> bool:
-        """Tell whether the counts after a gap say nothing about it: begun anew, cleared by each frame, or wrapped."""
+        """Return whether the counts after a gap do not show it: begun anew, cleared by each frame, or wrapped."""
         after = _counts(sensors)
         if self._m_per_count is None or before is None or after is None:
             return True

@@ -1,6 +1,6 @@
 """Asks a Create or Roomba what it is, and leaves it as it was found: mode, stream and wheels.
 
-Only packets are queried. A robot that is off hears one byte, 128 (Passive: wheels cannot turn), and is sent back to
+Only packets are queried. A robot that is off gets one byte, 128 (Passive: wheels cannot turn), and is sent back to
 sleep. Bytes are spelled with pauses: a Create 1 that listens at half the rate then takes each of them for one above
 239, which is no command, while bytes in a row might read as "clean". The faster rate must be tried first.
 """
@@ -57,8 +57,8 @@ def questions(_scope: Scope, _clock: Clock) -> list[tuple[str, Callable[[], Aske
     return []
 
 
-def knows(_port: SerialPort, _heard: bytes) -> bool:
-    """Return False: a Create says nothing that could be told from noise before it is asked."""
+def knows(_port: SerialPort, _received: bytes) -> bool:
+    """Return False: a Create sends nothing that differs from noise before it is asked."""
     return False
 
 
@@ -67,21 +67,21 @@ def ask_url(url: str, _clock: Clock) -> Asked:
     return Asked(url, problem="this names no serial port")
 
 
-def ask_line(line: Port, port: SerialPort, baud: int, heard: bytes, _clock: Clock) -> tuple[Found, ...]:
+def ask_line(line: Port, port: SerialPort, baud: int, received: bytes, _clock: Clock) -> tuple[Found, ...]:
     """Return the robot on a claimed line at this rate."""
-    robot = ask(line, port.path, baud, heard)
+    robot = ask(line, port.path, baud, received)
     return () if robot is None else (robot,)
 
 
-def ask(line: Port, path: str, baud: int, heard: bytes) -> Found | None:
-    """Return the robot on the line at this rate; None when nobody there speaks the Open Interface.
+def ask(line: Port, path: str, baud: int, received: bytes) -> Found | None:
+    """Return the robot on the line at this rate; None when no Open Interface answers there.
 
     Parameters
     ----------
-    heard
-        What came before anybody asked: a stream that somebody left running is paused and resumed.
+    received
+        What came before the question: a stream that was left running is paused and resumed.
     """
-    streaming = bool(StreamParser(both_checksums=True).feed(heard))
+    streaming = bool(StreamParser(both_checksums=True).feed(received))
     asleep = modern = False
     line.spell(pause_stream(paused=True))
     line.gather(WAKE_S)

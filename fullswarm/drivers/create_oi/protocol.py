@@ -297,7 +297,7 @@ class Mode(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """What differs between the makes that speak the Open Interface."""
+    """What differs between the robots with an Open Interface."""
 
     name: str
     label: str
@@ -397,7 +397,7 @@ class Command:
 
 
 class CommandParser:
-    """The robot's ear: takes bytes one by one and waits, for ever if need be, for a command's data.
+    """The robot's side: takes bytes one by one and waits, for ever if need be, for a command's data.
 
     Unknown opcodes are ignored. Never raises.
     """
@@ -599,12 +599,12 @@ def create1_byte(op: Op, value: int) -> bytes:
 
 
 def wait_distance(distance_mm: int) -> bytes:
-    """Create 1: hear nothing until that far (negative: backwards)."""
+    """Create 1: ignore commands until it has gone that far (negative: backwards)."""
     return bytes([Op.WAIT_DISTANCE]) + _i16(distance_mm, -32768, 32767, "distance in mm")
 
 
 def wait_angle(angle_deg: int) -> bytes:
-    """Create 1: hear nothing until turned so far, counter-clockwise positive."""
+    """Create 1: ignore commands until it has turned so far, counter-clockwise positive."""
     return bytes([Op.WAIT_ANGLE]) + _i16(angle_deg, -32768, 32767, "angle in degrees")
 
 

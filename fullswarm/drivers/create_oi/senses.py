@@ -66,7 +66,7 @@ class Charging(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """A Create's battery; None where its stream has no room to tell."""
+    """A Create's battery; None where its stream has no room for it."""
 
     charging: Charging | None
     on_charger: bool
@@ -147,8 +147,8 @@ class Banner:
         self.version = ""
         self._text = b""
 
-    def hear(self, data: bytes) -> bool:
-        """Take bytes that are in no frame; tell whether they end the text of a robot that has just started."""
+    def feed(self, data: bytes) -> bool:
+        """Take bytes that are in no frame; return whether they end the text of a robot that has just started."""
         self._text = (self._text + data)[-_TEXT_BYTES:]
         if found := _VERSION.findall(self._text):
             self.version = found[-1].decode()

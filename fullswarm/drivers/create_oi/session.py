@@ -2,8 +2,8 @@
 
 ::
 
-    linked() -> OPEN: 145 0 0, 128, 148 -> first good frame that says Passive -> READY (wheels cannot move)
-    READY -> activate(): 131 -> packet 35 says Safe -> 145 0 0 -> ACTIVE
+    linked() -> OPEN: 145 0 0, 128, 148 -> first good frame in Passive mode -> READY (wheels cannot move)
+    READY -> activate(): 131 -> packet 35 shows Safe -> 145 0 0 -> ACTIVE
     ACTIVE -> the robot falls to Passive by itself (cliff, wheel drop, charger) -> READY, third time in 10 s -> FAULT
     ACTIVE -> dock(): 143, the robot drives by itself -> on its dock -> READY; deactivate() or silence stops it
     ACTIVE -> a set-point neither confirmed nor followed for 1 s (its sensors are stuck) -> FAULT, hello again
@@ -168,7 +168,7 @@ class Session(LinkSession[bytes]):
 
     @property
     def firmware(self) -> str:
-        """What the robot is and, if it has been heard starting, the version it runs; empty before it answers."""
+        """What the robot is and, if it was seen starting, the version it runs; empty before it answers."""
         if self._newest is None:
             return ""
         version = f", firmware {self._banner.version}" if self._banner.version else ""
@@ -200,7 +200,7 @@ class Session(LinkSession[bytes]):
     def received(self, data: bytes, now_s: float) -> None:
         """Take bytes from the robot."""
         self._bytes += len(data)
-        if self._hello_s is not None and self._banner.hear(data):
+        if self._hello_s is not None and self._banner.feed(data):
             self._odometry.restarted()
         for frame in self._parser.feed(data):
             self._take(frame.sensors, now_s)

@@ -1,10 +1,10 @@
-"""What a Create's URL says, and what is known of the robot before connecting.
+"""A Create's URL, checked, and what is known of the robot before connecting.
 
 ``create:///dev/ttyUSB0?model=create2``; ``model`` is ``create1``, ``roomba500`` or ``create2`` (default), ``baud``
 overrides the model's rate, ``mode_offset=1`` is for firmware that reports its mode one too high, ``speed_step=28.5``
-for wheels that only know multiples of so many mm/s: `command()` then rounds to them and tells so, ``guardian=1`` has
-the port held by a process that stops the robot when this one is paused or killed (agents and `robots test` do so
-unless the URL says 0).
+for wheels that only know multiples of so many mm/s: `command()` then rounds to them and returns what is applied,
+``guardian=1`` has the port held by a process that stops the robot when this one is paused or killed (agents and `robots
+test` do so unless it is 0 in the URL).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ OPTIONS = ("model", "baud", "mode_offset", "speed_step", "guardian")
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a URL says."""
+    """The options of a URL."""
 
     path: str
     generation: Generation = CREATE2
     baud: int = CREATE2.baud
     mode_offset: int = 0
     speed_step_mm_s: float = 0.0
-    guardian: bool | None = None  # None: whoever opens the driver decides
+    guardian: bool | None = None  # None: the opener of the driver decides
 
 
 def parse_url(url: str) -> Settings:
@@ -81,7 +81,7 @@ def _step(url: str, text: str) -> float:
     except ValueError:
         step = math.nan
     if not 0.0 <= step <= COARSEST_MM_S:
-        hint = f"a number of mm/s from 0 to {COARSEST_MM_S:g}; a Create 2 is said to have 28.5"
+        hint = f"a number of mm/s from 0 to {COARSEST_MM_S:g}; a Create 2 is reported to have 28.5"
         raise ConfigError(f"speed_step '{text}' will not do", where=url, hint=hint)
     return step
 

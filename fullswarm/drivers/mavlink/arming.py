@@ -26,7 +26,7 @@ DISARM_AT_S = (1.4, 1.5, 1.6)
 def left_armed(vehicle: Vehicle, autopilot: Autopilot, *, by_us: bool) -> bool:
     """Whether the vehicle is still armed from before the link was lost, or from another run of ours.
 
-    One that a failsafe holds is disarmed, whoever armed it: PX4 stays in its failsafe until then.
+    One that a failsafe holds is disarmed in any case: PX4 stays in its failsafe until then.
     """
     lost = vehicle.heartbeat is not None and vehicle.heartbeat.status == p.STATUS_CRITICAL
     held = (by_us or lost) and vehicle.mode == autopilot.hold_mode
@@ -52,7 +52,7 @@ class Controls:
         return self.autopilot.setpoint(self.encoder, STAND, self._known)
 
     def stop(self) -> list[bytes]:
-        """Return all that stops it, for when there is no telling what state it is in."""
+        """Return all that stops it, for when its state is unknown."""
         return [
             self.stand(),
             self.autopilot.set_mode(self.encoder, self.autopilot.hold_mode, 0),
@@ -74,8 +74,8 @@ def stop_plan(controls: Controls, *, drives: bool) -> StopPlan[bytes]:
 class Activation:
     """One attempt: the driving mode seen in a heartbeat, then armed seen in a heartbeat.
 
-    ArduPilot gets no set-point before that: it stores one and drives off the moment it arms. PX4 lets nobody into
-    its driving mode who has not sent standing set-points for a while, and keeps nobody in it who stops.
+    ArduPilot gets no set-point before that: it stores one and drives off the moment it arms. PX4 enters
+    its driving mode only after standing set-points for a while, and leaves it when they stop.
     """
 
     def __init__(self, controls: Controls, vehicle: Vehicle, now_s: float) -> None:
@@ -153,7 +153,7 @@ class Activation:
 class StandDown:
     """Zero set-point until standing, then hold, then disarm, each repeated until a heartbeat shows it.
 
-    A vehicle that is in neither the driving nor the holding mode is in somebody else's hands and is left alone.
+    A vehicle that is in neither the driving nor the holding mode is under another's control and is left alone.
     """
 
     def __init__(self, controls: Controls, vehicle: Vehicle, now_s: float, *, arm_pending: bool = False) -> None:
@@ -162,7 +162,7 @@ class StandDown:
         self._hold = controls.mode(self._hold_mode)
         self._disarm = controls.arm(False)
         self._brake_until_s = now_s + BRAKE_S
-        # An arm command on its way can still take effect after the newest heartbeat that said disarmed.
+        # An arm command on its way can still take effect after the newest heartbeat that showed it disarmed.
         self._not_done_before_s = now_s + (2 * RESEND_S if arm_pending else 0.0)
         self._setpoint_s = now_s
         self.done = False

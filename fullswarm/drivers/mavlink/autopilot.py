@@ -26,7 +26,7 @@ position that moves by less than 6 mm in 0.5 s. A creep of 0.05 m/s is 20 mm in 
 class Guard:
     """A parameter that must hold one of the `accepted` values, for the vehicle's own safety.
 
-    It is written for good, unless `unfit` says what is wrong with a value: then only a person may change it.
+    It is written for good, unless `unfit` finds a value wrong: then only a person may change it.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Autopilot(Protocol):
     number: int  # in heartbeats
     drive_mode: int
     hold_mode: int
-    estimator: int  # id of the message that tells how well it knows its position
+    estimator: int  # id of the message with how well it knows its position
     bytewise: bool  # how integers travel in parameters
     stream_s: float  # it wants standing set-points for so long before it lets itself be driven; 0: it must get none
     stores_s: float  # a set-point sent while disarmed moves it when it is armed within this time
@@ -156,7 +156,7 @@ class ArduPilot:
         return heartbeat.custom_mode == p.Mode.INITIALISING
 
     def problem(self, known: Known) -> str:
-        """Return whether its failsafe would watch somebody else."""
+        """Return whether its failsafe would watch another station."""
         for name in ("SYSID_MYGCS", "MAV_GCS_SYSID"):
             if known.get(name, float(STATION)) != STATION:
                 return f"{name} is {known[name]:.0f}: its failsafe ignores us; set it to {STATION}"
@@ -167,7 +167,7 @@ class ArduPilot:
         return encoder.set_mode(mode, confirmation=confirmation)
 
     def applied(self, twist: Twist, limits: Limits, known: Known) -> Twist:
-        """Clip to the limits and to its own, to which it clips without a word."""
+        """Clip to the limits and to its own, to which it clips silently."""
         return clip(twist, limits, known.get("WP_SPEED", 0.0))
 
     def setpoint(self, encoder: StationEncoder, twist: Twist, known: Known) -> bytes:
@@ -197,20 +197,18 @@ def unsupported(
     Parameters
     ----------
     asked
-        What the URL says it must be.
+        What it must be by the URL.
     driven
         As what it is being driven now.
     """
-    told = known.get(heartbeat.autopilot)
-    if told is not None and asked is not None and told.number != asked.number:
-        return f"the vehicle runs {told.make}, but the URL says autopilot={asked.key}: make it autopilot={told.key}"
-    if told is not None and driven is not None and told.number != driven.number:
-        return (
-            f"it says it runs {told.make}, and ran {driven.make} a moment ago: give each vehicle a system id of its own"
-        )
+    found = known.get(heartbeat.autopilot)
+    if found is not None and asked is not None and found.number != asked.number:
+        return f"the vehicle runs {found.make}, but its URL has autopilot={asked.key}: write autopilot={found.key}"
+    if found is not None and driven is not None and found.number != driven.number:
+        return f"it reports {found.make}, and reported {driven.make} before: give each vehicle a system id of its own"
     if heartbeat.autopilot not in known:
         names = ", ".join(f"{each.make} ({number})" for number, each in known.items())
         return f"autopilot {heartbeat.autopilot} is not supported: {names} are"
     if heartbeat.vehicle_type not in p.ROVER_TYPES:
-        return f"it says it is a vehicle of type {heartbeat.vehicle_type}, not a ground rover (10): not driven"
+        return f"it reports a vehicle of type {heartbeat.vehicle_type}, not a ground rover (10): not driven"
     return ""

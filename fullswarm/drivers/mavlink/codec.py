@@ -31,7 +31,7 @@ def dialect() -> Any:
     Raises
     ------
     MissingExtra
-        pymavlink is not installed; says how to install it.
+        pymavlink is not installed; the hint is how to install it.
     """
     os.environ["MAVLINK20"] = "1"
     try:
@@ -44,7 +44,7 @@ def dialect() -> Any:
 
 
 Believe = Callable[[bytearray, int, int], bool]
-"""Tells whether a frame (its bytes, system, component) is to be believed: see :mod:`.signing`."""
+"""Whether a frame (its bytes, system, component) is authentic: see :mod:`.signing`."""
 
 
 class StreamParser:
@@ -58,7 +58,7 @@ class StreamParser:
     wanted
         Ids of the messages to return; others are checked and passed over without being unpacked. None: all.
     believe
-        Asked for each whole frame; one that is not believed is dropped.
+        Asked for each whole frame; one that is not authentic is dropped.
     """
 
     def __init__(self, wanted: frozenset[int] | None = None, believe: Believe | None = None) -> None:
@@ -69,7 +69,7 @@ class StreamParser:
         self._buffer = bytearray()
         self.skipped_bytes = 0
         self.bad_checksums = 0
-        self.disbelieved = 0
+        self.rejected = 0
 
     def feed(self, data: bytes) -> list[Any]:
         """Return the dialect's messages that `data` completes."""
@@ -135,7 +135,7 @@ class StreamParser:
             return None
         first = 3 if frame[0] == MARKER_V1 else 5
         if self._believe is not None and not self._believe(frame, frame[first], frame[first + 1]):
-            self.disbelieved += 1
+            self.rejected += 1
             return None
         try:
             return self._mav.decode(frame)
@@ -404,7 +404,7 @@ class StationEncoder(Encoder):
     def odometry(self, fix: p.Fix, *, velocity: float) -> bytes:
         """Return an external pose: frame 20 (local FRD, x to the north), child frame 12 (body FRD).
 
-        `velocity` stands for each component of the velocity, which nobody has measured: NaN or 0, whatever the
+        `velocity` stands for each component of the velocity, which was not measured: NaN or 0, whatever the
         autopilot bears.
 
         Raises

@@ -3,7 +3,7 @@
 Needs in the vehicle, checked before READY:
 
 - ArduPilot: ``VISO_TYPE=1`` (then a reboot), ``EK3_SRC1_POSXY=6``, ``EK3_SRC1_VELXY=0`` (or 7 with wheel encoders,
-  never 6: nobody measures a velocity), ``EK3_SRC1_YAW=6`` (with 1 the compass has to agree with the outer frame).
+  never 6: no velocity is measured), ``EK3_SRC1_YAW=6`` (with 1 the compass has to agree with the outer frame).
 - PX4: ``EKF2_EV_CTRL`` with bits 0 and 3 (9); ``EKF2_GPS_CTRL=0`` indoors.
 
 The outer frame is taken for ENU: its y axis is the vehicle's north.
@@ -40,7 +40,7 @@ class _Located:
 
 
 class ExternalPose:
-    """Takes fixes, says when to send which ODOMETRY, and sees to the origin.
+    """Takes fixes, decides when to send which ODOMETRY, and sets the origin.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class ExternalPose:
             self._origin = body
 
     def tick(self, now_s: float, heading_rad: float | None) -> list[bytes]:
-        """Return the frames that are due; `heading_rad` is where the vehicle believes to point, if it has said so."""
+        """Return the frames that are due; `heading_rad` is the vehicle's own estimate, if it has sent one."""
         return self._see_to_origin(now_s) + self._odometry(now_s, heading_rad)
 
     def next_due_s(self, now_s: float) -> float:
@@ -105,7 +105,7 @@ class ExternalPose:
         return self._sent_s + (SHORTEST_S if self._new else REPEAT_S)
 
     def _see_to_origin(self, now_s: float) -> list[bytes]:
-        """Ask for the origin; set it if there is none. It is confirmed by being told, and cannot be moved."""
+        """Ask for the origin; set it if there is none. The vehicle confirms it by sending it."""
         if self._origin is not None or now_s < self._origin_due_s:
             return []
         self._origin_due_s = now_s + ORIGIN_S
@@ -143,11 +143,11 @@ class ExternalPose:
     @property
     def warnings(self) -> list[str]:
         """What is odd but does not keep it from driving."""
-        told, wanted = self._origin, self._wanted
-        if told is None or wanted is None:
+        actual, wanted = self._origin, self._wanted
+        if actual is None or wanted is None:
             return []
-        apart = max(abs(told.latitude_deg - wanted.latitude_deg), abs(told.longitude_deg - wanted.longitude_deg))
-        where = f"{told.latitude_deg:.7f},{told.longitude_deg:.7f}"
+        apart = max(abs(actual.latitude_deg - wanted.latitude_deg), abs(actual.longitude_deg - wanted.longitude_deg))
+        where = f"{actual.latitude_deg:.7f},{actual.longitude_deg:.7f}"
         return [f"its origin was set to {where} before; it stays until a reboot"] if apart > FAR_DEG else []
 
 

@@ -54,7 +54,7 @@ class SwarmFrame:
             self._plane = TangentPlane(self._swarm.latitude_deg, self._swarm.longitude_deg, body.altitude_m)
 
     def leaps(self, position: p.LocalPosition, now_s: float) -> bool:
-        """Compare with the position before; after a leap the origin is not believed until it is told anew."""
+        """Compare with the position before; after a leap the origin is unknown until it is sent anew."""
         last, self._last = self._last, position
         if last is None:
             return False
@@ -86,11 +86,11 @@ class SwarmFrame:
         """Return why there is no pose in the swarm's frame; empty when there is one."""
         if self._origin is None:
             late = now_s - self._lost_s > PATIENCE_S
-            return "the autopilot has not told its origin yet (GPS_GLOBAL_ORIGIN)" if late else ""
+            return "the autopilot has not sent its origin yet (GPS_GLOBAL_ORIGIN)" if late else ""
         if self._plane is not None:
             x_m, y_m, _ = self._plane.enu(self._origin.latitude_deg, self._origin.longitude_deg)
             if math.hypot(x_m, y_m) > FAR_M:
                 swarm = f"{self._swarm.latitude_deg:g}, {self._swarm.longitude_deg:g}"
-                told = f"{self._origin.latitude_deg:.5f}, {self._origin.longitude_deg:.5f}"
-                return f"it is at {told}, far from the swarm's origin at {swarm}: correct [world] origin"
+                place = f"{self._origin.latitude_deg:.5f}, {self._origin.longitude_deg:.5f}"
+                return f"it is at {place}, far from the swarm's origin at {swarm}: correct [world] origin"
         return ""

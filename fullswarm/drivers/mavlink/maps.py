@@ -1,7 +1,7 @@
 """How autopilots make metres of degrees: each has a map of its own, and neither is the ground's exact measure.
 
 ArduPilot takes the earth for a sphere of equatorial radius, which stretches 10 m to the north by 3 cm at 35 degrees
-of latitude; PX4 draws an azimuthal equidistant map of a smaller sphere. What a vehicle tells in metres is therefore
+of latitude; PX4 draws an azimuthal equidistant map of a smaller sphere. What a vehicle reports in metres is therefore
 turned back into degrees as its own firmware would, and only then laid into the swarm's frame.
 """
 

@@ -56,7 +56,7 @@ class Link(Protocol):
 
 @dataclass(slots=True)
 class _Seen:
-    """What one vehicle has told."""
+    """What one vehicle has reported."""
 
     kind: int
     autopilot: int
@@ -69,10 +69,10 @@ def _complete(vehicle: _Seen) -> bool:
     return bool(vehicle.firmware) and vehicle.battery is not None
 
 
-def is_mavlink(heard: bytes) -> bool:
+def is_mavlink(received: bytes) -> bool:
     """Tell whether bytes hold a whole MAVLink frame; False without pymavlink."""
     try:
-        return bool(StreamParser().feed(heard))
+        return bool(StreamParser().feed(received))
     except MissingExtra:
         return False
 
@@ -96,18 +96,18 @@ def _address(text: str) -> tuple[str, int]:
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
-def knows(port: SerialPort, heard: bytes) -> bool:
+def knows(port: SerialPort, received: bytes) -> bool:
     """Tell whether a flight controller is on the port, by its USB vendor or by what it sends."""
-    return port.vendor in VENDORS or is_mavlink(heard)
+    return port.vendor in VENDORS or is_mavlink(received)
 
 
-def ask_line(link: Link, port: SerialPort, baud: int, _heard: bytes, clock: Clock) -> tuple[Found, ...]:
+def ask_line(link: Link, port: SerialPort, baud: int, _received: bytes, clock: Clock) -> tuple[Found, ...]:
     """Return the vehicle on a claimed serial line at one rate."""
     return ask(link, port.path, f"mavlink+serial://{port.path}?baud={baud}", clock)
 
 
 def ask(link: Link, port: str, url: str, clock: Clock, *, several: bool = False) -> tuple[Found, ...]:
-    """Return the vehicles that are heard on a link within 1.5 s.
+    """Return the vehicles that are received on a link within 1.5 s.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def ask(link: Link, port: str, url: str, clock: Clock, *, several: bool = False)
 
 
 def _note(seen: dict[int, _Seen], message: Any) -> None:
-    if message.get_srcComponent() != AUTOPILOT:  # some gimbals and receivers say that they are ArduPilot, too
+    if message.get_srcComponent() != AUTOPILOT:  # some gimbals and receivers identify as ArduPilot, too
         return
     system = message.get_srcSystem()
     match message.get_type():
@@ -166,7 +166,7 @@ def _found(port: str, url: str, system: int, vehicle: _Seen, count: int) -> Foun
     if not drivable:
         notes.append("only ground rovers under ArduPilot or PX4 are driven")
     if vehicle.armed:
-        notes.append("ARMED: somebody drives it")
+        notes.append("ARMED: it is being driven")
     if count > 1:
         notes.append("several vehicles on one port: give each its own")
     return Found(
@@ -187,7 +187,7 @@ def _with(url: str, options: list[str]) -> str:
 
 
 class UdpLink:
-    """A UDP port that answers everybody who was heard; a frame says itself for which vehicle it is.
+    """A UDP port that answers all senders; a frame names the vehicle that it is for.
 
     Raises
     ------
@@ -220,7 +220,7 @@ class UdpLink:
         try:
             data, peer = self._socket.recvfrom(65536)
         except OSError:
-            return b""  # nothing came in time, or a peer is gone: then it says nothing either
+            return b""  # nothing came in time, or a peer is gone: then it sends nothing either
         self._peers.add(peer)
         return data
 

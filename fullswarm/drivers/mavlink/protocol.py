@@ -131,7 +131,7 @@ def forward_speed(vx_m_s: float, vy_m_s: float, heading_rad: float) -> float:
     return vx_m_s * math.cos(heading_rad) + vy_m_s * math.sin(heading_rad)
 
 
-# ---------------------------------------------------------------- what a vehicle tells
+# ---------------------------------------------------------------- what a vehicle sends
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
     """Who is there, in which mode, armed or not."""
@@ -144,7 +144,7 @@ class Heartbeat:
 
     @property
     def armed(self) -> bool:
-        """Only this bit says that motors may turn; `status` is ACTIVE also when disarmed."""
+        """Only this bit shows that motors may turn; `status` is ACTIVE also when disarmed."""
         return bool(self.base_mode & BASE_MODE_ARMED)
 
     @property
@@ -196,7 +196,7 @@ class EkfStatus:
 
 @dataclass(frozen=True, slots=True)
 class SatelliteFix:
-    """What the satellite receiver says of itself."""
+    """The state of the satellite receiver."""
 
     stamp_us: int  # of its last fix, on a clock of the vehicle: it stands still while nothing new comes
     fix_type: int  # 3 and above: a position in space
@@ -209,7 +209,7 @@ class Battery:
     voltage_v: float | None
     current_a: float | None
     remaining: float | None
-    motors_off: bool | None = None  # the safety switch cuts the motors' power; None: not told
+    motors_off: bool | None = None  # the safety switch cuts the motors' power; None: not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,14 +293,14 @@ Body = (
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A decoded message and who sent it."""
+    """A decoded message and its sender."""
 
     system: int
     component: int
     body: Body
 
 
-# ---------------------------------------------------------------- what we tell
+# ---------------------------------------------------------------- what we send
 @dataclass(frozen=True, slots=True)
 class Fix:
     """A pose measured from outside, ENU, for ODOMETRY."""

@@ -73,7 +73,7 @@ class Steering:
 
     @classmethod
     def of(cls, known: Known) -> Steering:
-        """Read the vehicle's parameters; what it did not tell is PX4's default."""
+        """Read the vehicle's parameters; what it did not send is PX4's default."""
         angles = (known.get("RD_TRANS_DRV_TRN", DRIVE_TO_TURN_RAD), known.get("RD_TRANS_TRN_DRV", TURN_TO_DRIVE_RAD))
         top = math.radians(known.get("RO_YAW_RATE_LIM", 0.0))
         return cls(known.get("RO_YAW_P", YAW_P) or YAW_P, MARGIN * min(angles), top if top > 0.0 else math.inf)

@@ -43,7 +43,7 @@ class CommandQueue:
         self._waiting.append(_Question(command, make, done))
 
     def clear(self) -> None:
-        """Forget all questions without calling anybody."""
+        """Forget all questions without calling their handlers."""
         self._waiting.clear()
 
     def on_ack(self, ack: p.Ack) -> None:
@@ -86,7 +86,7 @@ class Pursuit:
 
     @property
     def refused(self) -> bool:
-        """Whether the vehicle said no."""
+        """Whether the vehicle refused."""
         return self.result not in (None, p.Result.ACCEPTED)
 
     def tick(self, now_s: float) -> list[bytes]:
@@ -117,7 +117,7 @@ class ReadParameter:
 
     @property
     def settled(self) -> bool:
-        """Whether it was told, or given up."""
+        """Whether it was answered, or given up."""
         return self.value is not None or self._given_up
 
     def tick(self, now_s: float, encoder: StationEncoder) -> list[bytes]:

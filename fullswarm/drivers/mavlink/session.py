@@ -125,7 +125,7 @@ class Session(LinkSession[bytes]):
         return self._vehicle.texts_since(now_s - age_s) + odd
 
     def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float, now_s: float) -> bool:
-        """Take a pose measured from outside; tell whether it is of use (``pose=external``)."""
+        """Take a pose measured from outside; return whether it is of use (``pose=external``)."""
         if self._external is None:
             return False
         self._external.locate(pose, position_sigma_m, heading_sigma_rad, now_s)
@@ -204,15 +204,15 @@ class Session(LinkSession[bytes]):
         """Return whether a listening port shall take the sender of a datagram for the vehicle."""
         if self._vehicle.heartbeat is not None:
             return False
-        believe = None if self.signing is None else self.signing.authentic
-        return any(map(self._is_heartbeat, StreamParser(decoded_ids(), believe).feed(datagram)))
+        authentic = None if self.signing is None else self.signing.authentic
+        return any(map(self._is_heartbeat, StreamParser(decoded_ids(), authentic).feed(datagram)))
 
     def _is_heartbeat(self, message: Any) -> bool:
         received = decode(message)
         return received is not None and self._is_ours(received) and isinstance(received.body, p.Heartbeat)
 
     def _is_ours(self, received: p.Received) -> bool:
-        # The autopilot itself, not a gimbal or a receiver beside it: some say they are ArduPilot too.
+        # The autopilot itself, not a gimbal or a receiver beside it: some identify as ArduPilot too.
         ours = received.system == self._options.system and received.component == AUTOPILOT_COMPONENT
         return ours and not (isinstance(received.body, p.Heartbeat) and not received.body.is_vehicle)
 
@@ -252,7 +252,7 @@ class Session(LinkSession[bytes]):
             self._watch_mode(body, now_s)
 
     def _recognise(self, heartbeat: p.Heartbeat) -> None:
-        """Take the vehicle for what it says it is, unless the URL has said what it must be, or while we drive it."""
+        """Take the autopilot of the heartbeat, unless the URL names one, or while it is driven from here."""
         found = AUTOPILOTS.get(heartbeat.autopilot)
         settled = self._options.autopilot is not None or self.standing_down
         if found is not None and not settled and found.number != self.autopilot.number:
@@ -415,7 +415,7 @@ class Session(LinkSession[bytes]):
         return why
 
     def _watch_mode(self, heartbeat: p.Heartbeat, now_s: float) -> None:
-        """While ACTIVE: a pilot or another station took the vehicle; say so and stop commanding."""
+        """While ACTIVE: a pilot or another station took the vehicle; report it and stop commanding."""
         autopilot = self.autopilot
         guided = heartbeat.custom_mode == autopilot.drive_mode
         if heartbeat.status == p.STATUS_CRITICAL or autopilot.starting(heartbeat):

@@ -60,12 +60,12 @@ class Address:
     baud: int = DEFAULT_BAUD
 
     def open(self, accepts: Callable[[bytes], bool]) -> Port[bytes]:
-        """Open the port; where it listens, `accepts` tells whether the sender of a datagram is taken for the vehicle.
+        """Open the port; where it listens, `accepts` decides whether the sender of a datagram is taken for the vehicle.
 
         Raises
         ------
         DriverError
-            The port cannot be had; says what to do.
+            The port cannot be opened; the hint is what to do.
         """
         if self.device:
             return SerialPort(self.device, self.baud)
@@ -123,9 +123,9 @@ class Options:
     limits: Limits
     where: str
     ekf_ignored: bool = False
-    autopilot: Autopilot | None = None  # None: whatever the heartbeat says
+    autopilot: Autopilot | None = None  # None: that of the heartbeat
     external: bool = False  # poses come from outside
-    origin: p.Origin | None = None  # the swarm's; with external poses the vehicle is told to begin its map there
+    origin: p.Origin | None = None  # the swarm's; with external poses the vehicle's map begins there
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class Settings:
     key_file: Path | None = None
     state_file: Path | None = None
     link_id: int = 0
-    guardian: bool | None = None  # None: whoever opens the driver decides
+    guardian: bool | None = None  # None: the opener of the driver decides
 
     def signing(self) -> Signing | None:
         """Return what signs, or None; reads the files.
@@ -158,12 +158,12 @@ class Settings:
 
 def describe(settings: Settings, autopilot: Autopilot) -> Description:
     """Return the description as the autopilot at the other end makes it."""
-    told = settings.description
-    if told.make == autopilot.make:
-        return told
-    limits = replace(told.limits, can_reverse=autopilot.can_reverse)
+    known = settings.description
+    if known.make == autopilot.make:
+        return known
+    limits = replace(known.limits, can_reverse=autopilot.can_reverse)
     return replace(
-        told, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s, standstill=autopilot.standstill
+        known, make=autopilot.make, limits=limits, watchdog_s=autopilot.watchdog_s, standstill=autopilot.standstill
     )
 
 
@@ -258,7 +258,7 @@ def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:
         return (device_claim(parts.path, elsewhere=elsewhere),)
     try:
         port = str(parts.port)
-    except ValueError:  # the driver says what is wrong with it
+    except ValueError:  # the driver reports what is wrong with it
         port = parts.netloc
     if parts.scheme == "mavlink+udp":
         # Whoever listens on all addresses listens on each; one socket per port is all that a computer's agents need.

@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: our key, its timestamps over restarts, and whom to believe.
+"""MAVLink 2 signing: our key, its timestamps over restarts, and which frames to accept.
 
 A signature is the link id (1 byte), a timestamp (6 bytes, 10 µs since 2015) and 6 bytes of
 ``sha256(key + frame + link id + timestamp)``. Own code checks it, not pymavlink's: that one notes a frame's timestamp
@@ -22,14 +22,14 @@ from fullswarm.errors import ConfigError, DriverError
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01
 TICKS_S = 100_000
-NEW_STREAM_S = 60  # how far behind us a sender may be that we have not heard before
+NEW_STREAM_S = 60  # how far behind us a sender may be that is new to us
 RESERVE_S, SAVE_S = 10, 5
 
-UNSIGNED = "its messages are not signed, and we were told to trust signed ones only"
+UNSIGNED = "its messages are not signed, and only signed ones are accepted"
 OTHER_KEY = "it signs with another key than ours"
 GUARDIAN_LINK = 128
 """Added to the link id: each link has timestamps of its own, and a guardian's frames are signed long before."""
-STALE = "its signatures are older than what we have seen: its clock was set back, or somebody replays its messages"
+STALE = "its signatures are older than what we have seen: its clock was set back, or its messages are being replayed"
 
 
 def read_key(path: Path) -> bytes:
@@ -58,8 +58,8 @@ def read_key(path: Path) -> bytes:
 
 
 def state_path(key: bytes, system: int) -> Path:
-    """Return where the timestamps of this key towards one vehicle are kept unless the URL says otherwise."""
-    import platformdirs  # here, because only who signs needs it
+    """Return where the timestamps of this key towards one vehicle are kept unless the URL names another file."""
+    import platformdirs  # here, because only signing needs it
 
     name = f"signing-{hashlib.sha256(b'fullswarm' + key).hexdigest()[:12]}-{system}"
     return platformdirs.user_state_path("fullswarm") / "mavlink" / name
@@ -96,14 +96,14 @@ class Timestamps:
         except FileNotFoundError:
             return 0
         except (OSError, ValueError) as error:
-            # Beginning anew could repeat timestamps, which the vehicle takes for a replay: somebody has to look.
+            # Beginning anew could repeat timestamps, which the vehicle takes for a replay: a person has to look.
             raise DriverError(
                 "cannot read the signing timestamps", where=str(self._path), hint="mend its mode or delete it"
             ) from error
 
     @property
     def newest(self) -> int:
-        """The newest that was used or heard."""
+        """The newest that was used or received."""
         return self._newest
 
     def next(self) -> int:
@@ -114,7 +114,7 @@ class Timestamps:
                 self.save()
         return self._newest
 
-    def heard(self, timestamp: int) -> None:
+    def received(self, timestamp: int) -> None:
         """Keep up with a vehicle whose clock is ahead: it takes ours for a replay otherwise."""
         self._newest = max(self._newest, timestamp)
 
@@ -143,7 +143,7 @@ class Timestamps:
 
 
 class Signing:
-    """One key on one link: signs what goes out, believes only what is signed with it and new."""
+    """One key on one link: signs what goes out, accepts only what is signed with it and new."""
 
     def __init__(self, key: bytes, stamps: Timestamps, link_id: int = 0) -> None:
         self._key, self._stamps, self._link_id = key, stamps, link_id
@@ -156,11 +156,11 @@ class Signing:
         return FrameSigner(self._key, link_id, self._stamps.next)
 
     def doubt(self, system: int) -> str:
-        """Return why the newest frame of a system was not believed; empty if it was, or if none came."""
+        """Return why the newest frame of a system was not accepted; empty if it was, or if none came."""
         return self._doubts.get(system, "")
 
     def accept(self, frame: bytes | bytearray, system: int, component: int) -> bool:
-        """Tell whether a frame is to be believed, and remember its timestamp."""
+        """Return whether a frame is authentic and new, and remember its timestamp."""
         if not self.authentic(frame, system, component):
             return False
         stream, timestamp = (frame[-13], system, component), int.from_bytes(frame[-12:-6], "little")
@@ -169,7 +169,7 @@ class Signing:
             self._doubts[system] = STALE
             return False
         self._streams[stream] = timestamp
-        self._stamps.heard(timestamp)
+        self._stamps.received(timestamp)
         self._doubts.pop(system, None)
         return True
 

@@ -34,14 +34,14 @@ TOLD_S = 1.0
 
 
 class Aiding:
-    """What was heard of a vehicle's receiver and filter, with arrival times (s, monotonic).
+    """What was received of a vehicle's receiver and filter, with arrival times (s, monotonic).
 
     Parameters
     ----------
     receiver
         Whether satellites are what aids it; False: poses from outside do.
     filtered
-        Whether what the EKF says of itself counts.
+        Whether the EKF's own report counts.
     """
 
     def __init__(self, *, receiver: bool = True, filtered: bool = True) -> None:
@@ -58,7 +58,7 @@ class Aiding:
         return self._aided_s is not None
 
     def receive(self, body: p.SatelliteFix | p.EkfStatus, now_s: float) -> None:
-        """Take what the receiver or the filter says."""
+        """Take a report of the receiver or the filter."""
         if isinstance(body, p.EkfStatus):
             bad = self._filtered and (body.strain > STRAINED or not body.good)
             self._strained_s = (now_s if self._strained_s is None else self._strained_s) if bad else None
@@ -68,7 +68,7 @@ class Aiding:
             self._fix_us, self._aided_s = body.stamp_us, now_s
 
     def unheard(self, now_s: float) -> bool:
-        """Tell whether a receiver that had a fix has not been heard for so long that its state is not known."""
+        """Return whether a receiver that had a fix has been silent for so long that its state is not known."""
         return self.has_receiver and now_s - self._heard_s >= TOLD_S
 
     def age_s(self, now_s: float) -> float:
@@ -90,7 +90,7 @@ class Aiding:
         if silent and self._fix is not None and self._fix.fix_type < FIX_3D:
             what = f"the satellite receiver has no fix (type {self._fix.fix_type})"
         elif silent:
-            what = "the satellite receiver tells nothing new"
+            what = "the satellite receiver reports nothing new"
         else:
             what = "the autopilot's filter rejects what measures its position"
         return f"{what}: the position has been dead reckoning for {age_s:.1f} s"
@@ -104,7 +104,7 @@ class Vehicle:
     receiver
         Whether satellites are what aids its position; False: poses from outside do.
     filtered
-        Whether what its EKF says of itself counts.
+        Whether its EKF's own report counts.
     """
 
     def __init__(self, *, receiver: bool = True, filtered: bool = True) -> None:
@@ -116,7 +116,7 @@ class Vehicle:
         self.forget()
 
     def forget(self) -> None:
-        """Believe nothing of what was heard before: the link was lost or the vehicle restarted."""
+        """Forget what was received before: the link was lost or the vehicle restarted."""
         self.heartbeat: p.Heartbeat | None = None
         self.heartbeat_s = -math.inf
         self.ekf: p.EkfStatus | None = None
@@ -134,7 +134,7 @@ class Vehicle:
 
     @property
     def armed(self) -> bool:
-        """Whether the newest heartbeat says that motors may turn."""
+        """Whether motors may turn, by the newest heartbeat."""
         return self.heartbeat is not None and self.heartbeat.armed
 
     @property
@@ -152,7 +152,7 @@ class Vehicle:
         return now_s - self.heartbeat_s > LINK_SILENCE_S
 
     def telemetry_silent(self, now_s: float) -> bool:
-        """Whether position or attitude have stopped, whatever heartbeats say."""
+        """Whether position or attitude have stopped, whatever heartbeats show."""
         return now_s - min(self._position_s, self._attitude_s) > TELEMETRY_SILENCE_S
 
     def texts_since(self, since_s: float) -> list[str]:
@@ -193,7 +193,7 @@ class Vehicle:
         self._boot_ms = boot_ms
 
     def _merge(self, new: p.Battery) -> None:
-        # SYS_STATUS and BATTERY_STATUS tell of one pack; either may leave out what the other knows.
+        # SYS_STATUS and BATTERY_STATUS report one pack; either may leave out what the other knows.
         if new.motors_off is not None:
             self.motors_off = new.motors_off
         old = self._battery

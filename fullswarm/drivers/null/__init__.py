@@ -1,6 +1,6 @@
-"""The null make: ``null://<id>``, a robot that is nowhere. The smallest legal driver, and the template for new ones.
+"""The null make: ``null://<id>``, a robot that is nowhere. The smallest driver without a link.
 
-``driver.py``  The driver: integrates what it is told on a clock
+``driver.py``  The driver: integrates its commands on a clock
 """
 
 from __future__ import annotations
@@ -13,6 +13,6 @@ MAKE = Make(
     schemes=("null",),
     driver="fullswarm.drivers.null.driver:NullDriver",
     example="null://r1",
-    limits="integrates what it is told, no robot; the template",
+    limits="integrates its commands, no robot",
     simulated=True,
 )

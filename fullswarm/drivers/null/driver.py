@@ -1,4 +1,4 @@
-"""The smallest legal driver: integrates what it is told on a clock. Copy it to begin a new make."""
+"""The smallest driver without a link: integrates its commands on a clock."""
 
 from __future__ import annotations
 
@@ -59,9 +59,7 @@ class NullDriver:
         if not (math.isfinite(twist.linear_m_s) and math.isfinite(twist.angular_rad_s)):
             self._set(STAND)
             raise ValueError(f"a twist must be finite, not {twist}")
-        speed = max(-LIMITS.speed_m_s, min(LIMITS.speed_m_s, twist.linear_m_s))
-        turn = max(-LIMITS.turn_rad_s, min(LIMITS.turn_rad_s, twist.angular_rad_s))
-        self._set(Twist(speed, turn) if self.state is Lifecycle.ACTIVE else STAND)
+        self._set(LIMITS.clip(twist) if self.state is Lifecycle.ACTIVE else STAND)
         return self._twist
 
     def close(self) -> None:

@@ -71,17 +71,17 @@ def ask_serial(port: SerialPort | str, clock: Clock | None = None) -> Asked:
             for probe in serial:
                 for baud in BAUDS:
                     line.set_baud(baud)
-                    heard = line.gather(probe.LISTEN_S) if probe.LISTEN_S else b""
-                    if any(other.knows(known, heard) for other in serial if other is not probe):
+                    received = line.gather(probe.LISTEN_S) if probe.LISTEN_S else b""
+                    if any(other.knows(known, received) for other in serial if other is not probe):
                         continue
-                    robots = probe.ask_line(line, known, baud, heard, clock)
+                    robots = probe.ask_line(line, known, baud, received, clock)
                     if robots:
                         return replace(asked, robots=robots)
     except FullswarmError as error:
         return replace(unasked(known.path, error), product=known.product)
     except OSError as error:
         return replace(asked, problem=f"the port vanished while it was asked: {error.strerror or error}")
-    return replace(asked, problem="nobody answers: is the robot switched on?")
+    return replace(asked, problem="no robot answers: is it switched on?")
 
 
 def ask_url(url: str, clock: Clock | None = None) -> Asked:

@@ -24,10 +24,10 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A port that was asked, and who answered."""
+    """A port that was asked, and the robots that answered."""
 
     port: str
-    product: str = ""  # what USB says
+    product: str = ""  # its USB description
     robots: tuple[Found, ...] = ()
     problem: str = ""  # why nothing was learned, with what to do
     held: bool = False  # the problem: another process uses the port

@@ -67,7 +67,7 @@ class Line:
 
     def gather(self, duration_s: float, size: int | None = None) -> bytes:
         """Return all that comes in `duration_s`, or until `size` bytes are there."""
-        heard, end_s = b"", self._clock.now_s() + duration_s
-        while (left_s := end_s - self._clock.now_s()) > 0 and (size is None or len(heard) < size):
-            heard += self.receive(left_s)
-        return heard
+        received, end_s = b"", self._clock.now_s() + duration_s
+        while (left_s := end_s - self._clock.now_s()) > 0 and (size is None or len(received) < size):
+            received += self.receive(left_s)
+        return received

@@ -38,7 +38,7 @@ class Datagram(
     tag_field="kind",
     tag=lambda name: f"sim.{name}/1",
 ):
-    """Base of all datagrams. `session` names one opened driver, so that a second one is told apart."""
+    """Base of all datagrams. `session` names one opened driver, to tell it from a second one."""
 
     robot: str
     session: str

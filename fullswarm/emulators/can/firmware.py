@@ -7,13 +7,15 @@ from collections import deque
 
 from fullswarm.drivers.can.protocol import MAX_DATA, Frame, WheelCodec
 from fullswarm.drivers.can.settings import OdriveOptions, Settings, VescOptions
-from fullswarm.drivers.can.slcan import Adapter
+from fullswarm.drivers.can.slcan import BELL, BITRATES, END, Lines, decode, encode
 from fullswarm.emulators.can.odrive import ODriveEmulator
 from fullswarm.emulators.can.vesc import VescEmulator
 from fullswarm.emulators.can.wheel import STEP_S, Sender
 from fullswarm.emulators.ports import Port
 from fullswarm.simulation.bodies import Body, drive_wheels, wheels_rolled
 
+VERSION, SERIAL_NUMBER = b"V1013", b"NA123"
+"""Of the emulated adapter."""
 _EXTENDED, _REMOTE = 1 << 31, 1 << 30  # as in linux/can.h
 
 
@@ -113,6 +115,71 @@ class OnBus:
 
     def hung_up(self, _port: int) -> None:
         """Do nothing: a bus has no other side."""
+
+
+class Adapter:
+    """An adapter's command interpreter, as delivered: closed, no bit rate, no time stamps.
+
+    Parameters
+    ----------
+    bitrate
+        Of the bus behind it: with another one it opens, and no frame passes either way.
+    """
+
+    def __init__(self, bitrate: int) -> None:
+        self._bitrate = bitrate
+        self._lines = Lines()
+        self._chosen: int | None = None
+        self.is_open = False
+        self._listens_only = False
+        self.refused = 0  # lines that were neither a command nor a frame
+
+    def receive(self, data: bytes) -> tuple[bytes, list[Frame]]:
+        """Run what a computer writes; return the answers and the frames for the bus."""
+        answers, frames = b"", []
+        for line in self._lines.feed(data):
+            frame = decode(line)
+            if frame is None:
+                answer = self._command(line)
+            elif self.is_open and not self._listens_only:
+                frames += [frame] if self._chosen == self._bitrate else []
+                answer = (b"Z" if frame.extended else b"z") + END
+            else:
+                answer = BELL
+            self.refused += frame is None and answer == BELL
+            answers += answer
+        return answers, frames
+
+    def deliver(self, frame: Frame) -> bytes:
+        """Return the line for the computer of a frame on the bus; nothing while closed."""
+        return encode(frame) if self.is_open and self._chosen == self._bitrate else b""
+
+    def restart(self) -> None:
+        """Start anew: power was cut, or the computer has closed the port."""
+        self._lines = Lines()
+        self.is_open = self._listens_only = False
+        self._chosen = None
+
+    def _command(self, line: bytes) -> bytes:
+        match line[:1]:
+            case b"C" if line == b"C":
+                self.is_open = False
+                return END
+            case b"O" | b"L" if len(line) == 1 and self._chosen is not None:
+                was_open, self.is_open, self._listens_only = self.is_open, True, line == b"L"
+                return BELL if was_open else END
+            case b"S" if line in BITRATES and not self.is_open:
+                self._chosen = BITRATES[line]
+                return END
+            case b"Z" if line == b"Z0":
+                return END
+            case b"V" if line == b"V":
+                return VERSION + END
+            case b"N" if line == b"N":
+                return SERIAL_NUMBER + END
+            case b"F" if line == b"F" and self.is_open:
+                return b"F00" + END
+        return BELL
 
 
 class OnAdapter(OnBus):

@@ -14,10 +14,10 @@ from typing import Any, Protocol
 from fullswarm.drivers.mavlink import protocol as p
 from fullswarm.drivers.mavlink.codec import dialect
 from fullswarm.emulators.mavlink import driving, parameters
-from fullswarm.emulators.mavlink.driving import Limits, Sticks, Target
-from fullswarm.emulators.mavlink.position import Chart, Position
-from fullswarm.emulators.mavlink.telemetry import Channel, KeyRing
-from fullswarm.simulation.bodies import Body, BodyState
+from fullswarm.emulators.mavlink.driving import Limits, Target
+from fullswarm.emulators.mavlink.position import Position
+from fullswarm.emulators.mavlink.telemetry import Channel, KeyRing, Subject
+from fullswarm.simulation.bodies import Body
 
 RTL, CHANGE_SPEED, SET_HOME, REPOSITION, SET_REVERSE = 20, 178, 179, 192, 194
 CALIBRATE, GET_HOME, GET_INTERVAL, CAPABILITIES = 241, 410, 510, 520
@@ -41,18 +41,14 @@ class SetpointRecord:
     turn_rad_s: float  # counter-clockwise
 
 
-class Rover(Protocol):
-    """What messages and commands act upon."""
+class Rover(Subject, Protocol):
+    """What messages and commands act upon, besides what it reports."""
 
-    mode: int
-    armed: bool
     target: Target | None
-    chart: Chart
     body: Body
     aborted: bool
     parameters: dict[str, float]
     setpoints: deque[SetpointRecord]
-    sticks: Sticks
     position: Position
     keys: KeyRing
 
@@ -62,10 +58,6 @@ class Rover(Protocol):
 
     def arm_problem(self, now_s: float) -> str:
         """Return why arming is refused; empty: it is not."""
-        ...
-
-    def positioned(self, now_s: float) -> bool:
-        """Whether the position filter has a position."""
         ...
 
     def aim(self, target: Target, now_s: float) -> None:
@@ -87,14 +79,6 @@ class Rover(Protocol):
     @property
     def limits(self) -> Limits:
         """What bounds a set-point now."""
-        ...
-
-    def state(self) -> BodyState:
-        """Return the state that the filter estimates."""
-        ...
-
-    def boot_ms(self, now_s: float) -> int:
-        """Return milliseconds since power-on."""
         ...
 
     def station_alive(self, now_s: float) -> None:
