@@ -185,10 +185,10 @@ class ProbedNeighbours(Neighbours):
         super().__init__((robot,), timeout_s)
         self._probe = probe
 
-    def hear(self, states: RobotStates, now_s: float) -> None:
+    def receive(self, states: RobotStates, now_s: float) -> None:
         """Take in a state."""
         self._probe.received(states, now_s)
-        super().hear(states, now_s)
+        super().receive(states, now_s)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 WINDOW_S = 5.0
-"""How long a fastest delivery counts; a sender that was suspended is believed again after two windows."""
+"""How long a fastest delivery counts; after a suspend of the sender its delays are right again after two windows."""
 
 DRIFT = 1e-4
 """By so much two computers' clocks may go apart: after hours of silence that is more than a message takes."""

@@ -1,4 +1,4 @@
-"""The agent's node: wires requests, laws, filter, controller, driver and calculators to the bus and the clock."""
+"""Wires the parts of an agent to the bus and the clock, and runs the tick."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
-from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, map_of
+from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -24,7 +24,8 @@ from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
 from fullswarm.agent.state import AgentState, Identity
-from fullswarm.agent.telemetry import interventions
+from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
+from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.bus.base import Bus, CountingBus
@@ -32,13 +33,13 @@ from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, RobotStates, SeenObstacles
+from fullswarm.messages import HealthReport, RobotStates
 from fullswarm.perf.calculators import Calculators
-from fullswarm.runtime import LoopStats, Scheduler
+from fullswarm.runtime import LoopStats, Scheduler, Timer
 
 log = structlog.get_logger()
 
-LOOK_PERIOD_S, TELL_PERIOD_S = 0.1, 2.0
+SENSE_PERIOD_S = 0.1
 LEAST_SPARE_M = 0.03
 """By so much a position may always become less certain before motion is barred, however small the filter's margin."""
 FOLLOW_PERIOD_S = 0.5
@@ -68,50 +69,44 @@ class AgentNode:
         self._bus = bus = CountingBus(bus)
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
-        self._keys, self._identity, self._loop = Keys(config.swarm), identity, loop
-        count = len(fleet.ids)
+        self._keys = keys = Keys(config.swarm)
+        self._identity, self._loop = identity, loop
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
+        self.reflexes = _reflexes(config, fleet, thresholds or _thresholds(settings))
+        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
+        self._state = state = AgentState(
+            radius=np.array([each.radius_m for each in fleet.descriptions]),
+            pose=start.copy(),
+            estop=self.controller.estop,
+            stop_reason=self.controller.reason,
+            battery_low=self.reflexes.battery_low,
+            at_standstill=self.standstill.at_standstill,
+            standstill_since_s=self.standstill.since_s,
+        )
         self._accel = accel = np.array([each.accel_m_s2 for each in limits])
-        # The filter keeps its margin for what it does not know: a position may become less certain by so much.
-        spare_m = max(settings.safety_margin_m, LEAST_SPARE_M)
-        sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
-        self.reflexes = Reflexes(count, config.bounds_m, thresholds or _thresholds(settings), sigma_limit_m)
-        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
-        fastest_turn_rad_s = float(self.controller.turn_limit.max())
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self._state = state = AgentState(np.array([each.radius_m for each in fleet.descriptions]), start.copy())
-        self.tasks = Tasks(count, settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
-        self.neighbours = Neighbours(fleet.ids, settings.neighbour_timeout_s)
-        # The limits of other robots are not on the wire: they are taken for robots like this one.
-        self.neighbours.accel_m_s2, self.neighbours.turn_rad_s = float(accel.max()), fastest_turn_rad_s
-        self.neighbours.speed_m_s = float(self.controller.speed_limit.max())
-        # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
-        self.neighbours.halt_s = settings.core_silence_s + settings.command_ttl_s
-        self.filter = SafetyFilter(
-            fleet.ids,
-            robot_params(
-                fleet.descriptions, self.controller.speed_limit, self.controller.turn_limit, self.controller.reverse
-            ),
-            Tuning(
-                period_s=1.0 / settings.control_rate_hz,
-                reach_m=settings.sensing_radius_m,
-                speed_gain=settings.speed_gain,
-                turn_gain_per_s=settings.turn_gain_per_s,
-            ),
-            np.array(config.bounds_m),
-        )
-        self.interventions = interventions.InterventionReporter(
-            bus, self._keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.controller,
-            self.neighbours,
+        self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
+        self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self.obstacle_map = ObstacleMap(len(limits), map_of(config))
+        self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
+        self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
+        self.desired = DesiredMotion(
+            settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
+            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller,
         )  # fmt: skip
-        self.deadlocks = Deadlocks(fleet.ids)
-        self.obstacle_map, self._tell_s = ObstacleMap(count, map_of(config)), -math.inf
-        self._subscription = bus.subscribe(self._keys.obstacles(), SeenObstacles, self._told, latest=True)
-        self._cell_m = config.state_cell_m
-        self._state_subscriptions = StateSubscriptions(bus, self._keys, self._cell_m, self._on_states)
+        own_frame = any(each.own_frame for each in fleet.descriptions)
+        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
+        self.inbox = Inbox(
+            bus, keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.pose_conflicts, self.wake
+        )
+        self._drivers = DriverWatch(
+            fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
+        )
         self._estimator = estimator_for(config, fleet, start)
+        self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -119,41 +114,33 @@ class AgentNode:
             state.radius,
             np.array([each.speed_m_s for each in limits]),
         )
-        senses_obstacles = any(each.senses_obstacles for each in fleet.descriptions)
-        self.desired = DesiredMotion(
-            settings, config.bounds_m, senses_obstacles, state, self.tasks, self.neighbours, self.obstacle_map,
-            self.deadlocks, self.filter, self.controller,
-        )  # fmt: skip
-        own_frame = any(each.own_frame for each in fleet.descriptions)
-        self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.metrics = MetricSampler(
-            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.desired.near, self.deadlocks,
-        )  # fmt: skip
-        self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
-        self.inbox = Inbox(
-            bus, self._keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.reflexes,
-            self.pose_conflicts, self.standstill, self.wake,
-        )  # fmt: skip
-        self._drivers = DriverWatch(fleet, self.controller, self.inbox.spend, self.pose_conflicts.reason)
-        self.fixes = Fixes(
-            bus, self._keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
-        )  # fmt: skip
+            fleet.ids, config.performance.arrive_radius_m, state, self.tasks, self.desired.near, self.deadlocks
+        )
+        self.interventions = InterventionReporter(
+            bus, keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.neighbours.names
+        )
         self._reports = Reports(
-            identity, fleet, state, self.tasks, self.controller, self._drivers, self.filter, self.calculators,
-            self.standstill, self.fixes, self.pose_conflicts, self.desired, self.inbox,
+            identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
+            law_error=self.desired.law_error, ended=self.inbox.ended,
         )  # fmt: skip
+        self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
-        self.uncounted = 0
-        self._sequence, self._dirty = 0, False
+        self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
+        self.failed_measurements = 0
         fleet.open()
-        self._timers = [
-            scheduler.every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
-            scheduler.every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
-            scheduler.every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
-            scheduler.every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
-            scheduler.every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
-            scheduler.every(interventions.PERIOD_S, self.interventions.tell),
-            scheduler.every(LOOK_PERIOD_S, self._look_around, first_s=0.0),
+        self._timers = self._start_timers()
+
+    def _start_timers(self) -> list[Timer]:
+        every, settings = self._scheduler.every, self._config
+        return [
+            every(1.0 / settings.control_rate_hz, self.tick, first_s=0.0),
+            every(1.0 / settings.state_rate_hz, self._publish_states, first_s=0.0),
+            every(1.0 / settings.health_rate_hz, self.publish_health, first_s=0.0),
+            every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
+            every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
+            every(INTERVENTION_PERIOD_S, self.interventions.publish),
+            every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 
     # ------------------------------------------------------------------ what is known of the robots now
@@ -179,7 +166,7 @@ class AgentNode:
 
     @property
     def identity(self) -> Identity:
-        """Who this agent is."""
+        """Name of this agent on the bus."""
         return self._identity
 
     def wake(self) -> None:
@@ -196,8 +183,8 @@ class AgentNode:
         state.reading = reading = self._fleet.read()
         state.pose = self._estimate(reading, now_s - self._last_tick_s)
         state.twist = reading.twist
-        self.standstill.look(reading)
-        self.reflexes.look(reading, state.pose)
+        self.standstill.update(reading)
+        self.reflexes.update(reading, state.pose)
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
@@ -205,16 +192,16 @@ class AgentNode:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
             self.calculators.update(now_s, state.pose, contacts, period_s, reading.odometry, reading.twist)
         except Exception as error:
-            self._uncounted(error)
+            self._measurement_failed(error)
         self.inbox.watch_estops(now_s)
         self._last_tick_s = now_s
         if self._dirty:
             self.publish_health()
 
-    def _uncounted(self, error: Exception) -> None:
-        """Note that a measurement failed. Whatever it was told, it must not end the process that drives the robot."""
-        self.uncounted += 1
-        if self.uncounted == 1:
+    def _measurement_failed(self, error: Exception) -> None:
+        """Count and log a failed measurement; whatever it raised must not end the process that drives the robot."""
+        self.failed_measurements += 1
+        if self.failed_measurements == 1:
             log.error("a measurement failed; the robots are not concerned", exc_info=error)
 
     def _estimate(self, reading: FleetReading, dt_s: float) -> Array:
@@ -222,47 +209,47 @@ class AgentNode:
         try:
             return self._estimator.update(reading, dt_s)
         except (ArithmeticError, ValueError) as error:  # numpy's LinAlgError is a ValueError
-            if not self.reflexes.no_pose.all():
+            if not self.reflexes.pose_unknown.all():
                 log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
             return np.full((len(self._fleet.ids), 3), math.nan)
 
     def _act(self, now_s: float, reading: FleetReading) -> None:
-        """Wish, decide, command: what stands between knowing and the wheels."""
+        """Evaluate the control laws, decide and command the drivers."""
         period_s = 1.0 / self._config.control_rate_hz
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
-        self.reflexes.watch_fence(self._state.pose, self._state.twist, self.controller.wished, self._accel)
+        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired, self._accel)
         tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
             now_s, dt_s,
-            Task(tasks.active, tasks.survives_core, tasks.lapses_s),
+            Task(tasks.active, tasks.survives_core, tasks.expires_at_s),
             Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
             Sensed(read_since_s, reading.stamp_s, reading.hazards),
             Doubt(
-                battery_low=reflexes.flat, clock_jumped=reflexes.slept, pose_unknown=reflexes.no_pose,
-                pose_uncertain=reflexes.unsure, overlap=conflicts.overlap, frame_conflict=conflicts.frame_conflict,
-                floor=reflexes.floor, ceiling=reflexes.ceiling,
+                battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
+                pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
+                frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
             ),
         )  # fmt: skip
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
-        if self.controller.changed or not self._drivers.ready[0]:
+        if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
-        self.neighbours.hear(states, self._scheduler.now_s())
+        self.neighbours.receive(states, self._scheduler.now_s())
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
-    def _look_around(self) -> None:
+    def _sense_obstacles(self) -> None:
         """Take in the obstacles in sight, and tell the others: at once what is new, all now and then."""
         reading = self._state.reading
         if reading is None:
@@ -270,21 +257,12 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         try:
-            self.metrics.look(now_s)
+            self.metrics.sample(now_s)
         except Exception as error:
-            self._uncounted(error)
-        if not len(reading.obstacles):
-            return
-        new = self.obstacle_map.look(self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m)
-        if new or now_s >= self._tell_s:
-            self._tell_s = now_s + TELL_PERIOD_S
-            rows = tuple(tuple(row) for row in self.obstacle_map.seen().tolist())
-            host = self._identity.host
-            self._bus.publish(self._keys.obstacles(host), SeenObstacles(host=host, rows=rows, stamp_s=now_s))
-
-    def _told(self, seen: SeenObstacles) -> None:
-        if seen.host != self._identity.host:
-            self.obstacle_map.tell(np.array(seen.rows, float).reshape(-1, 6))
+            self._measurement_failed(error)
+        self._obstacle_sharing.add_sensed(
+            now_s, self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m
+        )
 
     def _publish_states(self) -> None:
         if self._state.reading is None:
@@ -309,13 +287,13 @@ class AgentNode:
         try:
             self._publish_measurements(whole=whole)
         except Exception as error:
-            self._uncounted(error)
+            self._measurement_failed(error)
 
     def _publish_measurements(self, *, whole: bool) -> None:
         now_s, host = self._scheduler.now_s(), self._identity.host
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
-            self.metrics.look(now_s)
+            self.metrics.sample(now_s)
             counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
@@ -338,10 +316,10 @@ class AgentNode:
     @property
     def driver_ready(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which drivers were READY or ACTIVE at the last tick, (n,)."""
-        return self._drivers.ready
+        return self._state.driver_ready
 
     def close(self) -> None:
-        """Stop all wheels, tell the last of the story, close the drivers."""
+        """Stop all wheels, publish the last measurements, close the drivers."""
         for timer in self._timers:
             timer.cancel()
         for row in range(len(self._fleet.ids)):
@@ -349,7 +327,7 @@ class AgentNode:
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
         self._state_subscriptions.close()
-        self._subscription.close()
+        self._obstacle_sharing.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
@@ -357,3 +335,32 @@ class AgentNode:
 
 def _thresholds(settings: AgentConfig) -> Thresholds:
     return Thresholds(settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s)
+
+
+def _reflexes(config: SwarmConfig, fleet: Fleet, thresholds: Thresholds) -> Reflexes:
+    # The filter keeps its margin for what it does not know: a position may become less certain by so much.
+    spare_m = max(config.agent.safety_margin_m, LEAST_SPARE_M)
+    sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
+    return Reflexes(len(fleet.ids), config.bounds_m, thresholds, sigma_limit_m)
+
+
+def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
+    found = Neighbours(fleet.ids, settings.neighbour_timeout_s)
+    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    found.accel_m_s2, found.turn_rad_s = float(accel.max()), float(controller.turn_limit.max())
+    found.speed_m_s = float(controller.speed_limit.max())
+    # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
+    found.halt_s = settings.core_silence_s + settings.command_ttl_s
+    return found
+
+
+def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> SafetyFilter:
+    settings = config.agent
+    tuning = Tuning(
+        period_s=1.0 / settings.control_rate_hz,
+        reach_m=settings.sensing_radius_m,
+        speed_gain=settings.speed_gain,
+        turn_gain_per_s=settings.turn_gain_per_s,
+    )
+    robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
+    return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))

@@ -1,4 +1,4 @@
-"""What the robots of one agent are known to do now. The node writes it once per tick; everyone else reads it."""
+"""The arrays of an agent's n robots that more than one part reads, each with the one part that writes it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fullswarm.drivers.base import FleetReading
-from fullswarm.kernels import Array
+from fullswarm.kernels import Array, Flags, Index
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who this agent is on the bus."""
+    """Name of this agent on the bus."""
 
     host: str  # key chunk: the robot's id on board, "lockstep" in a trial
     process: str  # unique per process start
@@ -25,17 +25,30 @@ class AgentState:
     Attributes
     ----------
     radius : (n,) m, footprints
-    pose : (n, 3) m and rad, as estimated in the last tick; NaN where no pose is known
-    reading : of the drivers, in the last tick; None before the first one
-    twist : (n, 2) m/s and rad/s, measured
-    setpoints : (n, 2) m/s and rad/s, applied by the drivers in the last tick
+    pose : (n, 3) m and rad, as estimated in the last tick, NaN where no pose is known; by the node
+    reading : of the drivers, in the last tick, None before the first one; by the node
+    twist : (n, 2) m/s and rad/s, measured; by the node
+    setpoints : (n, 2) m/s and rad/s, applied by the drivers in the last tick; by the node
+    estop : (n,) latched e-stops; by ``EStops``
+    stop_reason : (n,) ``StopReason`` of the last tick; by ``RobotController``
+    battery_low : (n,) too low to drive; by ``Reflexes``
+    at_standstill, standstill_since_s : (n,) see ``Standstill``, which writes them
+    driver_ready : (n,) drivers READY or ACTIVE in the last tick; by ``DriverWatch``
     """
 
     radius: Array
     pose: Array
+    estop: Flags
+    stop_reason: Index
+    battery_low: Flags
+    at_standstill: Flags
+    standstill_since_s: Array
     reading: FleetReading | None = None
     twist: Array = field(init=False)
     setpoints: Array = field(init=False)
+    driver_ready: Flags = field(init=False)
 
     def __post_init__(self) -> None:
-        self.twist, self.setpoints = np.zeros((len(self.pose), 2)), np.zeros((len(self.pose), 2))
+        count = len(self.pose)
+        self.twist, self.setpoints = np.zeros((count, 2)), np.zeros((count, 2))
+        self.driver_ready = np.zeros(count, bool)

@@ -1,8 +1,8 @@
-"""What a law may know: the own robots, the neighbours they sense, the arena. Arrays over n robots at once.
+"""What a control law gets: its robots, the neighbours they sense, the arena, its parameters. Arrays over n robots.
 
-Neighbours come as an edge list sorted by robot: edge e says that robot ``of[e]`` senses a neighbour at
-``offset[e]``. A law works on edges and folds them with :meth:`View.sum`, so one line of NumPy serves one robot on
-board and a thousand in a trial.
+Neighbours come as a list of pairs sorted by robot: pair e means that robot ``of[e]`` senses a neighbour at
+``offset[e]``. A control law works on pairs and adds them up with :meth:`View.sum`, so one line of NumPy serves one
+robot on board and a thousand in a trial.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fullswarm.messages import Value
 
 
 class Params:
-    """Parameters of a law as columns, one row per robot: ``params.gain`` (n, 1), ``params.goal`` (n, 2).
+    """Parameters of a control law as columns, one row per robot: ``params.gain`` (n, 1), ``params.goal`` (n, 2).
 
     Words and lists of points come as they are, from the first robot of the group.
     """
@@ -44,7 +44,7 @@ class Params:
         return len(values) == len(self.__dict__)
 
     def __getattr__(self, name: str) -> Array:
-        """Tell which parameter a law misses (only called when it is not there)."""
+        """Report which parameter the control law misses (only called when it is not there)."""
         raise ConfigError(f"the law needs a parameter '{name}' that the behaviour's record does not give")
 
 
@@ -73,10 +73,10 @@ class View:
     position : (n, 2) m
     heading : (n,) rad
     radius : (n,) m, footprints
-    near : finds the neighbours when a law asks for them first: ``start`` (n + 1,), edges of robot i are
-        ``start[i]:start[i + 1]``, and ``other`` (e or more,), rows of the neighbours in `heard` and `predicted`
-    predicted : (m, 2) m, positions of all robots heard, moved on to now
-    heard : (m, 6) x, y, heading, speed, turn rate, radius as they told
+    near : finds the neighbours when they are first used: ``start`` (n + 1,), pairs of robot i are
+        ``start[i]:start[i + 1]``, and ``other`` (e or more,), rows of the neighbours in `states` and `predicted`
+    predicted : (m, 2) m, positions of all robots received, predicted to now
+    states : (m, 6) x, y, heading, speed, turn rate, radius as received
     bounds_m : x_min, y_min, x_max, y_max of the arena
     known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
     """
@@ -88,7 +88,7 @@ class View:
         radius: Array,
         near: Callable[[], tuple[Index, Index]],
         predicted: Array,
-        heard: Array,
+        states: Array,
         bounds_m: tuple[float, float, float, float],
         known: Callable[[int, str], Array] = nothing_known,
     ) -> None:
@@ -96,7 +96,7 @@ class View:
         self.bounds_m = bounds_m
         self.known = known
         self._near = near
-        self._predicted, self._heard = predicted, heard
+        self._predicted, self._states = predicted, states
         # Filled when first asked for. Plain slots: functools.cached_property takes a lock on Python 3.11.
         self._lists: tuple[Index, Index] | None = None
         self._described: tuple[Index, Array, Array, Array] | None = None
@@ -109,42 +109,42 @@ class View:
 
     @property
     def start(self) -> Index:
-        """Edges of robot i are ``start[i]:start[i + 1]``, (n + 1,)."""
+        """Pairs of robot i are ``start[i]:start[i + 1]``, (n + 1,)."""
         return self._neighbours()[0]
 
     @property
     def other(self) -> Index:
-        """Row of each edge's neighbour among the robots heard, (e,)."""
+        """Row of each pair's neighbour among the robots received, (e,)."""
         return self._neighbours()[1]
 
-    def _edges(self) -> tuple[Index, Array, Array, Array]:
+    def _pairs(self) -> tuple[Index, Array, Array, Array]:
         if self._described is None:
             start, other = self._neighbours()
             count = len(other)
-            edges = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
-            describe.run(self.position, start, other, self._predicted, self._heard, *edges)
-            self._described = edges
+            found = np.empty(count, np.int64), np.empty((count, 2)), np.empty(count), np.empty(count)
+            describe.run(self.position, start, other, self._predicted, self._states, *found)
+            self._described = found
         return self._described
 
     @property
     def of(self) -> Index:
-        """Robot of each edge, (e,)."""
-        return self._edges()[0]
+        """Robot of each pair, (e,)."""
+        return self._pairs()[0]
 
     @property
     def offset(self) -> Array:
         """From the robot to its neighbour, ``d_ij = p_j - p_i`` of the paper, (e, 2) m."""
-        return self._edges()[1]
+        return self._pairs()[1]
 
     @property
     def distance(self) -> Array:
         """Length of `offset`, (e,) m."""
-        return self._edges()[2]
+        return self._pairs()[2]
 
     @property
     def neighbour_heading(self) -> Array:
         """Heading of the neighbour, (e,) rad."""
-        return self._edges()[3]
+        return self._pairs()[3]
 
     @property
     def neighbours(self) -> Array:
@@ -152,7 +152,7 @@ class View:
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
 
     def sum(self, values: Array) -> Array:
-        """Add up edge values (e, 2) over the neighbours of each robot: (n, 2)."""
+        """Add up values of pairs (e, 2) over the neighbours of each robot: (n, 2)."""
         total = np.empty((len(self.position), 2))
         fold.run(self.start, values, total)
         return total
@@ -162,8 +162,8 @@ class View:
 
         def near() -> tuple[Index, Index]:
             start = np.concatenate([[0], np.cumsum((self.start[1:] - self.start[:-1])[rows])])
-            edges = [self.other[self.start[row] : self.start[row + 1]] for row in rows]
-            return start, np.concatenate(edges)
+            others = [self.other[self.start[row] : self.start[row + 1]] for row in rows]
+            return start, np.concatenate(others)
 
         return View(
             self.position[rows],
@@ -171,7 +171,7 @@ class View:
             self.radius[rows],
             near,
             self._predicted,
-            self._heard,
+            self._states,
             self.bounds_m,
             lambda row, source: self.known(int(rows[row]), source),
         )
@@ -179,30 +179,30 @@ class View:
 
 @kernel
 def describe(
-    position: Array, start: Index, other: Index, predicted: Array, heard: Array, of: Index, offset: Array,
+    position: Array, start: Index, other: Index, predicted: Array, states: Array, of: Index, offset: Array,
     distance: Array, heading: Array,
 ) -> None:  # fmt: skip
-    """Fill what a law may know of each edge: whose it is, offset (e, 2), distance (e,), neighbour's heading (e,)."""
+    """Fill the robot of each pair (e,), offset (e, 2), distance (e,) and the neighbour's heading (e,)."""
     for i in range(position.shape[0]):
-        for edge in range(start[i], start[i + 1]):
-            row = other[edge]
+        for pair in range(start[i], start[i + 1]):
+            row = other[pair]
             dx = predicted[row, 0] - position[i, 0]
             dy = predicted[row, 1] - position[i, 1]
-            of[edge] = i
-            offset[edge, 0] = dx
-            offset[edge, 1] = dy
-            distance[edge] = math.sqrt(dx * dx + dy * dy)
-            heading[edge] = heard[row, 2]
+            of[pair] = i
+            offset[pair, 0] = dx
+            offset[pair, 1] = dy
+            distance[pair] = math.sqrt(dx * dx + dy * dy)
+            heading[pair] = states[row, 2]
 
 
 @kernel
 def fold(start: Index, values: Array, total: Array) -> None:
-    """Add up edge values (e, 2) per robot into `total` (n, 2)."""
+    """Add up values of pairs (e, 2) per robot into `total` (n, 2)."""
     for i in range(total.shape[0]):
         x = 0.0
         y = 0.0
-        for edge in range(start[i], start[i + 1]):
-            x += values[edge, 0]
-            y += values[edge, 1]
+        for pair in range(start[i], start[i + 1]):
+            x += values[pair, 0]
+            y += values[pair, 1]
         total[i, 0] = x
         total[i, 1] = y

@@ -73,7 +73,7 @@ class LockstepSwarm:
         self._runtime.run(CHECK_PERIOD_S)
         now_s = self._runtime.now_s()
         self._deadlock_s += CHECK_PERIOD_S * sum(
-            int((agent.deadlocks.until_s > now_s).sum()) for agent in self._lockstep.agents
+            int((agent.deadlocks.sidestep_until_s > now_s).sum()) for agent in self._lockstep.agents
         )  # fmt: skip
         return stopped()
 
@@ -92,7 +92,7 @@ class LockstepSwarm:
             onboard=self._summaries.onboard(),
             per_robot=self._summaries.per_robot(),
             coverage=self._summaries.coverage(),
-            deadlocks=sum(int(agent.deadlocks.draws.sum()) for agent in self._lockstep.agents),
+            deadlocks=sum(int(agent.deadlocks.deadlock_count.sum()) for agent in self._lockstep.agents),
             deadlock_s=round(self._deadlock_s, 3),
         )
 

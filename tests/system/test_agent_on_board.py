@@ -91,7 +91,7 @@ def test_it_says_ready_and_goes_on_and_leaves_in_order(service: Service) -> None
     assert service.heard(b"WATCHDOG=1\nSTATUS=READY", WATCHDOG_S)
     said = service.says(20.0, lambda said: said["control_rate_hz"] > 45.0)
     assert (said["robot"], said["lifecycle"], said["driver_answers"]) == ("r1", "READY", True)
-    assert said["why"] == ["it hears neither the core nor another robot"]  # no hub is there
+    assert said["why"] == ["it receives neither the core nor another robot"]  # no hub is there
     assert (said["pid"], said["release"]) == (service.process.pid, "")
     later = service.says(5.0, lambda now: now["machine_s"] > said["machine_s"])
     assert later["machine_s"] - said["machine_s"] < 3.0

@@ -32,7 +32,7 @@ def files(out: Path) -> dict[Path, bytes]:
 def test_dask_gives_what_the_pool_gives(tmp_path: Path) -> None:
     assert run(options(tmp_path / "pool", None)) == 0
     assert run(options(tmp_path / "dask", "local")) == 0
-    assert len(files(tmp_path / "pool")) == 4 * 4
+    assert len(files(tmp_path / "pool")) == 4 * 5
     assert files(tmp_path / "dask") == files(tmp_path / "pool")
     about = json.loads(next((tmp_path / "dask" / TRIALS).rglob(PROVENANCE_FILE)).read_text())
     assert about["runner"] == "dask"

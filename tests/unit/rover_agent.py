@@ -121,7 +121,7 @@ class RoverAgent:
 
     @property
     def standing(self) -> bool:
-        return bool(self.agent.standstill.standing[0])
+        return bool(self.agent.standstill.at_standstill[0])
 
     def drive(self, speed_m_s: float) -> None:
         """Ask for a straight drive."""

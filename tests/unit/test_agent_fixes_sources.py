@@ -38,10 +38,10 @@ def test_one_source_at_a_time_and_the_next_when_it_has_gone_silent(lab: Lab) -> 
         lab.say(source="camera-2", x_m=START[0] + 0.02, stamp_s=5.0 + lab.runtime.now_s())
         lab.tick()
     assert lab.pose == pytest.approx(START, abs=1e-3)
-    assert lab.agent.fixes._watched[0].source == "camera-1"
+    assert lab.agent.fixes._source_states[0].source == "camera-1"
     lab.source, lab.ahead_s = "camera-2", 5.0  # a clock of its own
     lab.run(TIMEOUT_S + 0.1)
-    assert lab.agent.fixes._watched[0].source == "camera-2"
+    assert lab.agent.fixes._source_states[0].source == "camera-2"
     assert lab.now().pose_source == "fixes"
 
 
@@ -57,16 +57,16 @@ def test_what_a_replaced_source_has_left_behind_is_refused(lab: Lab) -> None:
     lab.run(0.1)
     lab.say(source="camera-1", stamp_s=old_s + 0.1, x_m=START[0] + 0.02)
     lab.tick()
-    assert lab.agent.fixes._watched[0].source == "camera-2"
+    assert lab.agent.fixes._source_states[0].source == "camera-2"
     assert lab.pose == pytest.approx(START, abs=1e-3)
 
 
 def test_a_source_that_begins_its_clock_anew_under_its_old_name_is_believed_again(lab: Lab) -> None:
     seen(lab).ahead_s = -lab.runtime.now_s()
     lab.run(0.2)
-    assert lab.agent.fixes._watched[0].refused == "out of order"
+    assert lab.agent.fixes._source_states[0].refused == "out of order"
     lab.run(TIMEOUT_S + 0.1)
-    assert lab.agent.fixes._watched[0].refused == ""
+    assert lab.agent.fixes._source_states[0].refused == ""
     assert lab.now().pose_source == "fixes"
 
 

@@ -90,14 +90,14 @@ def test_a_robot_that_stands_anyway_is_not_held_by_the_filter() -> None:
     made.run(1.0)
     assert len(made.newest.robots) == 1
     made.agent.controller.reason[0] = StopReason.BATTERY
-    made.agent.interventions.tell()
+    made.agent.interventions.publish()
     made.runtime.mailbox.drain()
     assert len(made.newest.robots) == 0
 
 
 def test_a_stick_is_held_back_along_the_heading() -> None:
     others, made = table(), one_filter()
-    others.hear(state(0.27, 0.27), 0.0)
+    others.receive(state(0.27, 0.27), 0.0)
     half_right = math.pi / 4
     assert go(others, 0.0, (math.nan, math.nan), (0.0, 0.0, half_right), made=made) < 0.1
     assert made.deviation_m_s[0] > 0.01
@@ -121,7 +121,7 @@ def test_a_brake_without_a_thing_is_told_in_words() -> None:
     made.enable("move", EAST, filtered=True)
     made.run(0.5)
     made.agent.filter.verdict[0], made.agent.filter.deviation_m_s[0] = BLIND, 0.5
-    made.agent.interventions.tell()
+    made.agent.interventions.publish()
     made.runtime.mailbox.drain()
     assert made.newest.reasons == (EXPLAIN[BLIND],)
 

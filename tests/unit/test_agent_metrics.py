@@ -111,7 +111,7 @@ def test_the_file_may_say_how_near_is_there() -> None:
 
 
 @pytest.mark.parametrize(
-    ("owner", "method"), [(Calculators, "update"), (MetricSampler, "look"), (MetricSampler, "message")]
+    ("owner", "method"), [(Calculators, "update"), (MetricSampler, "sample"), (MetricSampler, "message")]
 )
 def test_a_measurement_that_fails_stops_no_robot(owner: type, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
@@ -122,5 +122,5 @@ def test_a_measurement_that_fails_stops_no_robot(owner: type, method: str, monke
     bench.enable("move_to_goal", {"goal": [9.0, 2.0], "gain": 1.0, "arrive_radius_m": 0.5})
     bench.run(2.0)
     assert bench.commanded[0, 0] > 0.4
-    assert bench.agent.uncounted > 0
+    assert bench.agent.failed_measurements > 0
     bench.agent.close()

@@ -75,25 +75,25 @@ BOXES = np.array([[2.0, 2.0, 0.5, 0.5, 0.0, 0.0], [8.0, 8.0, 0.5, 0.5, 0.0, 0.0]
 
 def test_each_knows_what_it_has_seen_and_all_what_anybody_has() -> None:
     obstacle_map = ObstacleMap(2, BOXES)
-    assert obstacle_map.look(np.array([[1.0, 1.0], [9.0, 9.0]]), BOXES, 3.0) == 2
+    assert obstacle_map.add_sensed(np.array([[1.0, 1.0], [9.0, 9.0]]), BOXES, 3.0) == 2
     assert obstacle_map.known(0, OWN).tolist() == BOXES[:1].tolist()
     assert obstacle_map.known(1, OWN).tolist() == BOXES[1:].tolist()
     assert len(obstacle_map.known(0, SHARED)) == len(obstacle_map.known(0, GIVEN)) == 2
-    assert obstacle_map.look(np.array([[5.0, 5.0], [5.0, 5.0]]), BOXES[:0], 3.0) == 0
+    assert obstacle_map.add_sensed(np.array([[5.0, 5.0], [5.0, 5.0]]), BOXES[:0], 3.0) == 0
     assert len(obstacle_map.known(0, OWN)) == 1, "what is out of sight is not forgotten"
 
 
 def test_what_others_tell_is_shared_and_not_own() -> None:
     obstacle_map = ObstacleMap(1, BOXES[:0])
-    obstacle_map.tell(BOXES)
-    obstacle_map.tell(BOXES + 1e-5)  # the same ones, rounded elsewhere
+    obstacle_map.add_shared(BOXES)
+    obstacle_map.add_shared(BOXES + 1e-5)  # the same ones, rounded elsewhere
     assert len(obstacle_map.known(0, SHARED)) == 2
     assert len(obstacle_map.known(0, OWN)) == 0
 
 
 def test_an_atlas_has_an_end() -> None:
     obstacle_map = ObstacleMap(1, BOXES[:0])
-    obstacle_map.tell(np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5))
+    obstacle_map.add_shared(np.column_stack([np.arange(3000.0)] + [np.zeros(3000)] * 5))
     assert len(obstacle_map.known(0, SHARED)) == 1000
 
 
@@ -118,8 +118,8 @@ def test_who_stands_although_it_wishes_to_go_steps_aside_and_then_goes_on() -> N
     assert times[first] == pytest.approx(BLOCKED_S, abs=0.05)
     aside = [angle for angle in angles if angle != 0.0]
     assert all(ANGLE_RAD[0] <= angle <= ANGLE_RAD[1] for angle in aside)
-    assert 2 <= int(deadlocks.draws[0]) <= 6
-    assert len(set(np.round(aside, 6))) == int(deadlocks.draws[0]), "a new angle each time"
+    assert 2 <= int(deadlocks.deadlock_count[0]) <= 6
+    assert len(set(np.round(aside, 6))) == int(deadlocks.deadlock_count[0]), "a new angle each time"
 
 
 def test_who_makes_way_or_turns_or_wishes_nothing_is_left_alone() -> None:
@@ -139,8 +139,7 @@ def test_chance_is_spread_and_repeats(seed: int, draw: int) -> None:
 
 
 def test_robots_do_not_draw_alike() -> None:
-    draws = [
-        [chance(seed, draw) for draw in range(50)] for seed in Deadlocks([f"r{k}" for k in range(20)]).seed.tolist()
-    ]
+    seeds = Deadlocks([f"r{k}" for k in range(20)]).progress.seed.tolist()
+    draws = [[chance(seed, draw) for draw in range(50)] for seed in seeds]
     assert abs(float(np.mean(draws)) - 0.5) < 0.05
     assert np.abs(np.corrcoef(np.array(draws)) - np.eye(20)).max() < 0.6

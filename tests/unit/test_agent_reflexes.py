@@ -124,7 +124,7 @@ def furthest_out_m(start: tuple[float, float, float], accel: float, wishes: list
     late = [(0.0, 0.0)] * 5
     for speed_wish, turn_wish in wishes:
         for _ in range(50):
-            reflexes.watch_fence(
+            reflexes.watch_geofence(
                 pose, np.array([[speed, turn]]), np.array([[speed_wish, turn_wish]]), np.array([accel])
             )
             late.append((min(max(speed_wish, reflexes.floor[0]), reflexes.ceiling[0]), turn_wish))
@@ -231,7 +231,7 @@ def test_a_command_from_before_the_leap_is_stale(bench: Bench) -> None:
 def test_a_clock_that_goes_back_is_a_leap_too() -> None:
     def slept(now_s: float, before_s: float) -> bool:
         reflexes.watch_clock(now_s, before_s, TTL_S)
-        return reflexes.slept
+        return reflexes.clock_jumped
 
     reflexes = Reflexes(1, (0.0, 0.0, 1.0, 1.0), Thresholds())
     ticks = ((10.0, 9.98), (5.0, 10.0), (5.29, 5.27), (5.31, 5.29))
@@ -254,9 +254,9 @@ def test_a_row_of_its_own_for_every_robot() -> None:
         hazards=np.zeros(2, np.uint8), contacts=np.zeros(2, np.int64), battery=np.array([0.19, 0.5]),
         obstacles=NO_OBSTACLES, position_sigma_m=np.full(2, math.nan),
     )  # fmt: skip
-    reflexes.look(reading, np.array([[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]]))
-    assert reflexes.flat.tolist() == [True, False]
-    assert reflexes.no_pose.tolist() == [False, True]
+    reflexes.update(reading, np.array([[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]]))
+    assert reflexes.battery_low.tolist() == [True, False]
+    assert reflexes.pose_unknown.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("heading_rad", [0.0, 0.5 * math.pi])
@@ -264,7 +264,7 @@ def test_who_stands_in_a_corner_may_drive_along_the_edges(heading_rad: float) ->
     """The cosine of a right angle is no zero: without care a robot exactly on an edge could not leave along it."""
     made = Reflexes(1, (0.0, 0.0, 20.0, 20.0), Thresholds())
     pose, along, out = np.array([[0.0, 0.0, heading_rad]]), np.array([[0.4, 0.0]]), np.array([[-0.4, 0.0]])
-    made.watch_fence(pose, along, along, np.array([1.0]))
+    made.watch_geofence(pose, along, along, np.array([1.0]))
     assert made.ceiling[0] > 0.4
-    made.watch_fence(pose, out, out, np.array([1.0]))
+    made.watch_geofence(pose, out, out, np.array([1.0]))
     assert made.floor[0] == 0.0

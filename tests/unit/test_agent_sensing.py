@@ -75,41 +75,41 @@ def test_the_filter_needs_to_know_the_noise() -> None:
 
 def test_neighbours_are_moved_on_and_forgotten_when_old() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
-    table.hear(states("a", 1, 0.0, a=(2.0, 0.0), me=(0.0, 0.0)), 10.0)
+    table.receive(states("a", 1, 0.0, a=(2.0, 0.0), me=(0.0, 0.0)), 10.0)
     position = np.array([[0.0, 0.0]])
-    table.look(10.4)
+    table.set_time(10.4)
     start, other = table.within(position, 3.0)
     assert start.tolist() == [0, 1]
     assert table.predicted[other[0]].tolist() == pytest.approx([2.2, 0.0])
     assert table.oldest_age_s(10.4) == pytest.approx(0.4)
-    table.look(11.1)
+    table.set_time(11.1)
     assert table.within(position, 3.0)[0].tolist() == [0, 0]
 
 
 def test_an_older_message_does_not_undo_a_newer_one_but_a_restarted_host_is_heard() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
-    table.hear(states("a", 5, 1.0, a=(2.0, 0.0)), 1.0)
-    table.hear(states("a", 4, 0.9, a=(9.0, 0.0)), 1.1)
+    table.receive(states("a", 5, 1.0, a=(2.0, 0.0)), 1.0)
+    table.receive(states("a", 4, 0.9, a=(9.0, 0.0)), 1.1)
     assert table.states[0, 0] == 2.0
-    table.hear(states("a", 1, 3.0, a=(4.0, 0.0)), 3.0)
+    table.receive(states("a", 1, 3.0, a=(4.0, 0.0)), 3.0)
     assert table.states[0, 0] == 4.0
 
 
 def test_a_robot_whose_computer_has_booted_is_heard_at_its_new_place() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
-    table.hear(states("a", 9000, 900.0, a=(5.0, 0.0)), 10.0)
-    table.hear(states("a", 8999, 899.9, a=(6.0, 0.0)), 10.9)
+    table.receive(states("a", 9000, 900.0, a=(5.0, 0.0)), 10.0)
+    table.receive(states("a", 8999, 899.9, a=(6.0, 0.0)), 10.9)
     assert table.states[0, 0] == 5.0
-    table.hear(states("a", 1, 12.0, a=(1.0, 0.0)), 40.0)
-    table.hear(states("a", 2, 12.1, a=(1.1, 0.0)), 40.1)
+    table.receive(states("a", 1, 12.0, a=(1.0, 0.0)), 40.0)
+    table.receive(states("a", 2, 12.1, a=(1.1, 0.0)), 40.1)
     assert table.states[0, 0] == 1.1
 
 
 def test_the_table_grows_with_the_swarm() -> None:
     table = Neighbours(("r0",), timeout_s=1.0)
     for number in range(100):
-        table.hear(states(f"r{number}", 1, 0.0, **{f"r{number}": (0.1 * number, 0.0)}), 0.0)
-    table.look(0.0)
+        table.receive(states(f"r{number}", 1, 0.0, **{f"r{number}": (0.1 * number, 0.0)}), 0.0)
+    table.set_time(0.0)
     start, _ = table.within(np.array([[0.0, 0.0]]), 20.0)
     assert start[-1] == 99
 
@@ -169,17 +169,17 @@ def test_clocks_that_went_apart_in_a_long_silence_are_no_delay_but_a_queue_is() 
 def test_what_a_stranger_says_wrongly_is_not_heard() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
     good = states("a", 1, 0.0, a=(2.0, 0.0))
-    table.hear(msgspec.structs.replace(good, x_m=(1.0, 2.0)), 0.0)
-    table.hear(msgspec.structs.replace(good, sequence=2, heading_rad=(math.inf,)), 0.0)
-    table.hear(msgspec.structs.replace(states("b", 1, 0.0, b=(1.0, 0.0), c=(1.0, 1.0)), y_m=(0.0, math.nan)), 0.0)
-    table.look(0.0)
+    table.receive(msgspec.structs.replace(good, x_m=(1.0, 2.0)), 0.0)
+    table.receive(msgspec.structs.replace(good, sequence=2, heading_rad=(math.inf,)), 0.0)
+    table.receive(msgspec.structs.replace(states("b", 1, 0.0, b=(1.0, 0.0), c=(1.0, 1.0)), y_m=(0.0, math.nan)), 0.0)
+    table.set_time(0.0)
     start, other = table.within(np.array([[0.0, 0.0]]), 3.0)
     assert table.states[other[: start[-1]], 0].tolist() == [1.0]
 
 
 def test_a_host_may_say_its_cells_one_after_the_other() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
-    table.hear(states("host", 7, 1.0, a=(1.0, 0.0)), 1.0)
-    table.hear(states("host", 7, 1.0, b=(2.0, 0.0)), 1.0)
-    table.look(1.0)
+    table.receive(states("host", 7, 1.0, a=(1.0, 0.0)), 1.0)
+    table.receive(states("host", 7, 1.0, b=(2.0, 0.0)), 1.0)
+    table.set_time(1.0)
     assert table.within(np.array([[0.0, 0.0]]), 3.0)[0].tolist() == [0, 2]

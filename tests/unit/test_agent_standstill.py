@@ -32,8 +32,8 @@ def judged(noise: Noise, rows: list[tuple[float, float, float]], rate_hz: float 
             np.array([[speed_m_s, turn_rad_s]]), np.zeros(1, np.uint8), np.zeros(1, np.int64), np.full(1, -1.0),
             NO_OBSTACLES, np.full(1, math.nan),
         )  # fmt: skip
-        judge.look(reading)
-        verdicts.append(bool(judge.standing[0]))
+        judge.update(reading)
+        verdicts.append(bool(judge.at_standstill[0]))
     return verdicts
 
 

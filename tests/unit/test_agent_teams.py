@@ -168,25 +168,25 @@ def test_states_carry_the_team_and_the_table_keeps_it() -> None:
 
 def test_the_table_tells_teams_apart() -> None:
     table = Neighbours(("me",), timeout_s=1.0)
-    table.hear(msgspec.structs.replace(states("a", 1, 0.0, a=(1.0, 0.0)), teams=(5,)), 0.0)
-    table.hear(msgspec.structs.replace(states("b", 1, 0.0, b=(2.0, 0.0), c=(2.5, 0.0)), teams=(5, 6)), 0.0)
-    table.hear(states("d", 1, 0.0, d=(1.5, 0.0)), 0.0)
-    table.hear(msgspec.structs.replace(states("e", 1, 0.0, e=(1.7, 0.0)), teams=(5, 5)), 0.0)  # does not fit
+    table.receive(msgspec.structs.replace(states("a", 1, 0.0, a=(1.0, 0.0)), teams=(5,)), 0.0)
+    table.receive(msgspec.structs.replace(states("b", 1, 0.0, b=(2.0, 0.0), c=(2.5, 0.0)), teams=(5, 6)), 0.0)
+    table.receive(states("d", 1, 0.0, d=(1.5, 0.0)), 0.0)
+    table.receive(msgspec.structs.replace(states("e", 1, 0.0, e=(1.7, 0.0)), teams=(5, 5)), 0.0)  # does not fit
     here = np.zeros((1, 2))
 
     def found(team: int) -> set[str]:
         start, other = table.within(here, 3.0, np.array([team]))
         return {table.names[row] for row in other[: start[-1]]}
 
-    table.look(0.0)
+    table.set_time(0.0)
     assert found(5) == {"a", "b"}
     assert found(6) == {"c"}
     assert found(7) == set()
     assert found(0) == {"a", "b", "c", "d"}
     start = table.around(here, 3.0).start
     assert start.tolist() == [0, 4]
-    table.hear(states("a", 2, 0.1, a=(1.0, 0.0)), 0.1)  # it has ended what it ran
-    table.look(0.1)
+    table.receive(states("a", 2, 0.1, a=(1.0, 0.0)), 0.1)  # it has ended what it ran
+    table.set_time(0.1)
     assert found(5) == {"b"}
 
 

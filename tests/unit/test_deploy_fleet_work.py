@@ -27,7 +27,7 @@ RELEASE = "1.0-0123456789ab"
 RUNS = Agent(active=True, state="active/running")
 DIES = Agent(state="activating/auto-restart", restarts=7)
 WELL = Health(release=RELEASE, healthy=True)
-LONELY = Health(release=RELEASE, why=["it hears neither the core nor another robot"])
+LONELY = Health(release=RELEASE, why=["it receives neither the core nor another robot"])
 
 
 @dataclass
@@ -94,7 +94,7 @@ def test_one_without_a_core_has_its_release_and_says_what_it_lacks(monkeypatch: 
     says(monkeypatch, [of(RUNS, LONELY)])
     outcome = current(of(RUNS, LONELY))
     assert outcome.stage is Stage.CURRENT
-    assert outcome.what.endswith("not healthy: it hears neither the core nor another robot")
+    assert outcome.what.endswith("not healthy: it receives neither the core nor another robot")
 
 
 def test_one_that_was_restarted_gets_its_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -185,5 +185,5 @@ def test_orders_without_end_leave_no_trace(bench: Bench, monkeypatch: pytest.Mon
     monkeypatch.setattr(bench.agent.fleet, "read", lambda: reading)  # nobody is ever seen standing
     for number in range(400):
         bench.estop(True, f"e{number}")
-    assert len(bench.agent.inbox.estops._rolling) <= 256
+    assert len(bench.agent.inbox.estops._decelerating) <= 256
     assert math.isfinite(bench.receipts[-1].rolled_m)

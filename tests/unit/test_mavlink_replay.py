@@ -182,8 +182,8 @@ def test_standstill_of_the_recorded_vehicle_is_recognised_and_nothing_else() -> 
             if reading is None or reading.stamp_s == seen:
                 continue
             elapsed_s, seen = reading.stamp_s - max(seen, 0.0), reading.stamp_s
-            judge.look(columns(reading))
-            if judge.standing[0]:
+            judge.update(columns(reading))
+            if judge.at_standstill[0]:
                 assert at_s - motion_s < 0.3, "it moves"
                 standing_s += elapsed_s
                 fastest_m_s = max(fastest_m_s, abs(reading.twist.linear_m_s))

@@ -60,7 +60,7 @@ def go(
 ) -> float:  # fmt: skip
     """Return the speed that the filter lets through at the origin, heading east."""
     made, twists = made or one_filter(), np.array([[0.5, 0.0]])
-    others.look(now_s)
+    others.set_time(now_s)
     near = others.around(HERE, 3.0)
     requested = Requested(np.array([wish]), np.ones(1, bool), np.array([2.0]), np.array([0.03]))
     measured = Measured(np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]))
@@ -75,13 +75,15 @@ def test_a_robot_is_always_in_the_disc_where_it_is_believed(seed: int, age_s: fl
     others, dt_s = table(), 0.001
     pose, speed, turn = np.array([1.0, 2.0, 0.0]), rng.uniform(-SPEED, SPEED), rng.uniform(-TURN, TURN)
     heard = state(1.0, 2.0, speed)
-    others.hear(RobotStates(**{**{n: getattr(heard, n) for n in heard.__struct_fields__}, "turn_rad_s": (turn,)}), 0.0)
+    others.receive(
+        RobotStates(**{**{n: getattr(heard, n) for n in heard.__struct_fields__}, "turn_rad_s": (turn,)}), 0.0
+    )
     goal_speed, goal_turn = rng.choice([-1.0, 0.0, 1.0]) * SPEED, rng.choice([-1.0, 0.0, 1.0]) * TURN
     for _ in range(round(age_s / dt_s)):
         speed += float(np.clip(goal_speed - speed, -ACCEL * dt_s, ACCEL * dt_s))
         turn = float(goal_turn)
         pose += dt_s * np.array([speed * math.cos(pose[2]), speed * math.sin(pose[2]), turn])
-    others.look(age_s)
+    others.set_time(age_s)
     others.around(HERE, 3.0)
     # What the prediction's straight chord leaves out is of third order in the age.
     assert math.dist(others.places[0], pose[:2]) <= others.spread_m[0] + SPEED * TURN**2 * age_s**3 / 24 + 2e-3
@@ -89,7 +91,7 @@ def test_a_robot_is_always_in_the_disc_where_it_is_believed(seed: int, age_s: fl
 
 def test_the_room_shrinks_with_age_and_stays_gone() -> None:
     others = table()
-    others.hear(state(0.75, 0.0), 0.0)
+    others.receive(state(0.75, 0.0), 0.0)
     speeds = [go(others, age_s) for age_s in (0.0, 0.05, 0.2, 0.5, 0.9, 1.05, 1.4, 10.0, 3600.0)]
     assert speeds == sorted(speeds, reverse=True)
     assert speeds[0] > 0.3
@@ -98,8 +100,8 @@ def test_the_room_shrinks_with_age_and_stays_gone() -> None:
 
 def test_a_silent_neighbour_is_gone_for_laws_and_stands_for_the_filter() -> None:
     others = table()
-    others.hear(state(1.0, 0.0, speed=0.3), 0.0)
-    others.look(2.0)
+    others.receive(state(1.0, 0.0, speed=0.3), 0.0)
+    others.set_time(2.0)
     assert others.within(HERE, 3.0)[0].tolist() == [0, 0]
     start, other, *_ = others.around(HERE, 3.0)
     assert start.tolist() == [0, 1]
@@ -107,40 +109,40 @@ def test_a_silent_neighbour_is_gone_for_laws_and_stands_for_the_filter() -> None
     row = other[0]
     assert others.places[row].tolist() == [1.0, 0.0]
     assert others.spread_m[row] == pytest.approx(SPEED * HALT_S + SPEED**2 / (2 * ACCEL))
-    others.look(200.0)
+    others.set_time(200.0)
     others.around(HERE, 3.0)
     assert others.spread_m[row] == pytest.approx(SPEED * HALT_S + SPEED**2 / (2 * ACCEL))
 
 
 def test_who_is_inside_the_disc_of_a_silent_robot_may_leave_it() -> None:
     others = table()
-    others.hear(state(0.5, 0.0), 0.0)
+    others.receive(state(0.5, 0.0), 0.0)
     assert go(others, 5.0, (0.5, 0.0)) == 0.0
     assert go(others, 5.0, (-0.5, 0.0)) == pytest.approx(-0.5)
 
 
 def test_a_silent_robot_that_is_heard_again_is_where_it_says() -> None:
     others = table()
-    others.hear(state(0.5, 0.0), 0.0)
+    others.receive(state(0.5, 0.0), 0.0)
     assert go(others, 5.0) == 0.0
-    others.hear(state(9.0, 0.0, sequence=2), 5.0)
+    others.receive(state(9.0, 0.0, sequence=2), 5.0)
     assert go(others, 5.0) == 0.5
 
 
 def test_a_state_that_is_no_number_does_not_make_a_robot_vanish() -> None:
     others = table()
-    others.hear(state(0.5, 0.0), 0.0)
-    others.hear(state(math.nan, 0.0, sequence=2), 0.5)
+    others.receive(state(0.5, 0.0), 0.0)
+    others.receive(state(math.nan, 0.0, sequence=2), 0.5)
     assert go(others, 1.0) == 0.0
 
 
 def test_silence_where_nobody_listens_says_nothing() -> None:
     mailbox = Mailbox()
     others = table()
-    listening = StateSubscriptions(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.hear(states, 0.0))
+    listening = StateSubscriptions(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.receive(states, 0.0))
     listening.follow(np.array([[1.5, 1.5]]), 3.0)  # cells from -3 to 6 m
-    others.hear(state(2.0, 2.0, robot="dead"), 0.0)
-    others.hear(state(5.95, 2.0, robot="leaving"), 0.0)
+    others.receive(state(2.0, 2.0, robot="dead"), 0.0)
+    others.receive(state(5.95, 2.0, robot="leaving"), 0.0)
     others.forget(0.2, listening.covers)
     assert np.isfinite(others.arrival_s[:2]).all(), "nobody is silent yet"
     others.forget(1.0, listening.covers)
@@ -153,7 +155,7 @@ def test_silence_where_nobody_listens_says_nothing() -> None:
 
 def test_an_old_own_pose_costs_room() -> None:
     others = table()
-    others.hear(state(0.9, 0.0), 1.0)
+    others.receive(state(0.9, 0.0), 1.0)
     made = one_filter()
     fresh = go(others, 1.0, made=made)
     old = go(others, 1.0, stamp_s=0.7, made=made)
@@ -172,7 +174,7 @@ def test_without_a_pose_it_brakes_and_says_why(wish: tuple[float, float]) -> Non
 
 def test_a_robot_at_ones_own_place_leaves_no_way() -> None:
     others, made = table(), one_filter()
-    others.hear(state(0.0, 0.0), 0.0)
+    others.receive(state(0.0, 0.0), 0.0)
     assert go(others, 0.0, made=made) == 0.0
     assert made.verdict[0] == CROWDED
 
@@ -180,11 +182,11 @@ def test_a_robot_at_ones_own_place_leaves_no_way() -> None:
 def test_the_deviation_is_told_and_added_up() -> None:
     others, made = table(), one_filter()
     for tick in range(50):
-        others.hear(state(0.4, 0.0, sequence=tick + 1), 0.02 * tick)
+        others.receive(state(0.4, 0.0, sequence=tick + 1), 0.02 * tick)
         go(others, 0.02 * tick, made=made)
     assert made.deviation_m_s[0] == pytest.approx(0.5, abs=0.05)
     assert made.deviation_m[0] == pytest.approx(0.5 * 49 * 0.02, rel=0.1)
-    others.hear(state(9.0, 0.0, sequence=60), 1.0)
+    others.receive(state(9.0, 0.0, sequence=60), 1.0)
     go(others, 1.0, made=made)
     assert made.deviation_m_s[0] == 0.0
 

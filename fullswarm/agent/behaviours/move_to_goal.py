@@ -1,7 +1,7 @@
 """Move to goal: a proportional law (paper III.A.1).
 
 ``ṗ = -K (p - E)``, whose solution is ``p(t) = E + (p(0) - E) e^{-Kt}`` (the paper drops the ``- E``). The goal is a
-disc: inside `arrive_radius_m` the robot has arrived and stands.
+disc: inside `arrive_radius_m` the robot has arrived and stops.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Navigate: to a goal around the obstacles that are known, where a proportional law is caught (paper IV.A, scenario 4).
 
 What is known is up to the request: the map that the robot was given, what it has seen itself, or what the swarm has
-seen and shared. The way is a shortest one on a grid; the wish points at the farthest point of it
+seen and shared. The way is a shortest one on a grid; the velocity points at the farthest point of it
 that is in sight.
 """
 
@@ -34,10 +34,10 @@ _fields: OrderedDict[tuple[object, ...], Field] = OrderedDict()
 
 def velocity(view: View, params: Params) -> Array:
     """Return velocities towards the next waypoints, ``K`` times the way that is left at most, (n, 2) m/s."""
-    wished = np.zeros_like(view.position)
+    desired = np.zeros_like(view.position)
     near = view.distance < CROWD_M
-    crowd = np.bincount(view.of[near], minlength=len(wished)).tolist()
-    for row in range(len(wished)):
+    crowd = np.bincount(view.of[near], minlength=len(desired)).tolist()
+    for row in range(len(desired)):
         x, y = view.position[row].tolist()
         goal_x, goal_y = params.goal[row].tolist()
         left_m = math.hypot(goal_x - x, goal_y - y)
@@ -52,13 +52,13 @@ def velocity(view: View, params: Params) -> Array:
         if ahead_m > 1e-9:
             speed = float(params.gain[row, 0]) * left_m / ahead_m
             vx, vy = speed * (to_x - x), speed * (to_y - y)
-            wished[row] = bend.run(x, y, vx, vy, float(view.radius[row]), view.known(row, str(params.map)))
-    return wished
+            desired[row] = bend.run(x, y, vx, vy, float(view.radius[row]), view.known(row, str(params.map)))
+    return desired
 
 
 @kernel
 def bend(x: float, y: float, vx: float, vy: float, radius_m: float, obstacles: Array) -> tuple[float, float]:
-    """Turn a wish off the obstacles that are nearer than the slack, the more the nearer; its size is kept."""
+    """Turn a velocity off the obstacles that are nearer than the slack, the more the nearer; its size is kept."""
     size = math.hypot(vx, vy)
     bent_x = vx
     bent_y = vy
@@ -230,7 +230,7 @@ def waypoint(
     """Return the farthest point of the way to the goal that is seen from (x, y), at most `look_m` along it.
 
     A robot too close to an obstacle to have a cell of its own goes as from that near one from which the way is
-    shortest: going back to the nearest one, against those who follow, is how a passage jams. Where no way is known it
+    shortest: going back to the nearest one, against those that follow, is how a passage jams. Where no way is known it
     returns the robot's own place.
     """
     columns = free.shape[1]

@@ -2,8 +2,8 @@
 
 Each robot moves to the centroid C_i of the part of the arena that is nearer to it than to any neighbour it senses:
 ``ṗ = K (C_i - p_i)``. The paper prints ``-K (C_i - p_i)``, which would drive away from the centroid. The cell is the
-arena clipped by one half-plane per neighbour: exact for the neighbours heard. A robot further away than `hearing_m`
-is not heard, so the cell is also held within a square of that half-width.
+arena clipped by one half-plane per neighbour: exact for the neighbours received. A robot further away than `hearing_m`
+is not received, so the cell is also held within a square of that half-width.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def centroids(position: Array, start: Index, offset: Array, bounds_m: Array, rea
     Parameters
     ----------
     position : (n, 2) m
-    start, offset : edge list of the view
+    start, offset : pairs of the view
     bounds_m : (4,) the arena
     reach_m : (n,) half-width of the square beyond which a robot does not look
     centroid : (n, 2) m, out; a cell of no area gives the robot's own position
@@ -88,9 +88,9 @@ def centroids(position: Array, start: Index, offset: Array, bounds_m: Array, rea
         corners[3, 0] = low_x
         corners[3, 1] = high_y
         count = 4
-        for edge in range(start[i], start[i + 1]):
-            nx = offset[edge, 0]
-            ny = offset[edge, 1]
+        for pair in range(start[i], start[i + 1]):
+            nx = offset[pair, 0]
+            ny = offset[pair, 1]
             count = clip(corners, count, nx, ny, 0.5 * (nx * nx + ny * ny), clipped)
             for k in range(count):
                 corners[k, 0] = clipped[k, 0]

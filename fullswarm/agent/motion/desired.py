@@ -1,4 +1,4 @@
-"""What the robots would like to do: the laws are evaluated, and their wishes filtered where asked."""
+"""Evaluates the control laws and puts the desired twists, filtered where requested, before the robot controller."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ Bounds = tuple[float, float, float, float]
 
 
 class DesiredMotion:
-    """Puts the wishes of all laws that run before the controller, tick by tick.
+    """The desired motion of n robots.
 
     Attributes
     ----------
-    law_error : what the last failure of each robot's law was, false if it never failed
+    law_error : the last failure of each robot's control law, false if it never failed
     """
 
     def __init__(
@@ -47,26 +47,26 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
-        self._law_errors: set[str] = set()
+        self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
     def near(self, now_s: float) -> Nearby:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
         if self._near is self._alone and len(self._state.radius):
-            self._neighbours.look(now_s)
+            self._neighbours.set_time(now_s)
             position = np.ascontiguousarray(self._state.pose[:, :2])
             return self._neighbours.around(position, self._config.sensing_radius_m)
         return self._near
 
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
-        """Evaluate the laws and put their wishes, filtered where asked, before the controller."""
+        """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return
         pose, neighbours = self._state.pose, self._neighbours
         position = np.ascontiguousarray(pose[:, :2])
-        neighbours.look(now_s)
+        neighbours.set_time(now_s)
 
         self._planar.fill(math.nan)
         planar = False
@@ -81,33 +81,33 @@ class DesiredMotion:
         if not planar and not tasks.any_filtered:
             return
         if tasks.any_filtered:
-            # A stick is not turned aside: its operator sees the robot.
+            # A stick's twist is not turned: its operator sees the robot.
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         measured = Measured(pose, reading.twist, reading.stamp_s)
-        self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.wished)
+        self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
-        """Call one law; if it raises or answers something that is not finite, its robots stand and say so.
+        """Call one control law; if it raises or returns what is not finite, its robots are stopped with that reason.
 
         Returns
         -------
         bool
-            It wishes planar velocities, which have yet to be mapped to twists.
+            It returned planar velocities, which have yet to be mapped to twists.
         """
         try:
-            wished = group.call(view, group.params)
+            desired = group.call(view, group.params)
             # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(wished[0].tolist()) if len(wished) == 1 else np.add.reduce(wished, None)):
+            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
                 raise ValueError("the law's answer is not finite")
-        except Exception as error:  # a law is outside code: whatever it raises, the robot must stand
+        except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)
             return False
         controller = self._controller
         rows = slice(None) if len(group.rows) == len(self.law_error) else group.rows
-        (self._planar if group.planar else controller.wished)[rows] = wished
+        (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
         return group.planar
@@ -117,6 +117,6 @@ class DesiredMotion:
         self._controller.law_failed[group.rows] = True
         for row in group.rows:
             self.law_error[row] = why
-        if why.text not in self._law_errors:
-            self._law_errors.add(why.text)
-            log.error("law failed; its robots stand", law=group.law, error=str(error), exc_info=error)
+        if why.text not in self._logged_errors:
+            self._logged_errors.add(why.text)
+            log.error("a control law failed; its robots are stopped", law=group.law, error=str(error), exc_info=error)

@@ -1,6 +1,6 @@
-"""The robot controller: the last word on the wheels (paper II.D; design decision 6). Arrays over n robots.
+"""Decides which twist each driver gets (paper II.D; design decision 6). Arrays over n robots.
 
-A wish (a twist) is valid for its time-to-live on this machine's monotonic clock. Every tick the controller decides
+A desired twist is valid for its time-to-live on this machine's monotonic clock. Every tick the controller decides
 for each robot whether it may move; if not, the twist is zero at once and the reason is kept for people to read. If it
 may, speed and turn rate are held within the limits and the acceleration limits.
 """
@@ -21,7 +21,7 @@ from fullswarm.reasons import Code, Reason
 
 
 class StopReason(enum.IntEnum):
-    """Why a robot stands; `decide` says in which order they count."""
+    """Why a robot is stopped; `why_not` gives their order."""
 
     MOVING = 0
     ESTOP = 1
@@ -136,7 +136,7 @@ class Sensed(NamedTuple):
 class Doubt(NamedTuple):
     """What makes motion unsafe by what this computer knows: see ``Reflexes`` and ``PoseConflicts``; (n,) each.
 
-    `floor` and `ceiling` in m/s: between them the edge of the arena lets a speed be.
+    `floor` and `ceiling` in m/s: the least and the greatest speed that the geofence allows.
     """
 
     battery_low: Flags
@@ -150,7 +150,7 @@ class Doubt(NamedTuple):
 
 
 class Desired(NamedTuple):
-    """The twists that laws and operators ask for, (n, 2), until when they count, (n,), and whose law failed, (n,)."""
+    """The twists that control laws and operators ask for, (n, 2), until when they are valid, and failed laws, (n,)."""
 
     twist: Array
     valid_until_s: Array
@@ -177,7 +177,7 @@ class Decision(NamedTuple):
 
 
 class RobotController:
-    """Decides, tick by tick, what the drivers are told.
+    """Decides, tick by tick, which twists the drivers get.
 
     Attributes
     ----------
@@ -200,24 +200,24 @@ class RobotController:
         self.estop = np.zeros(count, bool)
         self.law_failed = np.zeros(count, bool)
         self.reason = np.full(count, int(StopReason.IDLE), np.int64)
-        self.wished = np.zeros((count, 2))
+        self.desired = np.zeros((count, 2))
         self.valid_until_s = np.full(count, -math.inf)
         self.changed = False
         self.drive_on = np.zeros(count, bool)
-        self._desired = Desired(self.wished, self.valid_until_s, self.law_failed)
+        self._desired = Desired(self.desired, self.valid_until_s, self.law_failed)
         self._bounds = Bounds(self.speed_limit, self.turn_limit, self.reverse, accel, turn_accel)
         self._decision = Decision(self.estop, self.reason, self.drive_on, np.zeros((count, 2)))
 
     def submit(self, row: int, linear_m_s: float, angular_rad_s: float, valid_until_s: float) -> None:
-        """Wish a twist for robot `row`, valid until then; a non-finite one is refused with ``ValueError``."""
+        """Set the desired twist of robot `row`, valid until then; ``ValueError`` if it is not finite."""
         if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
             raise ValueError(f"a twist of {linear_m_s} m/s, {angular_rad_s} rad/s is not finite")
-        self.wished[row] = linear_m_s, angular_rad_s
+        self.desired[row] = linear_m_s, angular_rad_s
         self.valid_until_s[row] = valid_until_s
 
     def forget(self, row: int) -> None:
-        """Drop the wish of robot `row`: it stands at the next tick."""
-        self.wished[row] = 0.0
+        """Drop the desired twist of robot `row`: it is stopped at the next tick."""
+        self.desired[row] = 0.0
         self.valid_until_s[row] = -math.inf
 
     def step(self, now_s: float, dt_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt) -> Array:
@@ -273,7 +273,7 @@ def decide(
     decision: Decision,
 ) -> bool:  # fmt: skip
     """Fill `decision`; tell if a reason (see :class:`StopReason`) changed."""
-    reason, twist, wished = decision.reason, decision.twist, desired.twist
+    reason, twist, wanted = decision.reason, decision.twist, desired.twist
     changed = False
     for i in range(reason.shape[0]):
         estop = decision.estop[i]
@@ -281,9 +281,9 @@ def decide(
         low = -bounds.speed[i] if bounds.reverse[i] else 0.0
         high = 0.0 if int(sensed.hazards[i]) & BUMP else bounds.speed[i]
         if why == MOVING:
-            speed, low, high = clamp(wished[i, 0], low, high), max(low, doubt.floor[i]), min(high, doubt.ceiling[i])
+            speed, low, high = clamp(wanted[i, 0], low, high), max(low, doubt.floor[i]), min(high, doubt.ceiling[i])
             held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
-            if held and math.fabs(wished[i, 1]) < STILL:
+            if held and math.fabs(wanted[i, 1]) < STILL:
                 why = FENCE
         changed = changed or reason[i] != why
         reason[i] = why
@@ -293,8 +293,8 @@ def decide(
             twist[i, 0] = 0.0
             twist[i, 1] = 0.0
             continue
-        speed = clamp(wished[i, 0], low, high)
-        turn = clamp(wished[i, 1], -bounds.turn[i], bounds.turn[i])
+        speed = clamp(wanted[i, 0], low, high)
+        turn = clamp(wanted[i, 1], -bounds.turn[i], bounds.turn[i])
         step = bounds.accel[i] * dt_s
         # Braking is never held back: the filter's promise rests on it, and the wheels limit it anyway.
         if speed * twist[i, 0] < 0.0:

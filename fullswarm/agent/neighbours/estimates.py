@@ -1,4 +1,4 @@
-"""States heard from other robots, with their age; and whose states to listen to."""
+"""Keeps the newest state of every other robot, predicts it to now, and finds which robots are near each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fullswarm.messages import RobotStates
 MANY_CELLS = 64
 
 SILENT_S = 0.3
-"""A robot that was silent for so long may have left the cells that are listened to."""
+"""A robot that was silent for so long may have left the subscribed cells."""
 ANEW_S = 1.0
 """A robot that sends nothing newer for so long, and then counts from below, has booted: its clock began anew too."""
 STRIDE_S = 0.2
@@ -40,20 +40,20 @@ class Nearby(NamedTuple):
 
 
 class Neighbours:
-    """The newest state of every robot heard, as arrays that grow with the swarm.
+    """The newest state of every robot received, as arrays that grow with the swarm.
 
     Attributes
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
-    teams : (m,) of which team each is as told; 0: none
+    teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
-    predicted : (m, 2) positions moved on to the time of the last `look`, filled by `within`; NaN when too old
+    predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :func:`predict`. A robot that
-        fell silent stays in them until it is heard again or is out of earshot
+        fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
-    names : (m,) whose row it is
-    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
-    halt_s : after how long a silent robot stands, at the latest
+    names : (m,) ids of the robots
+    accel_m_s2, speed_m_s, turn_rad_s : assumed limits of the others
+    halt_s : after how long a silent robot is at standstill, at the latest
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
@@ -82,11 +82,11 @@ class Neighbours:
         self._near: Nearby | None = None
         self._grow(max(16, len(ids)))
 
-    def hear(self, states: RobotStates, now_s: float) -> None:
+    def receive(self, states: RobotStates, now_s: float) -> None:
         """Take in the states of one host.
 
         Ignored: a message older than the last from that host, one whose columns do not fit together, and on board
-        the own state, and a robot with a number that is not finite: it stays where it was heard last.
+        the own state, and a robot with a number that is not finite: it keeps its last state.
         """
         if states.robots == self._alone:
             return
@@ -102,7 +102,7 @@ class Neighbours:
         if states.own_frame:
             self.own_frame_host, self.own_frame_s = states.host, now_s
         if len(states.robots) == 1:
-            self._hear_one(states, now_s)
+            self._receive_one(states, now_s)
             return
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
@@ -115,8 +115,11 @@ class Neighbours:
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
-    def _hear_one(self, states: RobotStates, now_s: float) -> None:
-        """Do the same for a host with one robot, number by number: what an agent does a hundred times a second."""
+    def _receive_one(self, states: RobotStates, now_s: float) -> None:
+        """Do the same for a host with one robot, number by number.
+
+        An agent does it some hundred times a second, and arrays would cost 10 µs more each time.
+        """
         x_m, y_m, heading_rad = states.x_m[0], states.y_m[0], states.heading_rad[0]
         speed_m_s, turn_rad_s, radius_m = states.speed_m_s[0], states.turn_rad_s[0], states.radius_m[0]
         if not math.isfinite(x_m + y_m + heading_rad + speed_m_s + turn_rad_s + radius_m):
@@ -134,12 +137,12 @@ class Neighbours:
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
-    def look(self, now_s: float) -> None:
-        """Say that `within` is about `now_s` from here on."""
+    def set_time(self, now_s: float) -> None:
+        """Have `within` and `around` answer for `now_s` from here on."""
         self._now_s, self._stale = now_s, True
 
     def _predict(self) -> None:
-        """Move all heard positions on to the time of the last `look`, on use."""
+        """Predict all positions to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
         self.silent = predict.run(
             self.states, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
@@ -161,7 +164,7 @@ class Neighbours:
         return Nearby(start, other, self.places, self.states, self.spread_m, self.blur_m, self.arrival_s)
 
     def ages_s(self, now_s: float) -> Array:
-        """Return how long ago each neighbour was heard, (k,) s."""
+        """Return how long ago each neighbour was received, (k,) s."""
         return now_s - self.arrival_s[: self.count]
 
     def forget(self, now_s: float, listened: Callable[[float, float, float], bool]) -> None:
@@ -178,7 +181,7 @@ class Neighbours:
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
-        """Find the robots within `reach_m` of each own robot at the time of the last `look`, and of its team.
+        """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
 
         Parameters
         ----------
@@ -197,7 +200,7 @@ class Neighbours:
         return start, other
 
     def _mixed(self, team: Index) -> bool:
-        """Tell whether an own robot, of `team` (n,), may have heard one that is not of its team."""
+        """Tell whether an own robot, of `team` (n,), may have received one that is not of its team."""
         if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
             return bool(team[0])
         known = self.own_row >= 0  # what the own robots run is known at once, without their messages
@@ -216,7 +219,7 @@ class Neighbours:
         return start, other
 
     def oldest_age_s(self, now_s: float) -> float:
-        """Return the age of the stalest state that still counts; 0 when none is heard."""
+        """Return the age of the stalest state that still counts; 0 when none is received."""
         ages = now_s - self.arrival_s[: self.count]
         fresh = ages[ages <= self._timeout_s]
         return float(fresh.max()) if len(fresh) else 0.0
@@ -263,8 +266,8 @@ def _fits(states: RobotStates) -> bool:
 class StateSubscriptions:
     """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
 
-    def __init__(self, bus: Bus, keys: Keys, cell_m: float, hear: Callable[[RobotStates], None]) -> None:
-        self._bus, self._keys, self._cell_m, self._hear = bus, keys, cell_m, hear
+    def __init__(self, bus: Bus, keys: Keys, cell_m: float, receive: Callable[[RobotStates], None]) -> None:
+        self._bus, self._keys, self._cell_m, self._receive = bus, keys, cell_m, receive
         self._cells: dict[str, Subscription] = {}
 
     def follow(self, position: Array, reach_m: float) -> None:
@@ -274,7 +277,7 @@ class StateSubscriptions:
         """
         wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
-            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._hear, latest=True)
+            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._receive, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
 
@@ -303,26 +306,26 @@ class StateSubscriptions:
 
 
 BRUTE_FORCE_BELOW = 3000
-"""Products n x heard below which trying all pairs beats sorting into cells."""
+"""Products n x m below which trying all pairs beats sorting into cells."""
 
 
 @kernel
 def predict(
-    heard: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, halt_s: float, accel_m_s2: float,
+    states: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, halt_s: float, accel_m_s2: float,
     speed_m_s: float, turn_rad_s: float, predicted: Array, places: Array, spread_m: Array, blur_m: Array,
 ) -> int:  # fmt: skip
-    """Move the heard states on to `now_s`; return how many robots are silent: older than `timeout_s`.
+    """Predict the received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
-    robot is never farther from where it was heard than its speed and the time allow: the smaller disc counts. A
-    silent robot is one that stands or is about to: its disc grows until `halt_s` and then stays, for ever.
+    robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
+    robot is at standstill or about to be: its disc grows until `halt_s` and then stays, for ever.
 
     Parameters
     ----------
-    heard : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
-    arrival_s : (m,) when each was heard, on this machine's clock; -inf: never, or forgotten
-    halt_s : after so long a robot that fell silent stands
-    accel_m_s2, speed_m_s, turn_rad_s : what the others are believed to be able to
+    states : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
+    arrival_s : (m,) when each was received, on this machine's clock; -inf: never, or forgotten
+    halt_s : after so long a robot that fell silent is at standstill
+    accel_m_s2, speed_m_s, turn_rad_s : assumed limits of the others
     predicted : (m, 2) out, NaN for silent robots
     places, spread_m : (m, 2), (m,) out, centre and radius of the disc that holds the robot's centre
     blur_m : (m,) out, by how much its direction is unknown: the spread, but 0 for a silent robot, which is kept off
@@ -339,18 +342,18 @@ def predict(
             spread_m[row] = 0.0
             blur_m[row] = 0.0
             continue
-        speed = heard[row, 3]
-        rate = heard[row, 4]
+        speed = states[row, 3]
+        rate = states[row, 4]
         moved_s = min(age_s, halt_s)
         fastest = max(speed_m_s, math.fabs(speed))
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
         near_prediction_m = 0.5 * moved_s * moved_s * strongest
-        near_heard_m = fastest * moved_s
-        middle = heard[row, 2] + 0.5 * age_s * rate
-        x = heard[row, 0] + speed * age_s * math.cos(middle)
-        y = heard[row, 1] + speed * age_s * math.sin(middle)
+        near_state_m = fastest * moved_s
+        middle = states[row, 2] + 0.5 * age_s * rate
+        x = states[row, 0] + speed * age_s * math.cos(middle)
+        y = states[row, 1] + speed * age_s * math.sin(middle)
         if age_s <= timeout_s:
             predicted[row, 0] = x
             predicted[row, 1] = y
@@ -358,16 +361,16 @@ def predict(
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
             silent += 1
-        if age_s <= timeout_s and near_prediction_m < near_heard_m:
+        if age_s <= timeout_s and near_prediction_m < near_state_m:
             places[row, 0] = x
             places[row, 1] = y
             spread_m[row] = near_prediction_m
         else:
             if age_s > halt_s and accel_m_s2 > 0.0:
-                near_heard_m += 0.5 * fastest * fastest / accel_m_s2
-            places[row, 0] = heard[row, 0]
-            places[row, 1] = heard[row, 1]
-            spread_m[row] = near_heard_m
+                near_state_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = states[row, 0]
+            places[row, 1] = states[row, 1]
+            spread_m[row] = near_state_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
     return silent
 
@@ -376,14 +379,14 @@ def predict(
 def all_pairs(
     position: Array, own_row: Index, predicted: Array, count: int, reach_m: float, start: Index, other: Index
 ) -> int:
-    """Find the heard robots within `reach_m` of each own robot by trying all.
+    """Find the robots within `reach_m` of each own robot by trying all.
 
     Parameters
     ----------
     position : (n, 2) own positions
-    own_row : (n,) row of each own robot among the heard ones, -1 if not heard
+    own_row : (n,) row of each own robot among the received ones, -1 if it is not there
     start : (n + 1,) out: neighbours of robot i are ``other[start[i]:start[i + 1]]``
-    other : (capacity,) out: rows among the heard
+    other : (capacity,) out: rows among the received ones
 
     Returns
     -------
@@ -473,21 +476,21 @@ def cell_pairs(
 
 @kernel
 def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None:
-    """Drop from the edge list robots that are not of a robot's own team.
+    """Drop from the pair list robots that are not of a robot's own team.
 
     Parameters
     ----------
     start, other : as `all_pairs` fills them; both are rewritten in place
     own_team : (n,) team of each own robot; 0: it keeps all its neighbours
-    teams : (m,) team of each robot heard
+    teams : (m,) team of each robot received
     """
     kept = 0
     for i in range(own_team.shape[0]):
         first = start[i]
         start[i] = kept
         mine = own_team[i]
-        for edge in range(first, start[i + 1]):
-            row = other[edge]
+        for pair in range(first, start[i + 1]):
+            row = other[pair]
             if mine == 0 or teams[row] == mine:
                 other[kept] = row
                 kept += 1

@@ -1,4 +1,4 @@
-"""What robots know of the static obstacles: from the map they were given, from their own eyes, from the others.
+"""Keeps the static obstacles that robots know: from the given map, from their own sensors, from other robots.
 
 An obstacle is a row of six numbers as in ``Reading.obstacles``. It is known once it was seen within the sensing radius
 and is never forgotten: the arena is taken for static.
@@ -6,16 +6,22 @@ and is never forgotten: the arena is taken for static.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.safety.barrier import box_gap
+from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.kernels import Array, kernel
+from fullswarm.keys import Keys
+from fullswarm.messages import SeenObstacles
 
 GIVEN, SHARED, OWN = "given", "shared", "own"
+SHARE_PERIOD_S = 2.0
 MOST = 1000
-"""Most obstacles kept: a sender on the bus must not fill a robot's memory."""
+"""Obstacles kept at most: a sender on the bus must not fill a robot's memory."""
 
 
 @kernel
@@ -46,7 +52,7 @@ class ObstacleMap:
         self._last: Array | None = None
         self._known: dict[tuple[str, int], Array] = {}
 
-    def look(self, position: Array, obstacles: Array, reach_m: float) -> int:
+    def add_sensed(self, position: Array, obstacles: Array, reach_m: float) -> int:
         """Take in what the robots sense now, (k, 6) of all of them together; return how much of it is new."""
         if obstacles is not self._last:
             self._last = obstacles
@@ -61,7 +67,7 @@ class ObstacleMap:
         """Return what these robots have seen themselves, (k, 6)."""
         return self._rows[: len(self._index)][self._seen[:, : len(self._index)].any(axis=0)]
 
-    def tell(self, obstacles: Array) -> None:
+    def add_shared(self, obstacles: Array) -> None:
         """Take in what others have seen, (k, 6); rows that are no boxes are left out."""
         before = len(self._index)
         sound = np.isfinite(obstacles).all(axis=1) & (obstacles[:, 2:4] >= 0.0).all(axis=1) & (obstacles[:, 5] >= 0.0)
@@ -97,3 +103,31 @@ def map_of(config: SwarmConfig) -> Array:
     boxes = config.world.boxes if config.world else ()
     rows = [(x, y, size_x / 2, size_y / 2, yaw, 0.0) for x, y, size_x, size_y, yaw in boxes]
     return np.array(rows, float).reshape(-1, 6)
+
+
+class ObstacleSharing:
+    """Publishes the obstacles that these robots have sensed, and adds those of other robots to their map."""
+
+    def __init__(self, bus: Bus, keys: Keys, host: str, obstacle_map: ObstacleMap) -> None:
+        self._bus, self._keys, self._host, self._map = bus, keys, host, obstacle_map
+        self._share_at_s = -math.inf
+        self._subscription = bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True)
+
+    def add_sensed(self, now_s: float, position: Array, obstacles: Array, reach_m: float) -> None:
+        """Add what the robots sense now; publish when something is new or it is time."""
+        if not len(obstacles):
+            return
+        new = self._map.add_sensed(position, obstacles, reach_m)
+        if new or now_s >= self._share_at_s:
+            self._share_at_s = now_s + SHARE_PERIOD_S
+            rows = tuple(tuple(row) for row in self._map.seen().tolist())
+            message = SeenObstacles(host=self._host, rows=rows, stamp_s=now_s)
+            self._bus.publish(self._keys.obstacles(self._host), message)
+
+    def _on_obstacles(self, seen: SeenObstacles) -> None:
+        if seen.host != self._host:
+            self._map.add_shared(np.array(seen.rows, float).reshape(-1, 6))
+
+    def close(self) -> None:
+        """Drop the subscription."""
+        self._subscription.close()

@@ -1,4 +1,4 @@
-"""The latched e-stops of an agent's robots: each order is carried out once, its receipt given as often as asked for."""
+"""Latches and releases e-stops: carries each order out once, confirms it whenever asked for, keeps latches on disk."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from fullswarm.agent.motion.reflexes import Standstill
-from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Fleet
+from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import EStop, EStopReceipt
 
 REMEMBERED = 256
 SETTLE_TIMEOUT_S = 5.0
-"""A robot that still moves so long after an e-stop is reported as not standing; it is watched on."""
+"""A robot that still moves so long after an e-stop is reported as not at standstill, and still watched."""
 TICKS = 2.0
-"""For so many periods after the order a reading may still show the rest before a motion that was just commanded."""
+"""For so many periods after the order a reading may still show the standstill before a motion just commanded."""
 
 Key = tuple[str, bool]
 """An order: its id, engaged or released."""
 
 
 @dataclass(slots=True)
-class Rolling:
-    """A robot between an e-stop and standing.
+class Decelerating:
+    """A robot between an e-stop and standstill.
 
-    The way is taken from odometry: a pose that is corrected or noisy adds metres that no wheel rolled. It is summed
-    over legs longer than the make's odometry wanders at standstill, so that noise is no way.
+    The distance is taken from odometry: a pose that is corrected or noisy adds metres that no wheel rolled. It is
+    summed over legs longer than the odometry wanders at standstill, so that noise adds nothing.
     """
 
     order: EStop
@@ -45,14 +44,14 @@ class Rolling:
     seen_s: float
     wander_m: float
     rolled_m: float = 0.0
-    told: bool = False  # that it does not come to rest
+    reported: bool = False  # that it is not at standstill in time
     leg: tuple[float, float] = field(init=False)  # where the present leg begins
 
     def __post_init__(self) -> None:
         self.leg = self.place
 
     def follow(self, place: tuple[float, float], stamp_s: float, fastest_m_s: float) -> None:
-        """Add the way to `place`; a jump that no wheel can make is a driver that counts anew."""
+        """Add the distance to `place`; a jump that no wheel can make is an odometry that was reset."""
         if self.seen_s == -math.inf:  # there was no reading yet when the order came
             self.place, self.leg, self.seen_s = place, place, stamp_s
         if stamp_s <= self.seen_s:
@@ -74,15 +73,15 @@ class EStops:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: AgentState,
-        controller: RobotController, standstill: Standstill, wake: Callable[[], None],
+        self, bus: Bus, keys: Keys, control_rate_hz: float, fleet: Fleet, state: AgentState, speed_limit_m_s: Array,
+        wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._bus, self._keys, self._fleet, self._state = bus, keys, fleet, state
-        self._controller, self._standstill, self._wake = controller, standstill, wake
+        self._speed_limit_m_s, self._wake = speed_limit_m_s, wake
         self._commanded_s = TICKS / control_rate_hz
         # The receipts that still hold, by row; an order that a newer one has overruled has none.
         self._orders: OrderedDict[Key, dict[int, EStopReceipt]] = OrderedDict()
-        self._rolling: dict[tuple[int, Key], Rolling] = {}
+        self._decelerating: dict[tuple[int, Key], Decelerating] = {}
         self._folder: LatchFolder | None = None
 
     def remember(self, folder: LatchFolder) -> None:
@@ -90,7 +89,7 @@ class EStops:
         self._folder = folder
         for row, robot in enumerate(self._fleet.ids):
             if folder.holds(robot):
-                self._controller.estop[row] = True
+                self._state.estop[row] = True
 
     def repeats(self, order: EStop) -> bool:
         """Tell whether the order was carried out before; then confirm it again where it still holds."""
@@ -102,7 +101,7 @@ class EStops:
         return True
 
     def carry_out(self, order: EStop, rows: Iterable[int], now_s: float) -> None:
-        """Latch or release the robots `rows`; confirm at once, an engaged one again when it stands.
+        """Latch or release the robots `rows`; confirm at once, an engaged one again at standstill.
 
         The wheels come first, then the receipts, then the disk, which may take its time.
         """
@@ -110,37 +109,37 @@ class EStops:
         self._orders[key] = {}
         while len(self._orders) > REMEMBERED:
             self._drop(self._orders.popitem(last=False)[0])
-        changed = [row for row in rows if self._controller.estop[row] != order.engaged]
+        changed = [row for row in rows if self._state.estop[row] != order.engaged]
         for row in changed:
             self._overrule(row)
-            self._controller.estop[row] = order.engaged
+            self._state.estop[row] = order.engaged
         for row in rows if order.engaged else ():
             place, stamp_s = self._place(row)
             wander_m = self._fleet.descriptions[row].standstill.wander_m
-            self._rolling[row, key] = Rolling(order, now_s, place, stamp_s, wander_m)
+            self._decelerating[row, key] = Decelerating(order, now_s, place, stamp_s, wander_m)
         self._wake()
         for row in rows:
             self._confirm(row, EStopReceipt(id=order.id, robot=self._fleet.ids[row], engaged=order.engaged))
         self._keep(order, [self._fleet.ids[row] for row in rows])
 
     def watch(self, now_s: float) -> None:
-        """Follow the robots that still roll; confirm again once they stand, with the distance."""
-        for (row, key), rolling in list(self._rolling.items()):
+        """Follow the robots that still move; confirm again at standstill, with the distance."""
+        for (row, key), robot in list(self._decelerating.items()):
             place, stamp_s = self._place(row)
-            rolling.follow(place, stamp_s, float(self._controller.speed_limit[row]))
+            robot.follow(place, stamp_s, float(self._speed_limit_m_s[row]))
             # An old reading proves nothing: a robot without a driver is latched, but its standstill is unverified.
-            rests = rolling.since_s <= self._standstill.since_s[row] < math.inf
-            standing = stamp_s > rolling.since_s + self._commanded_s and bool(rests)
-            late = now_s - rolling.since_s > SETTLE_TIMEOUT_S
-            if standing:
-                del self._rolling[row, key]
-            if standing or (late and not rolling.told):
-                rolling.told = True
-                robot, rolled_m = self._fleet.ids[row], rolling.rolled_m
-                self._confirm(
-                    row,
-                    EStopReceipt(id=rolling.order.id, robot=robot, engaged=True, rolled_m=rolled_m, standing=standing),
-                )
+            measured = bool(robot.since_s <= self._state.standstill_since_s[row] < math.inf)
+            at_standstill = measured and stamp_s > robot.since_s + self._commanded_s
+            late = now_s - robot.since_s > SETTLE_TIMEOUT_S
+            if at_standstill:
+                del self._decelerating[row, key]
+            if at_standstill or (late and not robot.reported):
+                robot.reported = True
+                receipt = EStopReceipt(
+                    id=robot.order.id, robot=self._fleet.ids[row], engaged=True, rolled_m=robot.rolled_m,
+                    standing=at_standstill,
+                )  # fmt: skip
+                self._confirm(row, receipt)
 
     def _place(self, row: int) -> tuple[tuple[float, float], float]:
         """Return the odometry of a robot, m, and the stamp of that reading, s; -inf when there is none."""
@@ -161,12 +160,12 @@ class EStops:
     def _overrule(self, row: int) -> None:
         for receipts in self._orders.values():
             receipts.pop(row, None)
-        for each in [each for each in self._rolling if each[0] == row]:
-            del self._rolling[each]
+        for each in [each for each in self._decelerating if each[0] == row]:
+            del self._decelerating[each]
 
     def _drop(self, key: Key) -> None:
-        for each in [each for each in self._rolling if each[1] == key]:
-            del self._rolling[each]
+        for each in [each for each in self._decelerating if each[1] == key]:
+            del self._decelerating[each]
 
     def _confirm(self, row: int, receipt: EStopReceipt) -> None:
         receipts = self._orders.get((receipt.id, receipt.engaged))

@@ -1,4 +1,4 @@
-"""What an agent is told: control requests, commands, stops, e-stops, heartbeats."""
+"""Receives control requests, commands, stops, e-stops and heartbeats, carries them out and answers them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.motion.reflexes import Reflexes, Standstill
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.orders.estops import EStops
 from fullswarm.agent.orders.tasks import Task, Tasks
@@ -25,8 +24,8 @@ from fullswarm.runtime import Scheduler
 REMEMBERED_STOPS = 256
 
 UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
-"""Nothing is accepted meanwhile. A stop button is not among them: some drivers need a new request to let go of it. A
-switch is: what is asked for meanwhile would start when a person who works on the robot turns it."""
+"""No request is accepted meanwhile. A stop button is not among them: some drivers need a new request to release it. A
+switch is: what is requested meanwhile would start when a person at the robot turns it."""
 
 
 class Inbox:
@@ -43,12 +42,11 @@ class Inbox:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: AgentState,
-        tasks: Tasks, controller: RobotController, reflexes: Reflexes, conflicts: PoseConflicts,
-        standstill: Standstill, wake: Callable[[], None],
+        tasks: Tasks, controller: RobotController, conflicts: PoseConflicts, wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._bus, self._keys, self._scheduler, self._config = bus, keys, scheduler, config
         self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
-        self._reflexes, self._conflicts, self._wake = reflexes, conflicts, wake
+        self._conflicts, self._wake = conflicts, wake
         ids = fleet.ids
         self.ended = [NONE] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
@@ -59,39 +57,39 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._delays = [MessageDelay() for _ in ids]
         self._stops: OrderedDict[str, None] = OrderedDict()
-        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller, standstill, wake)
-        whose = ids[0] if len(ids) == 1 else "*"
+        self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
+        robot = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
-            bus.subscribe(keys.control_requests(whose), ControlRequest, self._on_control),
-            bus.subscribe(keys.command(whose), Command, self._on_command, latest=True),
+            bus.subscribe(keys.control_requests(robot), ControlRequest, self._on_control),
+            bus.subscribe(keys.command(robot), Command, self._on_command, latest=True),
             bus.subscribe(keys.stop, StopRequest, self._on_stop),
             bus.subscribe(keys.estop, EStop, self._on_estop),
             bus.subscribe(keys.heartbeat("core"), Heartbeat, self._on_heartbeat, latest=True),
-            bus.subscribe(keys.ping(whose), Ping, self._on_ping),
+            bus.subscribe(keys.ping(robot), Ping, self._on_ping),
         ]
 
     def core_alive(self, now_s: float) -> bool:
-        """Tell whether a core's heartbeat was heard within the configured silence."""
+        """Tell whether a core's heartbeat was received within the configured silence."""
         return self._cores.any_alive(now_s)
 
     def core_age_s(self, now_s: float) -> float:
-        """Return how long ago a core's heartbeat was heard, in seconds; infinity when none ever was."""
+        """Return how long ago a core's heartbeat was received, in seconds; infinity when none ever was."""
         return self._cores.age_s(now_s)
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
-        if self._cores.hear(beat.process, self._scheduler.now_s()):
-            self._tell_of_stops()
+        if self._cores.beat(beat.process, self._scheduler.now_s()):
+            self._publish_stops()
 
     def _on_ping(self, ping: Ping) -> None:
         if ping.robot in self._row:
             self._bus.publish(self._keys.pong(ping.robot), ping)
 
-    def _tell_of_stops(self) -> None:
-        """Tell a core that was not there of the stops that still hold: it may want what they have ended."""
+    def _publish_stops(self) -> None:
+        """Publish the stops that are in force for a core that has just started: it may want what they have ended."""
         for row, epoch in enumerate(self._epochs):
             if epoch.halted:
                 robot = self._fleet.ids[row]
-                # An id of its own: the core carries out each stop once, and other robots may tell of the same one.
+                # An id of its own: the core carries out each stop once, and other robots may publish the same one.
                 stop = StopRequest(id=f"{epoch.halted}@{robot}", robots=(robot,), source=robot)
                 self._remember(stop.id)  # it comes back here
                 self._bus.publish(self._keys.stop, stop)
@@ -114,7 +112,7 @@ class Inbox:
             return
         self._newest[row] = (request.core, request.sequence)
         why_not = self._apply(row, request)
-        self._wake()  # the wheels first, then the words
+        self._wake()  # the wheels before the answer
         self._answers[row] = answer = self._answer(row, request, why_not)
         self._bus.publish(self._keys.ack(request.robot), answer)
 
@@ -140,16 +138,16 @@ class Inbox:
             self._drop(row)
             return NONE
         epoch.see(request.request_id)
-        if self._controller.estop[row]:
+        if self._state.estop[row]:
             return reason(Code.ESTOP_LATCHED)
-        if request.request_id in epoch.spent:
-            return voided(epoch.spent[request.request_id])
+        if request.request_id in epoch.voided:
+            return voided(epoch.voided[request.request_id])
         hazards = 0 if self._state.reading is None else int(self._state.reading.hazards[row])
         if hazards & UNSAFE:
-            # Accepted, it would drive off out of the hands that put it back on safe ground.
+            # If accepted, the robot would drive off while a person puts it back on safe ground.
             seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
             return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
-        if self._reflexes.flat[row] and request.expires_s <= 0.0:
+        if self._state.battery_low[row] and request.expires_s <= 0.0:
             return reason(Code.BATTERY)
         conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
@@ -172,12 +170,12 @@ class Inbox:
             return now_s
         return now_s - self._delays[row].delay_s(request.core, request.stamp_s, now_s)
 
-    def spend(self, row: int, why: Reason) -> None:
+    def void(self, row: int, why: Reason) -> None:
         """End robot `row`'s task for good: the same request, sent again by reconciliation, is refused from now on."""
         task = self._tasks.of[row]
         if task is None:
             return
-        self._epochs[row].spent.note(task.request.request_id, why)
+        self._epochs[row].voided.note(task.request.request_id, why)
         self.ended[row] = why
         self._drop(row)
 
@@ -231,20 +229,20 @@ class Inbox:
         for row in rows:
             # Latching ends the behaviour, and so does the release: what was asked for before it, and refused, must
             # not be started by it. Releasing a robot that is not latched stops nothing.
-            if order.engaged or self._controller.estop[row]:
+            if order.engaged or self._state.estop[row]:
                 code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
                 self._halt(row, order.id or "estop", reason(code, by=order.source or "an operator"))
         self.estops.carry_out(order, rows, self._scheduler.now_s())
 
     def _halt(self, row: int, order_id: str, why: Reason) -> None:
-        """Stop a robot and overrule all that was wanted of it, also for a core that does not hear of this."""
-        unheard = not self.core_alive(self._scheduler.now_s())
-        self._epochs[row].halt(order_id if unheard else "", why)
-        self.spend(row, why)
+        """Stop a robot and void all its requests, also for a core that does not receive the stop."""
+        no_core = not self.core_alive(self._scheduler.now_s())
+        self._epochs[row].halt(order_id if no_core else "", why)
+        self.void(row, why)
         self._drop(row)
 
     def watch_estops(self, now_s: float) -> None:
-        """Confirm the e-stops of robots that have come to a stand."""
+        """Confirm the e-stops of robots that have come to a standstill."""
         self.estops.watch(now_s)
 
     def _addressed(self, robots: Iterable[str]) -> list[int]:
@@ -252,7 +250,7 @@ class Inbox:
         return rows if robots else list(self._row.values())
 
     def close(self) -> None:
-        """Stop listening."""
+        """Drop all subscriptions."""
         for subscription in self._subscriptions:
             subscription.close()
 
@@ -276,37 +274,37 @@ class Cores:
 
     def __init__(self, silence_s: float) -> None:
         self._silence_s = silence_s
-        self._heard_s: OrderedDict[str, float] = OrderedDict()
+        self._received_s: OrderedDict[str, float] = OrderedDict()
         self._newest_s = -math.inf
 
-    def hear(self, process: str, now_s: float) -> bool:
+    def beat(self, process: str, now_s: float) -> bool:
         """Take a heartbeat; tell whether it is the first of its process."""
-        new = process not in self._heard_s
-        self._heard_s[process] = self._newest_s = now_s
-        while len(self._heard_s) > REMEMBERED:
-            self._heard_s.popitem(last=False)
+        new = process not in self._received_s
+        self._received_s[process] = self._newest_s = now_s
+        while len(self._received_s) > REMEMBERED:
+            self._received_s.popitem(last=False)
         return new
 
     def alive(self, process: str, now_s: float) -> bool:
-        """Tell whether the process was heard within the configured silence."""
-        return now_s - self._heard_s.get(process, -math.inf) <= self._silence_s
+        """Tell whether the process was received within the configured silence."""
+        return now_s - self._received_s.get(process, -math.inf) <= self._silence_s
 
     def any_alive(self, now_s: float) -> bool:
         """Tell whether any core was."""
         return now_s - self._newest_s <= self._silence_s
 
     def age_s(self, now_s: float) -> float:
-        """Return how long ago any core was heard, in seconds; infinity when none ever was."""
+        """Return how long ago any core was received, in seconds; infinity when none ever was."""
         return now_s - self._newest_s
 
 
 class CoreEpoch:
-    """What one robot refuses.
+    """Decides which core one robot obeys and which requests it refuses.
 
     Attributes
     ----------
-    spent : request id → why it may not start again
-    halted : id of a stop that no core heard, since which nothing was accepted; empty: none
+    voided : request id → why it may not start again
+    halted : id of a stop that no core received, since which nothing was accepted; empty: none
     """
 
     def __init__(self, cores: Cores) -> None:
@@ -314,7 +312,7 @@ class CoreEpoch:
         self._core = ""
         self._replaced = Memory()
         self._seen = Memory()
-        self.spent = Memory()
+        self.voided = Memory()
         self.halted = ""
 
     def replaced(self, core: str, now_s: float) -> bool:
@@ -337,14 +335,14 @@ class CoreEpoch:
         self._seen.note(request_id)
 
     def accept(self) -> None:
-        """Something was started: no stop is in force any more."""
+        """Note that a request was started: no stop is in force any more."""
         self.halted = ""
 
     def halt(self, order_id: str, why: Reason) -> None:
-        """Spend every request seen so far: a stop overrules also those that are wanted but not running.
+        """Void every request seen so far: a stop overrules also those that are wanted but not running.
 
-        `order_id` is empty when a core was there to hear of it.
+        `order_id` is empty when a core was there to receive the stop.
         """
         for request_id in self._seen:
-            self.spent.note(request_id, why)
+            self.voided.note(request_id, why)
         self.halted = self.halted or order_id

@@ -1,4 +1,7 @@
-"""Which robot runs what: one task per robot, grouped so that a law is called once for all robots that run it."""
+"""Holds the task of each robot, checked against its behaviour's record, and groups robots by control law.
+
+A control law is called once for all robots that run it.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +26,13 @@ from fullswarm.kernels import Array, Index
 from fullswarm.messages import ControlRequest, Value
 
 CENTRALISED = ""
-"""Law name of a task that has no law on board and obeys Command messages."""
+"""Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
 
 
 def _kind(name: str, value: Value) -> tuple[str, str]:
-    """Return what robots must have in common to share one call of a law: kinds, words, and how far they listen."""
+    """Return what robots must have in common to share one call of a control law: kinds, texts and hearing range."""
     width = column_width(value)
     return name, str(width) if width and name != HEARING else repr(value)
 
@@ -57,22 +60,22 @@ class Task:
 
     @property
     def law(self) -> str:
-        """Name of the law on board, empty for a centralised behaviour."""
+        """Name of the control law on board, empty for a centralised behaviour."""
         return CENTRALISED if self.request.centralised else self.request.law
 
     @property
-    def lapses_s(self) -> float:
+    def expires_at_s(self) -> float:
         """When an intent runs out; never for a lasting request."""
         return self.arrived_s + self.request.expires_s if self.request.expires_s > 0 else math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Robots that run the same law."""
+    """Robots that run the same control law."""
 
     law: str
-    call: Callable[[View, Params], Array]  # the law
-    planar: bool  # it wishes planar velocities, not twists
+    call: Callable[[View, Params], Array]  # the control law
+    planar: bool  # it returns planar velocities, not twists
     rows: Index
     params: Params
     hearing_m: float  # 0: the sensing radius
@@ -89,8 +92,8 @@ class Tasks:
     lasting : (n,) it is filtered and no intent of a stick
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
-    team : (n,) which robots its law counts as neighbours; 0: all that are sensed
-    lapses_s : (n,) when it ends by itself; inf
+    team : (n,) which robots its control law counts as neighbours; 0: all that are sensed
+    expires_at_s : (n,) when it ends by itself; inf
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """
 
@@ -106,7 +109,7 @@ class Tasks:
     team: Index = field(init=False)
     margin_m: Array = field(init=False)
     gain_per_s: Array = field(init=False)
-    lapses_s: Array = field(init=False)
+    expires_at_s: Array = field(init=False)
     any_filtered: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
 
@@ -119,7 +122,7 @@ class Tasks:
         self.team = np.zeros(self.count, np.int64)
         self.margin_m = np.full(self.count, self.usual_margin_m)
         self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
-        self.lapses_s = np.full(self.count, math.inf)
+        self.expires_at_s = np.full(self.count, math.inf)
 
     def enable(self, row: int, task: Task) -> None:
         """Give robot `row` a task in place of the one it has.
@@ -127,7 +130,7 @@ class Tasks:
         Raises
         ------
         ConfigError
-            The robot has no such law, or a parameter is out of range.
+            The robot has no such control law, or a parameter is out of range.
         """
         request, before = task.request, self.of[row]
         check(request)
@@ -135,7 +138,7 @@ class Tasks:
         if not alike and task.law != CENTRALISED:
             registry.law_module(task.law)
         self.of[row] = task
-        self.lapses_s[row] = task.lapses_s
+        self.expires_at_s[row] = task.expires_at_s
         self.team[row] = request.team
         if request.filtered:
             self.lasting[row] = request.expires_s <= 0.0
@@ -151,9 +154,9 @@ class Tasks:
         self._groups = None
 
     def _renew(self, row: int, request: ControlRequest) -> bool:
-        """Take new parameters of a running law into its group: what a stick sends twenty times a second."""
+        """Write new parameters of a running control law into its group: a stick sends them twenty times a second."""
         for group in self._groups or ():
-            place = 0 if self.count == 1 else int(np.searchsorted(group.rows, row))
+            place = int(np.searchsorted(group.rows, row))
             if place < len(group.rows) and group.rows[place] == row:
                 same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
                 # By the class: a parameter may be called "update".
@@ -164,12 +167,12 @@ class Tasks:
         """Take robot `row`'s task away."""
         self.of[row] = None
         self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
-        self.lapses_s[row] = math.inf
+        self.expires_at_s[row] = math.inf
         self.team[row] = 0
         self._groups = None
 
     def groups(self) -> list[Group]:
-        """Return the robots with a law on board, grouped by law and kind of parameters."""
+        """Return the robots with a control law on board, grouped by law and kind of parameters."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
             members: dict[tuple[str, tuple[tuple[str, str], ...]], list[int]] = {}
@@ -199,10 +202,10 @@ RECORDS = Path(__file__).parents[2] / "core" / "behaviours.toml"
 GREATEST = 1e7
 """Of a number that no record knows: no coordinate, speed or weight is larger."""
 LONGEST = 1000
-"""Of a word that no record knows, in characters."""
+"""Of a text that no record knows, in characters."""
 
 OWN = {**FILTER, "hearing_m": Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1])}
-"""Parameters that the agent itself reads, whatever the law."""
+"""Parameters that the agent itself reads, whatever the control law."""
 
 Allowed = Mapping[str, tuple[Parameter, ...]]
 
@@ -213,11 +216,11 @@ def check(request: ControlRequest) -> None:
     Raises
     ------
     ConfigError
-        A parameter has another type than its record says or is out of range, or the request would never lapse; says
+        A parameter has another type than its record says or is out of range, or the request would never expire; says
         which and what is wanted.
     """
     low_s, high_s = EXPIRES_S
-    if not math.isfinite(request.stamp_s):  # or an intent would never lapse
+    if not math.isfinite(request.stamp_s):  # or an intent would never expire
         raise ConfigError(f"stamp_s = {request.stamp_s} is no time")
     if not low_s <= request.expires_s <= high_s:
         raise ConfigError(f"expires_s = {request.expires_s:g} is outside [{low_s:g}, {high_s:g}] s")
@@ -257,14 +260,14 @@ def _can_be(name: str, value: Value | list[float]) -> None:
             _can_be(name, each)
     elif isinstance(value, str):
         if len(value) > LONGEST:
-            raise ValueError(f"{name}: a word of {len(value)} letters")
+            raise ValueError(f"{name}: a text of {len(value)} characters is too long (limit: {LONGEST})")
     elif not abs(value) <= GREATEST:
         raise ValueError(f"{name} = {value:g} is not a number within ±{GREATEST:g}")
 
 
 @functools.cache
 def _known(law: str) -> tuple[dict[str, tuple[float, float]], Allowed]:
-    """Return what a law's records say of each parameter: floats that need no further look, and the whole."""
+    """Return the ranges of each parameter in a law's records: floats that need no further check, and all."""
     allowed: dict[str, tuple[Parameter, ...]] = {}
     for name, parameter in _parameters(law):
         if parameter not in allowed.get(name, ()):

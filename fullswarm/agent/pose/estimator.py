@@ -1,6 +1,6 @@
-"""Where am I: the pose of each robot from what its driver reads and from what others see of it.
+"""Estimates the pose of each robot from its driver's readings and from fixes.
 
-A driver that senses the world pose is believed. Elsewhere odometry is laid on the start pose, and on each fix that
+A pose that a driver senses is taken as it is. Elsewhere odometry is laid on the start pose, and on each fix that
 comes: the last one as it is (``estimator = "direct"``, base install) or all of them by their certainty (``"ekf"``).
 """
 

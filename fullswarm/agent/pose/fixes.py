@@ -33,7 +33,7 @@ WATCH_S = 0.1
 REPEAT_S = 5.0
 """The same line about the same robot is logged once in this time."""
 
-TOLD_S = 10.0
+REPORTED_S = 10.0
 """So long the health report says that the pose has jumped."""
 
 SOURCES = 8
@@ -60,20 +60,20 @@ SENSED = PoseHealth("driver", -1.0, -1.0, "")
 
 
 @dataclass(slots=True)
-class Watched:
+class FixSource:
     """One robot that an outside source sees."""
 
     source: str = ""
     stamp_s: float = -math.inf  # of the newest fix taken
-    came_s: float = -math.inf  # when any fix came last
-    heard_s: float = -math.inf  # when one came in order and in time
+    arrived_s: float = -math.inf  # when any fix came last
+    accepted_s: float = -math.inf  # when one came in order and in time
     used_s: float = -math.inf  # when one was used last
     lost: bool = True
     refused: str = ""  # why the last one was not used
     jumped_s: float = -math.inf
     jump_m: float = 0.0
     clocks: OrderedDict[str, MessageDelay] = field(default_factory=OrderedDict)
-    told_s: dict[str, float] = field(default_factory=dict)
+    logged_s: dict[str, float] = field(default_factory=dict)
 
     def clock(self, source: str) -> MessageDelay:
         """Return what is known of the clock of a source."""
@@ -105,15 +105,15 @@ class Fixes:
         self._fleet, self._state = fleet, state
         ids = fleet.ids
         self._row = {robot: row for row, robot in enumerate(ids)}
-        self._watched: dict[int, Watched] = {}
+        self._source_states: dict[int, FixSource] = {}
         self._timer: Timer | None = None  # from the first fix on
         self.contacts = np.zeros(len(ids), np.int64)
         self.touching = False
-        whose = ids[0] if len(ids) == 1 else "*"
-        self._subscription = bus.subscribe(keys.pose_fix(whose), PoseFix, self._on_fix, latest=True)
+        robot = ids[0] if len(ids) == 1 else "*"
+        self._subscription = bus.subscribe(keys.pose_fix(robot), PoseFix, self._on_fix, latest=True)
 
     def close(self) -> None:
-        """Stop listening."""
+        """Drop the subscription and the timer."""
         self._subscription.close()
         if self._timer is not None:
             self._timer.cancel()
@@ -125,21 +125,21 @@ class Fixes:
             return
         if self._timer is None:
             self._timer = self._scheduler.every(WATCH_S, self._watch)
-        watched = self._watched.setdefault(row, Watched())
+        source_state = self._source_states.setdefault(row, FixSource())
         now_s = self._scheduler.now_s()
-        watched.came_s = now_s
-        delay_s, refused = _judge(fix, watched, now_s, self._config)
+        source_state.arrived_s = now_s
+        delay_s, refused = _judge(fix, source_state, now_s, self._config)
         if refused:
-            self._refuse(watched, fix, refused)
+            self._refuse(source_state, fix, refused)
             return
-        if fix.source != watched.source:
-            watched.source, watched.refused = fix.source, ""
+        if fix.source != source_state.source:
+            source_state.source, source_state.refused = fix.source, ""
             log.info("fixes come from a new source", robot=fix.robot, source=fix.source)
-        watched.stamp_s, watched.heard_s = fix.stamp_s, now_s
+        source_state.stamp_s, source_state.accepted_s = fix.stamp_s, now_s
         self._touch(row, fix.contacts)
-        self._use(row, watched, fix, now_s - delay_s - self._config.fix_latency_s, now_s)
+        self._use(row, source_state, fix, now_s - delay_s - self._config.fix_latency_s, now_s)
 
-    def _use(self, row: int, watched: Watched, fix: PoseFix, at_s: float, now_s: float) -> None:
+    def _use(self, row: int, source_state: FixSource, fix: PoseFix, at_s: float, now_s: float) -> None:
         """Hand a fix to the estimator and to a driver that wants it.
 
         A driver that senses the pose makes its own of fixes: fused here as well, they would count twice.
@@ -150,30 +150,30 @@ class Fixes:
         if not self._senses(row):
             taken = self._estimator.take(row, Fix(at_s, pose, sigma_m, sigma_rad))
             if taken.verdict in (Verdict.OUTLIER, Verdict.TOO_OLD):
-                self._refuse(watched, fix, taken.verdict.value)
+                self._refuse(source_state, fix, taken.verdict.value)
                 return
             pose = taken.pose
             if taken.verdict is Verdict.REANCHORED:
-                watched.jumped_s, watched.jump_m = now_s, taken.jump_m
-                self._tell(
-                    watched, fix.robot, "the pose jumped to the fixes: the robot was carried", jump_m=taken.jump_m
+                source_state.jumped_s, source_state.jump_m = now_s, taken.jump_m
+                self._log(
+                    source_state, fix.robot, "the pose jumped to the fixes: the robot was carried", jump_m=taken.jump_m
                 )
-        watched.used_s, watched.refused = now_s, ""
+        source_state.used_s, source_state.refused = now_s, ""
         self._fleet.locate(row, pose, sigma_m, sigma_rad)
-        if watched.lost:
-            watched.lost = False
+        if source_state.lost:
+            source_state.lost = False
             log.info("fixes are used", robot=fix.robot, source=fix.source)
             self._on_change()
 
-    def _refuse(self, watched: Watched, fix: PoseFix, why: str) -> None:
-        watched.refused = why
-        self._tell(watched, fix.robot, f"a fix was refused: {why}", source=fix.source)
+    def _refuse(self, source_state: FixSource, fix: PoseFix, why: str) -> None:
+        source_state.refused = why
+        self._log(source_state, fix.robot, f"a fix was refused: {why}", source=fix.source)
 
-    def _tell(self, watched: Watched, robot: str, event: str, **more: object) -> None:
+    def _log(self, source_state: FixSource, robot: str, event: str, **more: object) -> None:
         """Log a line, the same one about the same robot once in a while: a source at the timeout comes and goes."""
         now_s = self._scheduler.now_s()
-        if now_s - watched.told_s.get(event, -math.inf) >= REPEAT_S:
-            watched.told_s[event] = now_s
+        if now_s - source_state.logged_s.get(event, -math.inf) >= REPEAT_S:
+            source_state.logged_s[event] = now_s
             log.warning(event, robot=robot, **more)
 
     def _touch(self, row: int, contacts: int) -> None:
@@ -192,55 +192,55 @@ class Fixes:
 
     # ------------------------------------------------------------------ what is missing
     def _watch(self) -> None:
-        """Notice sources that have gone silent, or that tell nothing of use."""
+        """Detect sources that have gone silent, or whose fixes are all refused."""
         now_s, timeout_s = self._scheduler.now_s(), self._config.fix_timeout_s
-        for row, watched in self._watched.items():
-            if now_s - watched.heard_s > timeout_s:
+        for row, source_state in self._source_states.items():
+            if now_s - source_state.accepted_s > timeout_s:
                 self._touch(row, 0)
-            if not watched.lost and now_s - watched.used_s > timeout_s:
-                watched.lost = True
+            if not source_state.lost and now_s - source_state.used_s > timeout_s:
+                source_state.lost = True
                 robot = self._fleet.ids[row]
-                self._tell(watched, robot, self._complaint(watched, now_s), source=watched.source)
+                self._log(source_state, robot, self._problem(source_state, now_s), source=source_state.source)
                 self._on_change()
 
-    def _complaint(self, watched: Watched, now_s: float) -> str:
-        silent = now_s - watched.came_s > self._config.fix_timeout_s
-        return LOST if silent else REFUSED.format(why=watched.refused)
+    def _problem(self, source_state: FixSource, now_s: float) -> str:
+        silent = now_s - source_state.arrived_s > self._config.fix_timeout_s
+        return LOST if silent else REFUSED.format(why=source_state.refused)
 
     # ------------------------------------------------------------------ for the health report
     def health(self, row: int, sensed: bool) -> PoseHealth:
         """Return where robot `row`'s pose comes from; `sensed`: its driver knows it."""
-        watched, known = self._watched.get(row), self._estimator.fuses or not sensed
-        if watched is None and not known:
+        source_state, known = self._source_states.get(row), self._estimator.fuses or not sensed
+        if source_state is None and not known:
             return SENSED  # at once: a lockstep swarm asks for a thousand robots
         sigma_m, sigma_rad = self._estimator.sigma(row) if known else (-1.0, -1.0)
         source = "driver" if sensed else "odometry"
-        if watched is None:
+        if source_state is None:
             return PoseHealth(source, sigma_m, sigma_rad, "")
         now_s = self._scheduler.now_s()
-        note = self._complaint(watched, now_s) if watched.lost else ""
-        if now_s - watched.jumped_s < TOLD_S:
-            note = note or f"it was carried: its pose jumped by {watched.jump_m:.2f} m to the fixes"
+        note = self._problem(source_state, now_s) if source_state.lost else ""
+        if now_s - source_state.jumped_s < REPORTED_S:
+            note = note or f"it was carried: its pose jumped by {source_state.jump_m:.2f} m to the fixes"
         if source == "driver":
             note = note.replace("; odometry alone", "")
-        elif not watched.lost:
+        elif not source_state.lost:
             source = "fixes"
         return PoseHealth(source, sigma_m, sigma_rad, note)
 
 
-def _judge(fix: PoseFix, watched: Watched, now_s: float, config: AgentConfig) -> tuple[float, str]:
+def _judge(fix: PoseFix, source_state: FixSource, now_s: float, config: AgentConfig) -> tuple[float, str]:
     """Return how late a fix is, and why it must not be used; empty when it may be."""
     numbers = fix.x_m + fix.y_m + fix.heading_rad + fix.position_sigma_m + fix.heading_sigma_rad + fix.stamp_s
     if not math.isfinite(numbers) or min(fix.position_sigma_m, fix.heading_sigma_rad) < 0.0:
         return 0.0, "not finite, or a negative sigma"
     if max(abs(fix.x_m), abs(fix.y_m)) > FAR_M or fix.position_sigma_m > VAGUE_M:
         return 0.0, "no place in the world"
-    silent = now_s - watched.heard_s > config.fix_timeout_s
-    if fix.source == watched.source and fix.stamp_s <= watched.stamp_s:
+    silent = now_s - source_state.accepted_s > config.fix_timeout_s
+    if fix.source == source_state.source and fix.stamp_s <= source_state.stamp_s:
         if not silent:
             return 0.0, "out of order"
-        watched.clocks.pop(fix.source, None)  # the same name after a silence, and an earlier time: a new clock
-    delay_s = watched.clock(fix.source).delay_s(fix.source, fix.stamp_s, now_s)
-    if fix.source != watched.source and not silent:
+        source_state.clocks.pop(fix.source, None)  # the same name after a silence, and an earlier time: a new clock
+    delay_s = source_state.clock(fix.source).delay_s(fix.source, fix.stamp_s, now_s)
+    if fix.source != source_state.source and not silent:
         return delay_s, "another source sees this robot too"
     return delay_s, "too late" if delay_s > config.fix_max_delay_s else ""

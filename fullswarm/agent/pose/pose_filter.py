@@ -359,7 +359,7 @@ class PoseFilter:
         estimate = self.estimate
         estimate.widen(-wrong[0], -wrong[1])
         shared = fix.at_s < self._stamp_s and estimate.sound
-        if not shared:  # newer than the reading, or older than what was last believed: errors of its own
+        if not shared:  # newer than the reading, or older than the last estimate: errors of its own
             estimate.widen(*wrong)
             seen.widen(*wrong)
         fits = self._fits(estimate, seen, self._slack.variances(fix.at_s))

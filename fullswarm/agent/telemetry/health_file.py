@@ -1,7 +1,7 @@
 """The agent's own verdict on itself, as a file: what a base, or a robot alone, judges a new release by.
 
 A release is good when the robot is READY or ACTIVE, its control loop keeps its rate, its driver answers, and something
-is heard, over any one link: the core or another robot. An e-stop is none of a release's business: it outlives them.
+the core or another robot is received over any link. A latched e-stop does not count: it outlives releases.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Vitals:
     control_rate_hz: float
     control_rate_wanted_hz: float
     core_heard_s: float
-    neighbours: int  # heard lately
+    neighbours: int  # received recently
     battery: float  # 0 to 1; -1: unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """Whose verdict it is. A reader knows a fresh one by `machine_s`, which no clock setting touches."""
+    """The process that wrote the verdict. `machine_s`, which no change of the clock affects, shows how old it is."""
 
     release: str  # id; empty: not run from a release
     pid: int
@@ -69,7 +69,7 @@ def why_not(vitals: Vitals, core_silence_s: float) -> tuple[str, ...]:
         slow, wanted = vitals.control_rate_hz, vitals.control_rate_wanted_hz
         why.append(f"its control loop runs at {slow:.1f} Hz instead of {wanted:g}")
     if not 0.0 <= vitals.core_heard_s <= core_silence_s and vitals.neighbours == 0:
-        why.append("it hears neither the core nor another robot")
+        why.append("it receives neither the core nor another robot")
     return tuple(why)
 
 
@@ -99,7 +99,7 @@ def vitals_of(
     reading_age_s, core_age_s, neighbour_age_s
         Ages of the driver's reading, of the core's heartbeat and of each neighbour's state (k,), s; infinite: none.
     patience_s
-        How old a reading of the driver and a word of a neighbour may be, s.
+        How old a reading of the driver and a state of a neighbour may be, s.
     """
     return Vitals(
         robot=report.robot,
@@ -143,7 +143,7 @@ def machine_s() -> float:
 
 
 def boot_id() -> str:
-    """Return what tells this boot of the machine from any other; empty where the kernel does not say."""
+    """Return the id of this boot of the machine; empty where the kernel has none."""
     try:
         return BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:

@@ -1,4 +1,4 @@
-"""Tells operators what the safety filter changes now, which way, and what it keeps clear of."""
+"""Publishes what the safety filter changes now, in which direction, and because of what."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fullswarm.agent.motion.robot_controller import RobotController, StopReason
-from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
+from fullswarm.agent.motion.robot_controller import StopReason
+from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.safety.barrier import Arena, box_gap
 from fullswarm.agent.safety.filter import EXPLAIN, LIMITED, SafetyFilter
@@ -92,7 +92,7 @@ def blame(
             sign = -1.0 if side < 2 else 1.0
             between = sign * (bounds_m[side] - (x if side % 2 == 0 else y)) - radius[i]
             worth = weight(-sign * (away_x if side % 2 == 0 else away_y), between)
-            if between < reach_m and 1.1 * worth > best:  # walls are obstacles too: that it is the edge says more
+            if between < reach_m and 1.1 * worth > best:  # walls are obstacles too; the edge is the better answer
                 best = worth
                 kind[k] = 3
                 which[k] = -1
@@ -104,20 +104,20 @@ class InterventionReporter:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, host: str, ids: Sequence[str], state: AgentState,
-        tasks: Tasks, safety: SafetyFilter, controller: RobotController, neighbours: Neighbours,
+        tasks: Tasks, safety: SafetyFilter, neighbour_names: Sequence[str],
     ) -> None:  # fmt: skip
         self._bus, self._scheduler, self._host, self._ids, self._state = bus, scheduler, host, ids, state
-        self._tasks, self._filter, self._controller, self._neighbours = tasks, safety, controller, neighbours
+        self._tasks, self._filter, self._neighbour_names = tasks, safety, neighbour_names
         self._key = keys.intervention(host)
-        self._told = False
+        self._published = False
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the filter changes now; called each `PERIOD_S`."""
         held = self._tasks.any_filtered and self._filter.deviation_m_s.max(initial=0.0) > LEAST_M_S
         rows = self._rows() if held else np.zeros(0, np.int64)
-        if not self._told and not len(rows):
+        if not self._published and not len(rows):
             return
-        self._told = len(rows) > 0
+        self._published = len(rows) > 0
         change = np.nan_to_num(self._filter.change_m_s[rows])
         message = Interventions(
             host=self._host,
@@ -130,8 +130,8 @@ class InterventionReporter:
         self._bus.publish(self._key, message)
 
     def _rows(self) -> Index:
-        """Return the robots that the filter holds; one that stands for another reason is not held by the filter."""
-        moving = self._controller.reason == StopReason.MOVING
+        """Return the robots that the filter slows down; one that is stopped for another reason is not among them."""
+        moving = self._state.stop_reason == StopReason.MOVING
         return np.flatnonzero(self._tasks.filtered & moving & (self._filter.deviation_m_s > LEAST_M_S))
 
     def _reasons(self, rows: Index) -> list[str]:
@@ -141,7 +141,7 @@ class InterventionReporter:
         used, state, count = self._filter, self._state, len(rows)
         blamed = Blamed(np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count))
         blame.run(rows, used.change_m_s, state.pose, state.radius, given.near, given.arena, used.reach_m, blamed)
-        verdicts, names = used.verdict[rows].tolist(), self._neighbours.names
+        verdicts, names = used.verdict[rows].tolist(), self._neighbour_names
         found = zip(verdicts, blamed.kind.tolist(), blamed.which.tolist(), blamed.gap.tolist(), strict=True)
         return [
             EXPLAIN[verdict] if verdict > LIMITED else _words(what, names[row] if row >= 0 else "", gap_m)

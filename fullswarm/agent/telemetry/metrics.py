@@ -1,7 +1,7 @@
 """Samples what robots measure of themselves, ten times a second, and puts it into a message (paper II.F.1).
 
-Arrival and distance to the goal, the gap to the nearest neighbour, standing still, stepping aside. Beside them the
-measurement carries what others have counted anyway: the filter's deviation, energy, deadlines and messages.
+Arrival and distance to the goal, the gap to the nearest neighbour, time without motion, sidesteps. The measurement also
+carries what other parts count: the filter's deviation, energy, deadlines and messages.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PERIOD_S = 0.1
 ARRIVE_M = 0.1
 """A robot so near its goal has arrived, when neither the request nor the file says another radius."""
 FRESH_S = 0.3
-"""A neighbour heard longer ago may be anywhere: it makes no gap."""
+"""A neighbour whose newest state is older counts for no gap: it may be anywhere."""
 
 # Columns of the goals and of the state, one row per robot.
 GOAL_X, GOAL_Y, REACH, ASKED, BUSY = range(5)
@@ -34,7 +34,14 @@ ARRIVED, DISTANCE, GAP, ASIDE, ANCHOR_X, ANCHOR_Y, MOVED = range(7)
 
 @kernel
 def sample(
-    now_s: float, dt_s: float, pose: Array, radius: Array, goals: Array, until_s: Array, near: Nearby, state: Array
+    now_s: float,
+    dt_s: float,
+    pose: Array,
+    radius: Array,
+    goals: Array,
+    sidestep_until_s: Array,
+    near: Nearby,
+    state: Array,
 ) -> None:
     """Take one sample, `dt_s` after the last one.
 
@@ -42,12 +49,12 @@ def sample(
     ----------
     pose, radius : (n, 3), (n,) of the own robots
     goals : (n, 5) goal, its radius, when it was asked for; whether a task is on
-    until_s : (n,) until when each sidesteps
+    sidestep_until_s : (n,) until when each sidesteps
     state : (n, 7) in and out
     """
     start, other, places, states, _, _, arrival_s = near
     for i in range(pose.shape[0]):
-        if until_s[i] > now_s:
+        if sidestep_until_s[i] > now_s:
             state[i, ASIDE] += dt_s
         x = float(pose[i, 0])
         y = float(pose[i, 1])
@@ -73,7 +80,7 @@ def sample(
 
 
 class MetricSampler:
-    """The gauges of the robots of one agent.
+    """Samples the metrics of the robots of one agent.
 
     Parameters
     ----------
@@ -85,10 +92,10 @@ class MetricSampler:
         self, ids: tuple[str, ...], arrive_radius_m: float | None, state: AgentState, tasks: Tasks, near: Near,
         deadlocks: Deadlocks,
     ) -> None:  # fmt: skip
-        self._ids, self._arrive_radius_m, self._motion, self._all_tasks = ids, arrive_radius_m, state, tasks
+        self._ids, self._arrive_radius_m, self._robots, self._all_tasks = ids, arrive_radius_m, state, tasks
         self._near, self._deadlocks = near, deadlocks
         count = len(ids)
-        self._looked_s = math.inf
+        self._sampled_s = math.inf
         self._tasks: list[Task | None] = [None] * count
         self._of: list[str] = [""] * count  # the request that gave the goal
         self._goals = np.full((count, 5), math.nan)
@@ -97,15 +104,15 @@ class MetricSampler:
         self._state[:, [ARRIVED, DISTANCE, ANCHOR_X, ANCHOR_Y, MOVED]] = math.nan
         self._state[:, GAP] = math.inf
 
-    def look(self, now_s: float) -> None:
-        """Take in how things are now: every `PERIOD_S`, and before they are told."""
-        dt_s = min(max(now_s - self._looked_s, 0.0), PERIOD_S)
-        self._looked_s = now_s
+    def sample(self, now_s: float) -> None:
+        """Take a sample: every `PERIOD_S`, and before a message."""
+        dt_s = min(max(now_s - self._sampled_s, 0.0), PERIOD_S)
+        self._sampled_s = now_s
         if self._tasks != self._all_tasks.of:
             self._follow()
-        robots = self._motion
-        until_s, near = self._deadlocks.until_s, self._near(now_s)
-        sample.run(now_s, dt_s, robots.pose, robots.radius, self._goals, until_s, near, self._state)
+        robots = self._robots
+        sidestep_until_s, near = self._deadlocks.sidestep_until_s, self._near(now_s)
+        sample.run(now_s, dt_s, robots.pose, robots.radius, self._goals, sidestep_until_s, near, self._state)
 
     def message(
         self,
@@ -115,13 +122,13 @@ class MetricSampler:
         traffic: CountingBus,
         counted: Mapping[str, Array],
     ) -> RobotMeasurement:
-        """Return the measurement; what its columns mean stands in ``perf/metrics.py``.
+        """Return the measurement; ``perf/metrics.py`` defines its columns.
 
         `counted` are the columns of others, (n,) each: the calculators' and the filter's.
         """
         state = self._state
-        x, y, heading = self._motion.pose.T.tolist()
-        arrived, goal, gap, aside = state[:, :ANCHOR_X].T.tolist()
+        x, y, heading = self._robots.pose.T.tolist()
+        arrived, goal, gap, sidestepping = state[:, :ANCHOR_X].T.tolist()
         still_s = np.where(self._goals[:, BUSY] > 0.0, now_s - state[:, MOVED], math.nan)
         columns = {
             "x_m": x,
@@ -131,8 +138,8 @@ class MetricSampler:
             "arrived_s": arrived,
             "still_s": still_s.tolist(),
             "gap_m": gap,
-            "deadlock_count": self._deadlocks.draws.tolist(),
-            "sidestep_s": aside,
+            "deadlock_count": self._deadlocks.deadlock_count.tolist(),
+            "sidestep_s": sidestepping,
             **{name: column.tolist() for name, column in counted.items()},
         }
         totals = {

@@ -1,16 +1,14 @@
-"""What an agent tells the others about its robots: states and health."""
+"""Makes the messages of an agent about its robots: states and health."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 
-from fullswarm.agent.motion.desired import DesiredMotion
-from fullswarm.agent.motion.reflexes import DriverWatch, Standstill
-from fullswarm.agent.motion.robot_controller import CODES, RobotController, StopReason, explain_hazards
-from fullswarm.agent.orders.inbox import Inbox
+from fullswarm.agent.motion.robot_controller import CODES, StopReason, explain_hazards
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
@@ -23,6 +21,8 @@ from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotS
 from fullswarm.perf.calculators import Calculators
 from fullswarm.reasons import NONE, Reason, reason
 from fullswarm.runtime import LoopStats
+
+T = TypeVar("T")
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
@@ -43,93 +43,55 @@ def moved_on(pose: Array, twist: Array, stamp_s: Array, now_s: float, there: Arr
 
 
 class Reports:
-    """Makes the messages of one agent: states of its robots for the neighbours, health for the core and operators."""
+    """Makes the messages of one agent: states of its robots for the neighbours, health for the core and operators.
+
+    Parameters
+    ----------
+    law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    """
 
     def __init__(
-        self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, controller: RobotController,
-        drivers: DriverWatch, safety: SafetyFilter, calculators: Calculators, standstill: Standstill, fixes: Fixes,
-        conflicts: PoseConflicts, wishes: DesiredMotion, inbox: Inbox,
+        self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
+        calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
+        ended: Sequence[Reason],
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
-        self._controller, self._drivers, self._filter = controller, drivers, safety
-        self._calculators, self._standstill, self._fixes = calculators, standstill, fixes
-        self._conflicts, self._desired_motion, self._inbox = conflicts, wishes, inbox
+        self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
+        self._law_error, self._ended = law_error, ended
 
     def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
-        pose, twist = self._state.pose, self._state.twist
-        if len(pose) > 1 and self._state.reading is not None:
-            there = np.empty_like(pose)
-            moved_on.run(pose, twist, self._state.reading.stamp_s, now_s, there)
-            pose = there
-        if len(pose) == 1:
-            yield from self._state_of_one(keys, cell_m, sequence, now_s)
+        state, ids, host = self._state, self._fleet.ids, self._identity.host
+        if state.reading is None:
             return
+        there = np.empty_like(state.pose)
+        moved_on.run(state.pose, state.twist, state.reading.stamp_s, now_s, there)
+        x_m, y_m, heading_rad = there.T.tolist()
+        known = [row for row, ready in enumerate(state.driver_ready.tolist()) if ready and not math.isnan(x_m[row])]
         cells: dict[str, list[int]] = {}
-        if cell_m <= 0.0 and np.logical_and.reduce(self._drivers.ready) and math.isfinite(np.add.reduce(pose[:, 0])):
-            known = np.arange(len(pose))
-        else:
-            known = np.flatnonzero(~np.isnan(pose[:, 0]) & self._drivers.ready)
-        if cell_m <= 0.0 and len(known):
-            cells[cell_of(0.0, 0.0, cell_m)] = known.tolist()
+        if cell_m <= 0.0 and known:
+            cells[cell_of(0.0, 0.0, cell_m)] = known
         elif cell_m > 0.0:
-            for row in known.tolist():
-                cells.setdefault(cell_of(pose[row, 0], pose[row, 1], cell_m), []).append(row)
-        ids, host = self._fleet.ids, self._identity.host
+            for row in known:
+                cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
+        speed_m_s, turn_rad_s = state.twist.T.tolist()
+        radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
         for cell, rows in cells.items():
-            everyone = len(rows) == len(ids)
-            x, y, heading = (pose if everyone else pose[rows]).T.tolist()
-            speed, turn = (twist if everyone else twist[rows]).T.tolist()
-            yield (
-                keys.state(cell, host),
-                RobotStates(
-                    host=host,
-                    sequence=sequence,
-                    stamp_s=now_s,
-                    robots=ids if everyone else tuple(ids[row] for row in rows),
-                    x_m=tuple(x),
-                    y_m=tuple(y),
-                    heading_rad=tuple(heading),
-                    speed_m_s=tuple(speed),
-                    turn_rad_s=tuple(turn),
-                    radius_m=tuple((self._state.radius if everyone else self._state.radius[rows]).tolist()),
-                    teams=tuple((self._tasks.team if everyone else self._tasks.team[rows]).tolist()),
-                    own_frame=self._conflicts.own_frame,
-                ),
-            )
-
-    def _state_of_one(
-        self, keys: Keys, cell_m: float, sequence: int, now_s: float
-    ) -> Iterator[tuple[str, RobotStates]]:
-        """Do the same on board, without array operations: twenty times a second that is what publishing costs."""
-        x_m, y_m, heading_rad = self._state.pose[0].tolist()
-        if math.isnan(x_m) or not self._drivers.ready[0]:
-            return
-        speed_m_s, turn_rad_s = self._state.twist[0].tolist()
-        if self._state.reading is not None:
-            age_s = min(max(now_s - float(self._state.reading.stamp_s[0]), 0.0), LONGEST_S)
-            middle = heading_rad + 0.5 * age_s * turn_rad_s
-            x_m += speed_m_s * age_s * math.cos(middle)
-            y_m += speed_m_s * age_s * math.sin(middle)
-            heading_rad += turn_rad_s * age_s
-        host = self._identity.host
-        yield (
-            keys.state(cell_of(x_m, y_m, cell_m), host),
-            RobotStates(
+            message = RobotStates(
                 host=host,
                 sequence=sequence,
                 stamp_s=now_s,
-                robots=self._fleet.ids,
-                x_m=(x_m,),
-                y_m=(y_m,),
-                heading_rad=(heading_rad,),
-                speed_m_s=(speed_m_s,),
-                turn_rad_s=(turn_rad_s,),
-                radius_m=(float(self._state.radius[0]),),
-                teams=(int(self._tasks.team[0]),),
+                robots=_pick(ids, rows),
+                x_m=_pick(x_m, rows),
+                y_m=_pick(y_m, rows),
+                heading_rad=_pick(heading_rad, rows),
+                speed_m_s=_pick(speed_m_s, rows),
+                turn_rad_s=_pick(turn_rad_s, rows),
+                radius_m=_pick(radius_m, rows),
+                teams=_pick(teams, rows),
                 own_frame=self._conflicts.own_frame,
-            ),
-        )
+            )
+            yield keys.state(cell, host), message
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
         """Return the health of all robots of this agent."""
@@ -147,13 +109,13 @@ class Reports:
 
     def _why(self, row: int, number: int) -> Reason:
         if number == StopReason.LAW:
-            return self._desired_motion.law_error[row]
+            return self._law_error[row]
         if number == StopReason.HAZARD and self._state.reading is not None:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
         if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
-            return self._inbox.ended[row] if number == StopReason.IDLE else NONE
+            return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
 
     def _robots(self) -> Iterator[RobotHealth]:
@@ -164,10 +126,10 @@ class Reports:
         contacts = self._fixes.touches().tolist()
         stated = reading.position_sigma_m.tolist() if reading else [math.nan] * count
         sensed = np.isfinite(reading.pose[:, 0]).tolist() if reading else [False] * count
-        reasons, estops = self._controller.reason.tolist(), self._controller.estop.tolist()
+        reasons, estops = self._state.stop_reason.tolist(), self._state.estop.tolist()
         collisions = self._calculators.collisions.tolist()
         deviation_m_s, deviation_m, filter_note = self._filter.report(self._tasks.filtered)
-        standing = self._standstill.standing.tolist()
+        standing = self._state.at_standstill.tolist()
         for row, robot in enumerate(fleet.ids):
             task, description = self._tasks.of[row], fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
@@ -203,3 +165,7 @@ class Reports:
                 deviation_m=deviation_m[row],
                 filter_note=filter_note[row],
             )
+
+
+def _pick(column: Sequence[T], rows: list[int]) -> tuple[T, ...]:
+    return tuple(column) if len(rows) == len(column) else tuple(column[row] for row in rows)
