@@ -434,7 +434,7 @@ class LinkedDriver(Generic[C]):
         self._stop_for_good(session)
 
     def _serve(self, session: LinkSession[C], port: Port[C]) -> None:
-        """Talk until closing, or until the port is lost."""
+        """Serve the port until closing, or until it is lost."""
         self._descriptor, self._polls_room = port.fileno(), False
         self._poll = select.poll()
         self._poll.register(self._wake_r, select.POLLIN)
