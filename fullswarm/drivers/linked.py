@@ -267,7 +267,9 @@ class LinkedDriver(Generic[C]):
         self._port: Port[C] | None = None
         self._poll = select.poll()
         self._outbox: deque[C] = deque()
-        self._moved_s = 0.0  # when the outbox last shrank or was empty
+        self._moved_s = 0.0  # when the outbox last shrank, or began
+        self._descriptor: int | None = None
+        self._polls_room = False
         self._guardian: Guardian | None = None
         self._left: tuple[StopPlan[C] | None, tuple[str, int] | None] = None, None  # with the guardian
 
@@ -432,17 +434,16 @@ class LinkedDriver(Generic[C]):
         self._stop_for_good(session)
 
     def _serve(self, session: LinkSession[C], port: Port[C]) -> None:
-        """Talk until closing, or until the port is lost."""
-        wake_r, descriptor = self._wake_r, port.fileno()
+        """Serve the port until closing, or until it is lost."""
+        self._descriptor, self._polls_room = port.fileno(), False
         self._poll = select.poll()
-        self._poll.register(wake_r, select.POLLIN)
-        if descriptor is not None:
-            self._poll.register(descriptor, select.POLLIN)
+        self._poll.register(self._wake_r, select.POLLIN)
+        if self._descriptor is not None:
+            self._poll.register(self._descriptor, select.POLLIN)
         try:
             if not self._await(session, port):
                 return
             self._watch(port)
-            self._moved_s = self._clock.now_s()
             with self._lock:
                 session.linked(self._clock.now_s())
             while not self._closing.is_set():
@@ -454,7 +455,7 @@ class LinkedDriver(Generic[C]):
         """Wait until the port can be used; return False when it is time to leave."""
         began_s, reported = self._clock.now_s(), False
         while port.waits_for and not self._closing.is_set():
-            if self._wait(port, TICK_S):
+            if self._wait(TICK_S):
                 port.read()
             port.beat()
             if not reported and self._clock.now_s() - began_s > STARTING_S:
@@ -463,13 +464,14 @@ class LinkedDriver(Generic[C]):
                     session.lost(port.waits_for, self._clock.now_s())
         return not self._closing.is_set()
 
-    def _wait(self, port: Port[C], timeout_s: float) -> bool:
+    def _wait(self, timeout_s: float) -> bool:
         """Wait for bytes, room for bytes, a wake or `timeout_s`; return whether to read."""
-        descriptor = port.fileno()
+        descriptor = self._descriptor
         if descriptor is None:
             timeout_s = min(timeout_s, BLIND_WAIT_S)
-        else:
-            self._poll.modify(descriptor, select.POLLIN | (select.POLLOUT if self._outbox else 0))
+        elif self._polls_room != bool(self._outbox):
+            self._polls_room = not self._polls_room
+            self._poll.modify(descriptor, select.POLLIN | (select.POLLOUT if self._polls_room else 0))
         events = self._poll.poll(max(0.0, timeout_s) * 1000.0)
         readable = descriptor is None
         for ready, event in events:
@@ -483,7 +485,7 @@ class LinkedDriver(Generic[C]):
         """Wait for an event, take what has arrived, send what is due."""
         now_s = self._clock.now_s()
         due_s = min(session.next_due_s(now_s), self._gate.due_s(now_s), now_s + LONGEST_WAIT_S)
-        chunks = port.read() if self._wait(port, due_s - now_s) else ()
+        chunks = port.read() if self._wait(due_s - now_s) else ()
         port.beat()
         # Between reading and parsing, wherever this process was paused: the guardian reports its stop before it
         # sends it, so what the robot shows of it is not taken for a person's doing.
@@ -500,12 +502,19 @@ class LinkedDriver(Generic[C]):
         if session.description is not None:
             self.description = session.description
         self._leave(plan, port)  # before the first set-point leaves
-        for chunk in sent:
+        if sent:
+            self._queue(sent, now_s)
+        if self._outbox:
+            self._flush(port)
+            if self._outbox and self._clock.now_s() - self._moved_s > STUCK_S:
+                raise OSError(errno.ETIMEDOUT, "it takes no bytes")
+
+    def _queue(self, chunks: list[C], now_s: float) -> None:
+        for chunk in chunks:
             self._note(">", chunk)
-        self._outbox += sent
-        self._flush(port)
-        if self._outbox and self._clock.now_s() - self._moved_s > STUCK_S:
-            raise OSError(errno.ETIMEDOUT, "it takes no bytes")
+        if not self._outbox:
+            self._moved_s = now_s
+        self._outbox += chunks
 
     def _flush(self, port: Port[C]) -> None:
         """Send what goes without waiting."""
@@ -519,7 +528,6 @@ class LinkedDriver(Generic[C]):
                 outbox.popleft()
             else:
                 outbox[0] = rest
-        self._moved_s = self._clock.now_s()
 
     def _note(self, direction: str, chunk: C) -> None:
         if self._log is not None:
@@ -600,9 +608,7 @@ class LinkedDriver(Generic[C]):
             with suppress(Exception):  # session or port may be what has failed
                 with self._lock:
                     final = list(session.final_stop())
-                for chunk in final:
-                    self._note(">", chunk)
-                self._outbox += final
+                self._queue(final, self._clock.now_s())
                 self._drain(port)
         self._let_go()
         with self._lock:

@@ -42,7 +42,7 @@ class CreateDriver(LinkedDriver[bytes]):
     ) -> None:
         settings, clock = parse_url(url), clock or MonotonicClock()
         self._settings, self._brc = settings, brc
-        self._talk = Session(settings, brc=brc)
+        self._own_session = Session(settings, brc=brc)
         attempts = Attempts(clock)
 
         def port() -> Port[bytes]:
@@ -58,23 +58,23 @@ class CreateDriver(LinkedDriver[bytes]):
 
     def _begin(self, now_s: float) -> Session:
         del now_s
-        self._talk = Session(self._settings, brc=self._brc)
-        return self._talk
+        self._own_session = Session(self._settings, brc=self._brc)
+        return self._own_session
 
     @property
     def blocked(self) -> str:
         """Why the robot left ACTIVE by itself, or why activate() had no effect; stays until it is ACTIVE again."""
-        return self._talk.blocked
+        return self._own_session.blocked
 
     @property
     def power(self) -> Power | None:
         """The battery and what charges it; None before the first reading."""
-        return self._talk.power
+        return self._own_session.power
 
     @property
     def docking(self) -> bool:
         """The robot looks for its dock by itself."""
-        return self._talk.docking
+        return self._own_session.docking
 
     # ------------------------------------------------------------ what only a Create can
     def dock(self) -> None:
@@ -89,7 +89,7 @@ class CreateDriver(LinkedDriver[bytes]):
             Not ACTIVE.
         """
         self.command(STAND)  # what follows needs a command within 0.3 s, as any motion does
-        self.do(self._talk.dock)
+        self.do(self._own_session.dock)
 
     def sing(self, notes: Sequence[tuple[int, float]]) -> float:
         """Play up to 16 notes (MIDI 31 to 127, or 0 for a rest; seconds up to 3.98); return how long it takes in s.
@@ -124,4 +124,4 @@ class CreateDriver(LinkedDriver[bytes]):
         self._send(protocol.digit_leds(text.upper().ljust(4)), "show a text")
 
     def _send(self, data: bytes, what: str) -> None:
-        self.do(lambda _: self._talk.send(data, what))
+        self.do(lambda _: self._own_session.send(data, what))

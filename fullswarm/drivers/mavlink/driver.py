@@ -35,12 +35,14 @@ class MavlinkDriver(LinkedDriver[bytes]):
     def __init__(self, url: str, clock: Clock | None = None) -> None:
         address, options = parse_url(url)
         self._settings = read_settings(url, str(address), options)
-        self._talk: Session | None = None
+        self._own_session: Session | None = None
         super().__init__(
             url,
             self._settings.description,  # of an ArduPilot, until a heartbeat reports PX4
             session=self._begin,
-            port=lambda: address.open(lambda datagram: self._talk is not None and self._talk.accepts(datagram)),
+            port=lambda: address.open(
+                lambda datagram: self._own_session is not None and self._own_session.accepts(datagram)
+            ),
             guardian=self._settings.guardian,
             clock=clock,
         )
@@ -48,19 +50,19 @@ class MavlinkDriver(LinkedDriver[bytes]):
     def _begin(self, now_s: float) -> Session:
         dialect()
         settings = self._settings
-        self._talk = Session(settings.options, now_s, settings.signing(), partial(describe, settings))
-        return self._talk
+        self._own_session = Session(settings.options, now_s, settings.signing(), partial(describe, settings))
+        return self._own_session
 
     @property
     def why(self) -> str:
         """What the driver waits for while it is OPEN; empty otherwise."""
-        return self._talk.why if self._talk is not None and self.state is Lifecycle.OPEN else ""
+        return self._own_session.why if self._own_session is not None and self.state is Lifecycle.OPEN else ""
 
     @property
     def texts(self) -> list[str]:
         """The vehicle's warnings of the last half minute, and what is odd about its settings."""
-        talk = self._talk
-        return [] if talk is None else self.do(talk.texts)
+        session = self._own_session
+        return [] if session is None else self.do(session.texts)
 
     def locate(self, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Hand a pose measured from outside, ENU, with its standard deviations, to the vehicle's position filter.
@@ -68,6 +70,6 @@ class MavlinkDriver(LinkedDriver[bytes]):
         Without ``pose=external`` in the URL, while closed, or with a pose that is not finite, it does nothing.
         A heading with a deviation above 1 rad counts as not seen.
         """
-        talk = self._talk
-        if talk is not None and self._settings.options.external:
-            self.do(lambda now_s: talk.locate(pose, position_sigma_m, heading_sigma_rad, now_s))
+        session = self._own_session
+        if session is not None and self._settings.options.external:
+            self.do(lambda now_s: session.locate(pose, position_sigma_m, heading_sigma_rad, now_s))
