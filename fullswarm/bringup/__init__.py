@@ -11,7 +11,7 @@ file                        what it does
 ``preflight.py``            `doctor --robot`: one robot before it drives: on the bus, and by its e-stop
 ``preflight_ssh.py``        the same over SSH: its computer's card, power, heat, clock, port, software, units
 ``checks.py``               one line of a check-up, and how all of them are shown
-``emulate.py``              `emulate`: one emulated robot on a real port, with faults that are typed
+``emulate.py``              `emulate`: one emulated robot on a real port, with faults on request
 ``info.py``                 `info`: what a bug report needs
 ``init.py``                 `init`: a lab's folder, made of ``lab/``
 =========================== ==================================================================

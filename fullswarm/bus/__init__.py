@@ -8,7 +8,7 @@ ones from their modules: this package does not load zenoh.
 Files:
 
 ``base.py``            the interface of a bus, wrappers that name the sender or count, matching of key expressions
-``codec.py``           messages as bytes: MessagePack, with errors that say what does not fit
+``codec.py``           messages as bytes: MessagePack, with errors that name what does not match
 ``endpoint.py``        where the hub listens: the default address, its syntax, and which computers reach it
 ``hub.py``             the hub: a zenoh router in a process of its own; agents, core and operators are its clients
 ``local.py``           the bus within one process: every message is delivered once, in the order of publishing

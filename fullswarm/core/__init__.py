@@ -11,10 +11,10 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all,
 ``request_order.py``   which request or stop of an operator is the newest for each robot
 ``request_handler.py`` brings every robot to its desired state, whatever message is lost or process restarted
 ``desired.py``         one robot: its order, what it confirmed, the control request in flight
-``request_status.py``  one request: its status, worked out from the states of its robots and published
-``remap.py``           the core's end of the centralised behaviours
+``request_status.py``  one request: its status, derived from the states of its robots and published
+``remap.py``           keeps the node of the centralised behaviours in step with the robots' desired states
 ``roster.py``          which robots are present
-``latches.py``         which robots are in e-stop: the second memory beside the agents' own
+``latches.py``         which robots are in e-stop, in addition to the latches on board
 ``settings.py``        the core's settings in its local database, and the server that shows and changes them
 ``node.py``            wires all of it
 ``centralised/``       the centralised behaviours' own process

@@ -11,17 +11,17 @@ Further files:
 ``can/``                 A differential base with one motor controller per wheel on a CAN bus: ODrive (CANSimple) or
                          VESC
 ``create_oi/``           The iRobot Create over serial (Open Interface)
-``fleet.py``             One driver seen as a fleet of one, so that the agent has a single code path over arrays
-``fleet_file.py``        Loads a fleet file and checks what only the drivers know: schemes of URLs, shared ports, frames
-                         of positions
+``fleet.py``             One driver as a fleet of one, so that the agent has a single code path over arrays
+``fleet_file.py``        Loads a fleet file and checks what depends on drivers: schemes of URLs, shared ports, frames of
+                         positions
 ``guardian.py``          Starts guardian processes, which stop a robot whose driver has stalled or died (decision 14)
-``guardian_process.py``  The guardian's own process: stops the robot of a driver that is silent or has died
-``make.py``              The record of a make, and where all records are found
+``guardian_process.py``  The guardian's own process: stops the robot of a driver that hangs or has ended
+``make.py``              The record of a make, and the lookup of all records
 ``mavlink/``             MAVLink ground rovers: ArduPilot Rover (GUIDED) and PX4 (OFFBOARD)
-``null/``                The null make: ``null://<id>``, a robot that is nowhere
-``probe/``               What robot is on a port, asked without moving it: for `fullswarm robots find` and `fullswarm
+``null/``                The null make: ``null://<id>``, a robot without hardware
+``probe/``               Identifies the robot on a port without moving it: for `fullswarm robots find` and `fullswarm
                          doctor`
 ``sim/``                 The simulated make
-``linked.py``            Runs the conversation with one robot for every make: thread, port, rules of the contract
+``linked.py``            Runs the session with one robot for every make: thread, port, rules of the contract
 ``ports.py``             Opens serial devices, TCP and UDP, and reports what to do where that fails
 """

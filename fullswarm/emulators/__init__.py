@@ -1,6 +1,6 @@
-"""Emulated robots: the other end of the wire of each make, on real ports, over a body of the simulated world.
+"""Emulated robots of each make: firmware on real ports, which moves a body of the simulated world.
 
-No driver imports them and no robot gets them: they belong to the computer that runs a world or `fullswarm emulate`.
+No driver imports them and no release contains them: they run where a world or `fullswarm emulate` runs.
 A make's record (:mod:`fullswarm.drivers.make`) names the functions of its folder here.
 
 - ``base.py``: the shell of all emulated robots: thread, links with injected faults, plugging; what a firmware must do

@@ -4,7 +4,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 
 ``nodes.py``        builds the nodes of each layer, the same for live processes and lockstep
 ``processes.py``    one function per process: hub, core, centralised behaviours, agent, world
-``on_board.py``     what an agent on a robot's computer reports to systemd and to the health file
+``on_board.py``     reports of an agent on a robot's computer to systemd and to the health file
 ``world.py``        the node of the simulated world
 ``lockstep.py``     all nodes in one process on a simulated clock
 ``supervisor.py``   starts the processes of a fleet file, watches them, restarts them, ends them

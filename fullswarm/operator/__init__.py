@@ -1,4 +1,4 @@
-"""Operator layer: requests behaviours of a swarm (paper II.B) and shows how it does. A library: ``cli/`` prints.
+"""Operator layer: requests behaviours of a swarm (paper II.B) and shows its state. A library: ``cli/`` prints.
 
 Out: BehaviourRequest, StopRequest, EStop, LeaseRequest, ParamRequest. In: RequestStatus, EStopReceipt, HealthReport,
 RobotStates, Summary, Heartbeat, Leases, ParamReply. The package imports nothing by itself, so that ``fullswarm --help``
@@ -11,7 +11,7 @@ appears at once.
 ``teleop.py``       drives by hand: a stream of short-lived intents, and zero at its end
 ``params.py``       reads and writes a layer's local database (paper II.A)
 ``view.py``         collects what a swarm publishes: the newest of everything, with its age
-``robot_state.py``  states in a few words what a robot does, and what to do about it
+``robot_state.py``  describes in a few words what a robot does, and the remedy
 ``render.py``       draws the swarm as a table for a terminal
 ``console/``        the web console (extra ``[console]``)
 ``joystick/``       driving with a gamepad (extra ``[joystick]``)

@@ -1,4 +1,4 @@
-"""How well the swarm did (paper II.F). In: poses and contacts of the robots. Out: numbers, files.
+"""Performance of the swarm (paper II.F). In: poses and contacts of the robots. Out: numbers, files.
 
 A new metric is a column and a quantity in ``metrics.py``, and the calculator that fills the column.
 
@@ -12,7 +12,7 @@ file                    what it holds                                           
 ``shape.py``            order, spacing, diameter, Lloyd's cost of the swarm         core
 ``summarizers.py``      measurements of all hosts → a Summary per metric            core
 ``termination.py``      the termination conditions: when a trial is over            core
-``truth.py``            what the true bodies did, measured and published            base station
+``truth.py``            true motion of the bodies, measured and published           base station
 ``performance_node.py`` newest summaries → ``performance.json``, tables             core, operator
 ======================  ==========================================================  =============
 

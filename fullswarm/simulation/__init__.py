@@ -1,10 +1,10 @@
 """The simulated world: bodies, physics, contacts, sensors. In: twists of many bodies. Out: their poses and readings.
 
-It belongs to the computer that runs a world or lockstep trials: no driver imports it and no release brings it on
-board. A robot that drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its make).
+It runs where a world or lockstep trials run: no driver imports it and no release contains it. A robot that
+drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its make).
 
-``world.py``            The simulated world: an engine, and what every robot has whatever the physics
-``engine.py``           What a physics engine must do, and the choice of one by name; an engine is one file:
+``world.py``            The simulated world: an engine, and what every robot has with any engine
+``engine.py``           The interface of a physics engine, and the choice of one by name; an engine is one file:
 ``kinematic.py``        Unicycles on exact arcs, no masses
 ``pybullet_engine.py``  PyBullet, velocity-driven cylinders: the default
 ``pybullet_wheels.py``  PyBullet, wheel-driven bodies on a floor with friction
@@ -12,9 +12,9 @@ board. A robot that drives in it has the driver of ``drivers/sim/`` (or, emulate
 ``obstacles.py``        Boxes and walls as rows of numbers, and the distance of a point to one
 ``starts.py``           Start poses: a spaced grid for robots without one, and a check of all
 
-Three ways lead into a world:
+Three interfaces of a world:
 
 ``fleet.py``            Presents all robots of a world in this process as a fleet (lockstep)
 ``server.py``           Serves a world over UDP to one ``sim://`` driver per robot
-``bodies.py``           What emulated firmware drives: one body of a world, or one alone on an endless floor
+``bodies.py``           The body that emulated firmware drives: one of a world, or one alone on an endless floor
 """

@@ -1,10 +1,10 @@
-"""Checks and stand-ins for the tests of behaviours, drivers and nodes, here and in outside packages; without pytest.
+"""Checks and test doubles for the tests of behaviours, drivers and nodes, here and in outside packages; without pytest.
 
-``check_behaviour(module, parameters)`` and ``check_driver(make)`` return when all is well and otherwise raise
+``check_behaviour(module, parameters)`` and ``check_driver(make)`` return when all checks pass and otherwise raise
 ``AssertionError`` with a sentence that states the problem and the remedy. Given a :class:`Rig` in place of `make`,
-the check of a driver also breaks its link; its :class:`Report` lists what was checked and what was not.
-``serial_wire`` and ``udp_wire`` are cables to break. ``LoopbackBus``, ``FakeClock`` and ``simulated_runtime`` run a
-node by itself, in no time::
+the check of a driver also interrupts its link; its :class:`Report` lists what was checked and what was not.
+``serial_wire`` and ``udp_wire`` are cables that can be interrupted. ``LoopbackBus``, ``FakeClock`` and
+``simulated_runtime`` run one node on a simulated clock::
 
     bus = LoopbackBus()
     runtime = simulated_runtime(bus.mailbox)
@@ -16,11 +16,11 @@ Files:
 
 ``behaviour.py``  the check that every behaviour on board must pass: a pure function of each robot's own view
 ``driver.py``     the check that every driver must pass: its lifecycle, the claims of its description, its faults
-``trial.py``      a driver under check: the rig that may break it, the report, and the one place that waits
-``faults.py``     breaks the link and lets time jump
+``trial.py``      a driver under check: the rig that injects faults, the report, and the one place that waits
+``faults.py``     interrupts the link and lets the clock jump
 ``process.py``    pauses and kills a driver's process while it drives
 ``drives_on.py``  the process that is paused and killed; run as ``python -m fullswarm.testing.drives_on``
-``wire.py``       a cable to break: a relay between a driver and its device
+``wire.py``       a cable that can be interrupted: a relay between a driver and its device
 ``node.py``       a bus and a clock for the test of one node
 ``pad.py``        a virtual gamepad
 """

@@ -5,8 +5,8 @@ where body motion is meant, ``twist(view, params) -> (n, 2)`` speed (m/s) and tu
 keeps no state and reads no clock. ``params.name`` is a column (n, 1) for numbers and (n, 2) for points, one row per
 robot. ``core/behaviours.toml`` defines the parameters; ``_bc`` is a field of that record, not a control law.
 
-The paper prints the update as ``v_{k+1} = v_k + dv``. Taken to the letter that integrates the error and orbits the
-goal; the laws here take ``dv`` as the desired velocity itself, which is what the differential equations beside it say.
+The paper prints the update as ``v_{k+1} = v_k + dv``. Taken literally, that integrates the error and orbits the goal;
+the control laws here take ``dv`` as the desired velocity itself, as in the differential equations next to it.
 
 Files:
 
@@ -15,10 +15,10 @@ Files:
                          Reynolds' boids)
 ``formation.py``         Formation: each robot has its own target (paper III.A.4), ``ṗ_i = -K (p_i - E_i)``
 ``move.py``              Teleoperated moves (paper II.B): ``move_left`` and so on, with a magnitude from the stick
-``move_to_goal.py``      Move to goal: a proportional law (paper III.A.1)
-``navigate.py``          Navigate: to a goal around the obstacles that are known, where a proportional law is caught
+``move_to_goal.py``      Move to goal: a proportional control law (paper III.A.1)
+``navigate.py``          Navigate: to a goal around the known obstacles, at which a proportional control law gets stuck
                          (paper IV.A, scenario 4)
 ``rendezvous.py``        Rendezvous: meet at a common point (paper III.A.3)
-``stop.py``              Stand still
+``stop.py``              Stop: zero velocity
 ``voronoi_coverage.py``  Voronoi static coverage: Lloyd's law on exact bounded cells (paper III.A.5)
 """

@@ -2,5 +2,5 @@
 
 ``desired.py``           Evaluates the control laws and has the safety filter map their velocities to twists
 ``robot_controller.py``  Decides whether each robot may move, and holds speed and turn rate within their limits
-``reflexes.py``          What bars motion without a message: battery, pose, geofence, clock, driver; standstill
+``reflexes.py``          What stops a robot without a message: battery, pose, geofence, clock, driver; standstill
 """

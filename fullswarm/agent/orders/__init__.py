@@ -1,4 +1,4 @@
-"""What arrives at an agent, and what its robots are to do.
+"""Incoming messages of an agent, and the tasks of its robots.
 
 ``inbox.py``   Receives requests, commands, stops and heartbeats and answers them; which core is obeyed
 ``tasks.py``   The task of each robot, checked against its behaviour's record and grouped by control law

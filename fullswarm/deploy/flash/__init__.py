@@ -1,7 +1,7 @@
-"""Writes cards: an image, a first boot that needs no network but the lab's, and a report when it fails.
+"""Writes cards: an image, an unattended first boot in the lab's network, and a report when it fails.
 
 ``run.py``         `fullswarm flash`: checks everything, asks, writes, reads back, pins host keys, waits
-``plan.py``        what was asked for, the confirmation, and all that is decided before a byte is written
+``plan.py``        the options, the confirmation, and all decisions before a byte is written
 ``card.py``        which devices may be written
 ``image.py``       reads images: decompression, checksums
 ``fat.py``         partition tables and FAT file systems; edits the boot partition with mtools, checked by fsck.vfat

@@ -8,7 +8,7 @@
 ``login.py``         pinned host keys, fleet key, jump hosts, and the questions that a person answers
 ``remote.py``        one robot's computer over asyncssh: commands with time limits, untrusted answers
 
-In: a fleet file, a release and keys. Out: robots that run it, and a table that says of each what happened and what to
-do. What a robot does with a release (signature, links, guard, rollback) is the script ``fullswarm-robot`` on the
-robot: nothing here is needed for a robot to roll back on its own.
+In: a fleet file, a release and keys. Out: robots that run it, and a table with the outcome and the remedy for
+each. What a robot does with a release (signature, links, guard, rollback) is the script ``fullswarm-robot`` on the
+robot: a robot needs nothing of this package to roll back.
 """

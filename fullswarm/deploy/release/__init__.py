@@ -11,8 +11,8 @@
 
 ``bundle.py``    makes a release of the parts below
 ``targets.py``   the computers that releases are made for: a new release target is a line here
-``packages.py``  which Python packages go on board, in which versions, and their files for the target
-``contents.py``  which files of fullswarm and of its wheels go on board
+``packages.py``  which Python packages are installed on board, in which versions, and their files for the target
+``contents.py``  which files of fullswarm and of its wheels are installed on board
 ``manifest.py``  ``manifest.json`` and ``SHA256SUMS``
 ``keys.py``      the keys of a base station, and the signatures over releases
 ``store.py``     releases side by side, and tar streams of parts of one

@@ -10,7 +10,7 @@ encoder estimates come back and leave as readings.
 - ``settings.py``: the URL, checked; ``driver.py``: the session on a bus
 - ``port.py``: a bus of python-can as a port; ``slcan_bus.py``: its serial adapters, apart because python-can is
   imported only when a bus is opened
-- ``probe.py``: which robots are on a bus, asked without moving them
+- ``probe.py``: identifies the robots on a bus without moving them
 
 This folder is called ``can`` as well: inside it ``import can`` is absolute and means python-can.
 """

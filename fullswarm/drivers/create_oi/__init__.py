@@ -1,12 +1,12 @@
 """The iRobot Create over serial (Open Interface). In: twists. Out: odometry, bumps, cliffs, wheel drops, battery.
 
 ``protocol`` is bytes only: commands, generations, sensors, the stream. ``session`` is the whole
-conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back, and how it keeps a
-robot awake; ``odometry`` is its dead reckoning, ``senses`` what it asks for and makes of hazards and power.
+conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back, and keeps a robot
+awake; ``odometry`` is its dead reckoning, ``senses`` queries its sensors and evaluates hazards and power.
 ``settings`` reads the URL, ``driver`` puts a session on a serial port, ``probe`` asks ports for robots.
 
-The Open Interface has no command timeout: a robot goes on with its last drive command for ever. Everything here
-that sends zero by itself exists for that reason.
+The Open Interface has no command timeout: a robot keeps its last drive command forever. Everything here that
+sends zero by itself exists for that reason.
 """
 
 from __future__ import annotations

@@ -3,18 +3,18 @@
 ::
 
     driver.py        MavlinkDriver: a session on UDP, TCP or a serial port
-    settings.py      what the URL asks for, and which port it names
-    probe.py         which vehicle is on a port, asked without moving it
+    settings.py      the options and the port of the URL
+    probe.py         identifies the vehicle on a port without moving it
       session.py     the conversation as a state machine; no I/O, no clock of its own
         autopilot.py what differs between autopilots; ArduPilot's Rover
         px4.py       PX4's: velocity vectors that lead the heading
         startup.py   version, message rates, failsafe, position: what READY needs
         arming.py    into motion (driving mode, armed) and out of it (zero, hold, disarmed), confirmed by state
         frame.py     from the vehicle's own map to the swarm's frame
-          maps.py    how each autopilot makes metres of degrees
+          maps.py    how each autopilot converts degrees to metres
         external.py  poses measured from outside, for the vehicle's position filter
-        requests.py  commands and parameters asked again until answered
-        vehicle.py   what the vehicle has reported, and whether its position is still measured
+        requests.py  commands and parameters, repeated until answered
+        vehicle.py   the vehicle's reported state, and whether its position is still measured
       signing.py     MAVLink 2 signing: key, timestamps over restarts, which frames to accept
       codec.py       bytes ↔ messages (pymavlink's dialect); a tolerant parser
       protocol.py    our own message types, numbers of the protocol, NED/FRD ↔ ENU/FLU

@@ -1,4 +1,4 @@
-"""The null make: ``null://<id>``, a robot that is nowhere. The smallest driver without a link.
+"""The null make: ``null://<id>``, a robot without hardware. The smallest driver, without a link.
 
 ``driver.py``  The driver: integrates its commands on a clock
 """

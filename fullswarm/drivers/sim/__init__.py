@@ -3,7 +3,7 @@
 ``driver.py``    The session on UDP
 ``protocol.py``  The datagrams between driver and world
 ``session.py``   The conversation with the world as a state machine
-``settings.py``  ``sim://[host:port/]robot[?option=value&...]``: where a simulated robot is and what it can do
+``settings.py``  ``sim://[host:port/]robot[?option=value&...]``: the address and the options of a simulated robot
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Emulated CAN bases; here, what their records name.
+"""Emulated CAN bases, and the functions that the make's record names.
 
 - ``emulator.py``: a base on the bus of a driver's URL, or behind a serial adapter
 - ``firmware.py``: two controllers and the body that both move, as chunks of that link; the adapter's commands
-- ``odrive.py``, ``vesc.py``: one wheel's motor controller as its wire shows it; ``wheel.py``: what both have in common
+- ``odrive.py``, ``vesc.py``: one wheel's motor controller at protocol level; ``wheel.py``: what both have in common
 """
 
 from __future__ import annotations

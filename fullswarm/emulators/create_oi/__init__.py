@@ -1,8 +1,8 @@
-"""Emulated Creates and Roombas; here, what their record names.
+"""Emulated Creates and Roombas, and the functions that the make's record names.
 
-- ``emulator.py``: the firmware at the end of a serial line, and what hands can do to the robot
+- ``emulator.py``: the firmware at the end of a serial line, and what a person can do to the robot
 - ``firmware.py``: the robot's end of the Open Interface
-- ``hardware.py``: what its computer is connected to: encoders, battery, lamps, buttons, sensors
+- ``hardware.py``: its hardware: encoders, battery, lamps, buttons, sensors
 """
 
 from __future__ import annotations

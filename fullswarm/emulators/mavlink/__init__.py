@@ -1,10 +1,10 @@
-"""Emulated rovers; here, what their record names.
+"""Emulated rovers, and the functions that the make's record names.
 
 - ``emulator.py``: ArduPilot and PX4 rovers on real ports
-- ``firmware.py``: ArduRover as its wire shows it, with ``requests.py`` (what arrives, and how it is answered),
+- ``firmware.py``: ArduRover at protocol level, with ``requests.py`` (incoming messages and their answers),
   ``telemetry.py`` (what it sends), ``driving.py`` (set-points, sticks, motors) and ``parameters.py``
-- ``px4_firmware.py``: PX4 as its wire shows it
-- ``position.py``: what both know of their position: map, errors of the filter, sources
+- ``px4_firmware.py``: PX4 at protocol level
+- ``position.py``: the position estimate of both: map, errors of the filter, sources
 """
 
 from __future__ import annotations

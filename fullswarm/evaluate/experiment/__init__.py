@@ -1,11 +1,11 @@
 """Experiments: behaviours x scenarios x sizes x seeds x engines x limits, as data (paper IV). In: TOML. Out: a table.
 
 ``model.py``     an experiment's file (``paper.toml``, ``safety.toml``)
-``plan.py``      its cells, and the trials that they stand for
-``run.py``       `fullswarm experiment run`: all trials, shared out, kept and resumed; `trial`: one again, from its file
+``plan.py``      its cells and their trials
+``run.py``       `fullswarm experiment run`: all trials, distributed, stored, resumed; `trial`: one again, from its file
 ``pool.py``      processes that run trials, one each at a time, with a time limit, replaced when they die
 ``dask.py``      the same on more than one machine
-``outcomes.py``  what came of trials, joined by cell, and the table of it
+``outcomes.py``  outcomes of trials, joined by cell, and their table
 ``watch.py``     `fullswarm experiment watch`: the progress, from the results folder
 """
 

@@ -1,9 +1,9 @@
-"""Pictures and films of trials: the world from above. Needs matplotlib; films also pillow or imageio-ffmpeg.
+"""Pictures and videos of trials: the world from above. Needs matplotlib; videos also pillow or imageio-ffmpeg.
 
-``replay.py``    `fullswarm experiment replay`: find a trial, then draw or film it
+``replay.py``    `fullswarm experiment replay`: find a trial, then draw it or make a video
 ``scene.py``     the world from above at a moment, its colours, and a trial as one picture
-``film.py``      a trial as a film: GIF through pillow, MP4 (H.264) through ffmpeg
-``timeline.py``  a trajectory at any time: poses between its samples, contacts, what has happened so far
+``film.py``      a trial as a video: GIF through pillow, MP4 (H.264) through ffmpeg
+``timeline.py``  a trajectory at any time: poses between its samples, contacts, events so far
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Results: what came of an experiment, for people and programs. In: a results folder. Out: index, tables, report.
+"""Results of an experiment, for people and programs. In: a results folder. Out: index, tables, report.
 
-The directories of the trials are the truth; all else is made of them and can be made again.
+The directories of the trials are the source; everything else is derived from them and can be rebuilt.
 
 ``folder.py``      the results folder: ``experiment.json`` and the trials in it
 ``commands.py``    what `fullswarm results` does
-``quantities.py``  what is measured: names, titles and units; a new column of tables and reports begins here
+``quantities.py``  what is measured: names, titles and units; a new column of tables and reports is defined here
 ``sample.py``      trials sorted for tables and figures: by condition (engine, limits, network), scenario and size
 ``statistics.py``  description with intervals, and paired comparison by seed
 ``compare.py``     two folders, or two values of a field, paired by seed

@@ -4,8 +4,8 @@ The four of the paper (IV.A): ``empty``, ``empty_dense``, ``uniform``, ``concave
 and ``antipodal``, ``antipodal_table`` for deadlock. What the paper leaves open is stated in each file. A new scenario
 is one more TOML file here; a new importer one more module in ``importers/``.
 
-``model.py``       what a scenario is, and its file
-``placement.py``   where boxes and robots stand for a seed
+``model.py``       the scenario and its file
+``placement.py``   the places of boxes and robots for a seed
 ``commands.py``    what `fullswarm scenario` does: list, show, import and export arenas
 ``importers/``     other simulators' worlds as scenarios
 ``export_sdf.py``  a scenario as an SDF 1.9 world for Gazebo

@@ -1,4 +1,4 @@
-"""Other simulators' worlds as scenarios. In: a file. Out: `Imported`, a scenario and notes of what did not fit.
+"""Other simulators' worlds as scenarios. In: a file. Out: `Imported`, a scenario and notes on what was omitted.
 
 Each importer is a module with ``read(path) -> Imported`` and a line in `FORMATS`. XML and YAML are read by defusedxml
 and PyYAML's safe loader, of the extra [experiments].
@@ -8,7 +8,7 @@ and PyYAML's safe loader, of the extra [experiments].
 ``stage.py``   Stage worlds, with what they include and their bitmaps
 ``menge.py``   Menge crowd scenes (XML)
 ``irsim.py``   IR-SIM worlds (YAML)
-``draft.py``   collects what an importer finds, and makes a scenario of it: shapes become boxes
+``draft.py``   collects what an importer finds, and converts it to a scenario: shapes become boxes
 ``files.py``   reads files: bytes, XML with line numbers, numbers; errors that name the line
 """
 
