@@ -222,7 +222,7 @@ def test_a_base_of_a_fleet_whose_wheel_is_silent_is_named(tmp_path: Path) -> Non
         asked = ask.ask_url(f"can+odrive://{port}?interface=slcan&{BODY.replace('right=2', 'right=5')}")
         assert ask.ask_url(f"can+odrive://{port}?interface=slcan&{BODY}").robots
     assert asked.robots == ()
-    assert "node 5 is silent; heard: 1, 2" in asked.problem
+    assert "node 5 is silent; received: 1, 2" in asked.problem
 
 
 def test_two_vescs_answer_pings(tmp_path: Path) -> None:
