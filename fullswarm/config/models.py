@@ -153,11 +153,15 @@ class NoiseConfig(Section):
     heading_rad: float = Field(0.0, ge=0.0, le=10.0)
 
 
+EngineName = Literal["pybullet", "pybullet-wheels", "kinematic"]
+"""The physics engines; `fullswarm.simulation.engine.ENGINES` has the class of each."""
+
+
 class WorldConfig(Section):
     """The simulated world; a table with nothing but `origin` is none."""
 
     origin: Origin | None = None  # latitude, longitude (degrees): where on earth the swarm's (0, 0) is
-    engine: Literal["pybullet", "pybullet-wheels", "kinematic"] = "pybullet"
+    engine: EngineName = "pybullet"
     address: str = DEFAULT_WORLD  # UDP host:port of the world process
     bounds_m: Bounds = (0.0, 0.0, 20.0, 20.0)  # x_min, y_min, x_max, y_max
     walls: bool = True

@@ -1,6 +1,8 @@
 """Performance of the swarm (paper II.F). In: poses and contacts of the robots. Out: numbers, files.
 
-A new metric is a column and a quantity in ``metrics.py``, and the calculator that fills the column.
+A new metric is a column and a quantity in ``metrics.py``, and what fills the column on board: ``calculators.py`` for
+what adds up over time, ``agent/telemetry/metrics.py`` for what is sampled. A new termination condition is a field of
+``PerformanceConfig`` in ``config/models.py`` and its test in ``termination.py``.
 
 ======================  ==========================================================  =============
 file                    what it holds                                               runs in

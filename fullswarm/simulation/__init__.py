@@ -4,7 +4,8 @@ It runs where a world or lockstep trials run: no driver imports it and no releas
 drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its make).
 
 ``world.py``            The simulated world: an engine, and what every robot has with any engine
-``engine.py``           The interface of a physics engine, and the choice of one by name; an engine is one file:
+``engine.py``           The interface of a physics engine, and the table ``ENGINES`` that names them. A new engine is a
+                        file, a line there and its name in ``EngineName`` of ``config/models.py``. The engines:
 ``kinematic.py``        Unicycles on exact arcs, no masses
 ``pybullet_engine.py``  PyBullet, velocity-driven cylinders: the default
 ``pybullet_wheels.py``  PyBullet, wheel-driven bodies on a floor with friction

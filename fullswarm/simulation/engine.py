@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import Protocol
 
-from fullswarm.config import WorldConfig
+from fullswarm.config import EngineName, WorldConfig
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee
@@ -26,6 +27,14 @@ class Engine(Protocol):
     def close(self) -> None:
         """Release the physics. Closing twice is fine."""
         ...
+
+
+ENGINES: dict[EngineName, tuple[str, str]] = {
+    "kinematic": ("kinematic", "KinematicEngine"),
+    "pybullet": ("pybullet_engine", "PyBulletEngine"),
+    "pybullet-wheels": ("pybullet_wheels", "WheelsEngine"),
+}
+"""Module and class of each engine; imported on use, because PyBullet is an extra."""
 
 
 def check_config(config: WorldConfig) -> None:
@@ -53,18 +62,10 @@ def make_engine(config: WorldConfig, starts: Array) -> Engine:
         PyBullet is wanted and not installed.
     """
     check_config(config)
-    if config.engine == "kinematic":
-        from fullswarm.simulation.kinematic import KinematicEngine
-
-        return KinematicEngine(config, starts)
+    module, name = ENGINES[config.engine]
     try:
-        if config.engine == "pybullet":
-            from fullswarm.simulation.pybullet_engine import PyBulletEngine
-
-            return PyBulletEngine(config, starts)
-        from fullswarm.simulation.pybullet_wheels import WheelsEngine
-
-        return WheelsEngine(config, starts)
+        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts)
+        return engine
     except ModuleNotFoundError as error:
         if error.name != "pybullet":
             raise

@@ -37,3 +37,9 @@ def test_a_page_names_no_file_that_is_gone(page: Path) -> None:
     named = set(re.findall(r"``([a-z_0-9]+)\.py``", text_of(page)))
     there = {path.stem for path in page.parent.rglob("*.py")}
     assert named <= there
+
+
+def test_the_page_of_the_console_names_its_modules() -> None:
+    console = PACKAGE / "operator" / "console"
+    there = {path.name for path in (console / "page").glob("*.js")}
+    assert set(re.findall(r"\b\w+\.js\b", text_of(console / "__init__.py"))) == there

@@ -3,4 +3,9 @@
 ``desired.py``           Evaluates the control laws and has the safety filter map their velocities to twists
 ``robot_controller.py``  Decides whether each robot may move, and holds speed and turn rate within their limits
 ``reflexes.py``          What stops a robot without a message: battery, pose, geofence, clock, driver; standstill
+
+A reflex on a sensor's bit (bump, cliff, wheel drop) is a member of ``Hazard`` in ``drivers/base.py`` and a line in
+``HAZARDS`` or ``STOPPING_HAZARDS`` of ``robot_controller.py``. A condition that is computed from readings is a field of
+``Reflexes``, which ``Doubt`` passes to the controller. Each reason for standing still is a ``Code`` with its text in
+``reasons.py`` and a ``StopReason`` with its entry in ``CODES`` of ``robot_controller.py``.
 """

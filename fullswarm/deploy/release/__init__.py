@@ -10,7 +10,8 @@
           SHA256SUMS.sig   SSHSIG by the base's release key
 
 ``bundle.py``    makes a release of the parts below
-``targets.py``   the computers that releases are made for: a new release target is a line here
+``targets.py``   the computers that releases are made for: a new release target is a line here (for another
+                 processor also in ``TARGET_OF`` of ``deploy/fleet/releases.py``)
 ``packages.py``  which Python packages are installed on board, in which versions, and their files for the target
 ``contents.py``  which files of fullswarm and of its wheels are installed on board
 ``manifest.py``  ``manifest.json`` and ``SHA256SUMS``

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
 from fullswarm.bus.network_faults import parse_network
-from fullswarm.config import AgentConfig, NoiseConfig, PerformanceConfig, Section
+from fullswarm.config import AgentConfig, EngineName, NoiseConfig, PerformanceConfig, Section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, parse_section, read_named, scenario_names
 
-Engine = Literal["kinematic", "pybullet", "pybullet-wheels"]
 Parameter = bool | int | float | str
 T = TypeVar("T")
 LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
@@ -95,7 +94,7 @@ class Group(Section):
     behaviours: Annotated[tuple[Behaviour, ...], Field(min_length=1), AfterValidator(_no_twin_behaviours)]
     scenarios: Annotated[tuple[str, ...], Field(min_length=1), Unique]
     robots: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Unique]
-    engines: Annotated[tuple[Engine, ...], Field(min_length=1), Unique]
+    engines: Annotated[tuple[EngineName, ...], Field(min_length=1), Unique]
     limits: Annotated[tuple[str, ...], Field(min_length=1), Unique]
     time_limit_s: PositiveFloat | None = None  # None: the scenario's
     seeds_at_most: PositiveInt | None = None  # slow cells: only so many of the seeds
@@ -123,7 +122,7 @@ class Small(Section):
     seeds: Seeds = "0"
     robots_at_most: PositiveInt = 10
     groups: tuple[str, ...] | None = None  # None: all
-    engines: tuple[Engine, ...] = ("kinematic", "pybullet")
+    engines: tuple[EngineName, ...] = ("kinematic", "pybullet")
 
 
 class Experiment(Section):

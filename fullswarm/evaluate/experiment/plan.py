@@ -10,9 +10,9 @@ from itertools import product
 from typing import get_args
 
 from fullswarm.bus.network_faults import parse_network
-from fullswarm.config import WorldConfig
+from fullswarm.config import EngineName, WorldConfig
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.experiment.model import Engine, Experiment, Group, Parameter, Small, parse_seeds
+from fullswarm.evaluate.experiment.model import Experiment, Group, Parameter, Small, parse_seeds
 from fullswarm.evaluate.scenarios import Scenario, load_scenario
 
 Settings = tuple[tuple[str, Parameter], ...]
@@ -95,9 +95,9 @@ def plan(
     ConfigError
         A filter names no field, nothing is left, a scenario's file is wrong, or there is no such engine.
     """
-    if engine is not None and engine not in get_args(Engine):
+    if engine is not None and engine not in get_args(EngineName):
         raise ConfigError(
-            f"there is no engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(Engine))
+            f"there is no engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(EngineName))
         )
     shrunk = experiment.small if small else None
     wanted = seeds or parse_seeds(shrunk.seeds if shrunk else experiment.seeds)

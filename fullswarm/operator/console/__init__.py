@@ -20,5 +20,22 @@ The server knows no robots, and serves the runtime of the nodes on its own loop,
 ``access.py``    access control: Host, Origin, token, limits of unverified connections
 ``serve.py``     the loop, start and end; opens the page in a browser
 
-The page itself is in ``page/``: ``main.js`` puts its modules together.
+The page itself is in ``page/``, JavaScript with JSDoc types and no build step. A new panel is a module there, a section
+of ``index.html`` and a line in ``main.js``:
+
+``main.js``       puts the modules together; ``index.html``, ``style.css``, ``parts.css``: structure and looks
+``link.js``       the WebSocket; ``store.js``: the newest of everything; ``tracks.js``: positions between two states
+``commands.js``   requests and their answers, leases
+``stops.js``      stop and e-stop: the panel, its receipts, what is shown and signalled while one is latched
+``keyboard.js``   all keys
+``drive.js``      driving with arrow keys and a gamepad: which button does what
+``selection.js``  the selected robots
+``fleet.js``      the table of robots and the groups
+``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters
+``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
+``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
+``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
+``tools.js``      the tools of the map: goals, formations; ``pointer.js``: mouse, pen and fingers
+``dom.js``        helpers for elements and events
+``uplot.js``      vendored, see ``vendored.toml``
 """

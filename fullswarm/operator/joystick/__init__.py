@@ -4,7 +4,8 @@ In: the pads' state, sampled each 5 ms. Out: BehaviourRequest, StopRequest, ESto
 the rest runs on any clock.
 
 ``state.py``           the state of a gamepad, and the protocol of its source
-``bindings.py``        reads which control requests what (``bindings.toml``, or the user's file)
+``bindings.py``        reads which control requests what (``bindings.toml``, or the user's file);
+                       those of a gamepad in the browser are in ``console/page/drive.js``
 ``pilot.py``           converts the inputs of pads to requests, stops and e-stops: the rules of driving; read this first
 ``teleop_session.py``  drives the selected robots: leases, stream, zeros
 ``selection.py``       selects a robot, a group, a make or the whole swarm

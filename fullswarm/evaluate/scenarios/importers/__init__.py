@@ -1,7 +1,7 @@
 """Other simulators' worlds as scenarios. In: a file. Out: `Imported`, a scenario and notes on what was omitted.
 
-Each importer is a module with ``read(path) -> Imported`` and a line in `FORMATS`. XML and YAML are read by defusedxml
-and PyYAML's safe loader, of the extra [experiments].
+Each importer is a module with ``read(path) -> Imported`` and its lines in `FORMATS`, `_ROOTS` and `_ENDINGS` below. XML
+and YAML are read by defusedxml and PyYAML's safe loader, of the extra [experiments].
 
 ``sdf.py``     Gazebo's SDF worlds; Gazebo classic's ``.world`` files are SDF too
 ``argos.py``   ARGoS experiments (``.argos``)
