@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.emulators.base import Emulator
 from fullswarm.geometry import wrap
+from fullswarm.simulation.bodies import FreeBody
+from fullswarm.testing.wire import Wire
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,46 @@ class Rig:
     """How fast the device creeps although commanded zero."""
     odometry_share: float = 0.06
     """By which share of the way its odometry may be wrong."""
+
+
+def emulator_rig(
+    robot: Emulator,
+    driver: Callable[[str, Clock | None], Driver],
+    motors_on: Callable[[], bool],
+    *,
+    url: str = "",
+    wire: Wire | None = None,
+    fault_s: float = 0.8,
+) -> Rig:
+    """Return the rig of a started emulator alone on its floor, with all faults that the shell of emulators injects.
+
+    Parameters
+    ----------
+    driver
+        Constructs the driver for a URL and a clock; None: the machine's.
+    url, wire
+        How the driver opens it, if a relay is between the two: frames are then disturbed and cut there.
+    """
+    body, link = robot.body, wire or robot
+
+    def speed() -> Twist:
+        now = body.state()
+        return Twist(now.speed_m_s, now.turn_rad_s)
+
+    return Rig(
+        make=lambda: driver(url or robot.url, None),
+        make_on=lambda clock: driver(url or robot.url, clock),
+        body_speed=speed,
+        unplug=robot.unplug,
+        replug=robot.replug,
+        mute=robot.mute,
+        garbage=link.garbage,
+        cut=link.cut,
+        bump=(lambda pressed: body.press(pressed, pressed)) if isinstance(body, FreeBody) else None,
+        motors_on=motors_on,
+        other_process=True,
+        fault_s=fault_s,
+    )
 
 
 @dataclass

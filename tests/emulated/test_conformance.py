@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,24 +24,16 @@ from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.emulators.can.emulator import EmulatedBase
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
-from fullswarm.simulation.bodies import Body, FreeBody
+from fullswarm.simulation.bodies import FreeBody
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
-from fullswarm.testing import Report, Rig, check_driver, serial_wire, udp_wire
+from fullswarm.testing import Report, Rig, check_driver, emulator_rig, serial_wire, udp_wire
 from tests.emulated.rover_link import IN_THE_WORLD
 
 START = Pose(2.0, -1.0, 2.5)
 """No axis is the robot's heading, and it does not stand at the origin."""
 SIDE_BY_SIDE = 4
 BASE = "interface=slcan&left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3"
-
-
-def speed_of(body: Body) -> Callable[[], Twist]:
-    def speed() -> Twist:
-        now = body.state()
-        return Twist(now.speed_m_s, now.turn_rad_s)
-
-    return speed
 
 
 @contextmanager
@@ -82,21 +75,9 @@ def sim() -> Iterator[Rig]:
 
 @contextmanager
 def create() -> Iterator[Rig]:
-    body = FreeBody(START)
-    with CreateEmulator(body=body) as robot:
-        yield Rig(
-            make=lambda: CreateDriver(robot.url),
-            make_on=lambda clock: CreateDriver(robot.url, clock=clock),
-            body_speed=speed_of(body),
-            unplug=robot.unplug,
-            replug=robot.replug,
-            mute=robot.mute,
-            garbage=robot.garbage,
-            cut=robot.cut,
-            bump=lambda pressed: body.press(pressed, pressed),
-            motors_on=lambda: robot.mode in (Mode.SAFE, Mode.FULL),
-            other_process=True,
-            fault_s=0.8,
+    with CreateEmulator(body=FreeBody(START)) as robot:
+        yield emulator_rig(
+            robot, lambda url, clock: CreateDriver(url, clock=clock), lambda: robot.mode in (Mode.SAFE, Mode.FULL)
         )
 
 
@@ -113,20 +94,8 @@ def mavlink(
                 now = body.state()
                 return Pose(now.x_m, now.y_m, now.heading_rad)
 
-            yield Rig(
-                make=lambda: MavlinkDriver(url),
-                make_on=lambda clock: MavlinkDriver(url, clock=clock),
-                body_speed=speed_of(body),
-                body_pose=pose,
-                unplug=rover.unplug,
-                replug=rover.replug,
-                mute=rover.mute,
-                garbage=wire.garbage,
-                cut=wire.cut,
-                motors_on=lambda: rover.firmware.armed,
-                other_process=True,
-                fault_s=1.5,
-            )
+            rig = emulator_rig(rover, MavlinkDriver, lambda: rover.firmware.armed, url=url, wire=wire, fault_s=1.5)
+            yield replace(rig, body_pose=pose, bump=None)
 
     return rig
 
@@ -136,27 +105,18 @@ def can(scheme: str, options: str) -> Callable[[], AbstractContextManager[Rig]]:
 
     @contextmanager
     def rig() -> Iterator[Rig]:
-        body = FreeBody(START)
         with TemporaryDirectory(prefix="conformance-") as folder:
             port = Path(folder) / "adapter"
             with (
-                EmulatedBase(f"{scheme}://{port}?{BASE}&{options}", body) as base,
+                EmulatedBase(f"{scheme}://{port}?{BASE}&{options}", FreeBody(START)) as base,
                 serial_wire(str(port), 115200) as wire,
             ):
                 url = f"{scheme}://{wire.port}?{BASE}&{options}"
-                yield Rig(
-                    make=lambda: CanBaseDriver(url),
-                    make_on=lambda clock: CanBaseDriver(url, clock=clock),
-                    body_speed=speed_of(body),
-                    unplug=base.unplug,
-                    replug=base.replug,
-                    mute=base.mute,
-                    garbage=wire.garbage,
-                    cut=wire.cut,
-                    motors_on=lambda: base.left.energised or base.right.energised,
-                    other_process=True,
-                    fault_s=1.3,
-                )
+
+                def motors_on() -> bool:
+                    return base.left.energised or base.right.energised
+
+                yield replace(emulator_rig(base, CanBaseDriver, motors_on, url=url, wire=wire, fault_s=1.3), bump=None)
 
     return rig
 

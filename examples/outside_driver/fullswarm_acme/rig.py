@@ -1,13 +1,11 @@
-"""Yields the emulated Scout with all hands that break it: ``fullswarm robots check --rig fullswarm_acme.rig:rig``."""
-
-from __future__ import annotations
+"""Yields the emulated Scout with all its faults: ``fullswarm robots check --rig fullswarm_acme.rig:rig``."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fullswarm.drivers.base import Pose, Twist
+from fullswarm.drivers.base import Pose
 from fullswarm.simulation.bodies import FreeBody
-from fullswarm.testing import Rig
+from fullswarm.testing import Rig, emulator_rig
 
 from fullswarm_acme.driver import AcmeDriver
 from fullswarm_acme.emulator import AcmeEmulator
@@ -16,24 +14,5 @@ from fullswarm_acme.emulator import AcmeEmulator
 @contextmanager
 def rig() -> Iterator[Rig]:
     """Yield the rig of one robot; it is switched off at the end."""
-    body = FreeBody(Pose(2.0, 1.0, 2.5))
-
-    def body_speed() -> Twist:
-        now = body.state()
-        return Twist(now.speed_m_s, now.turn_rad_s)
-
-    with AcmeEmulator(body=body) as robot:
-        yield Rig(
-            make=lambda: AcmeDriver(robot.url),
-            make_on=lambda clock: AcmeDriver(robot.url, clock),
-            body_speed=body_speed,
-            unplug=robot.unplug,
-            replug=robot.replug,
-            mute=robot.mute,
-            garbage=robot.garbage,
-            cut=robot.cut,
-            bump=lambda pressed: body.press(pressed, pressed),
-            motors_on=lambda: robot.motors_on,
-            other_process=True,
-            fault_s=0.8,
-        )
+    with AcmeEmulator(body=FreeBody(Pose(2.0, 1.0, 2.5))) as robot:
+        yield emulator_rig(robot, AcmeDriver, lambda: robot.motors_on)
