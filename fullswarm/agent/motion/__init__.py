@@ -6,6 +6,6 @@
 
 A reflex on a sensor's bit (bump, cliff, wheel drop) is a member of ``Hazard`` in ``drivers/base.py`` and a line in
 ``HAZARDS`` or ``STOPPING_HAZARDS`` of ``robot_controller.py``. A condition that is computed from readings is a field of
-``Reflexes``, which ``Doubt`` passes to the controller. Each reason for standing still is a ``Code`` with its text in
-``reasons.py`` and a ``StopReason`` with its entry in ``CODES`` of ``robot_controller.py``.
+``Reflexes``, which ``Doubt`` passes to the controller. Each stop reason is a ``Code`` with its text in
+:mod:`fullswarm.reasons` and a ``StopReason`` with its entry in ``CODES`` of ``robot_controller.py``.
 """
