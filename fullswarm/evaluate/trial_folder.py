@@ -19,7 +19,6 @@ import os
 import re
 import shutil
 import socket
-import tomllib
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -36,6 +35,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from fullswarm.clock import wall_time_s
+from fullswarm.config.toml_errors import parse_toml
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment.model import Parameter
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
@@ -211,7 +211,7 @@ def load_trial(path: Path) -> Launch:
 def parse_trial(text: str, where: str) -> Launch:
     """Return the trial that TOML `text` describes; `ConfigError` as `load_trial`."""
     try:
-        document = msgspec.convert(tomllib.loads(text), _Document)
+        document = msgspec.convert(parse_toml(text, where), _Document)
         if document.format != LAUNCH_FORMAT:
             raise ConfigError(f"format '{document.format}' is not {LAUNCH_FORMAT}", where=where)
         cell = {**document.cell, "parameters": list(dict(document.cell.get("parameters", {})).items())}
@@ -224,8 +224,6 @@ def parse_trial(text: str, where: str) -> Launch:
             stop=tuple(document.stop.items()),
             arena=_arena(Scenario.model_validate_json(json.dumps(document.scenario), strict=True)),
         )
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", where=where) from error
     except (msgspec.ValidationError, ValidationError, TypeError, ValueError) as error:
         raise ConfigError(f"not the file of a trial: {error}", where=where) from error
     return Launch(document.experiment, trial)
