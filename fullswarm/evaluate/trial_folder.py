@@ -43,6 +43,7 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.scenarios import Scenario
 from fullswarm.evaluate.swarm import Coverage, Numbers
+from fullswarm.files import replacing
 from fullswarm.perf.coverage import GridFrame
 
 FORMAT = "fullswarm.trial/1"
@@ -285,23 +286,12 @@ def write_files(out: Path, name: str, files: Files) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` with the same ending, to write to; at the end it takes its place.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be written. Nothing half done is left, whatever happens.
-    """
-    part = path.with_name(f".{path.stem}-{socket.gethostname()}-{os.getpid()}{path.suffix}")
+    """Yield a new file that takes the place of `path` at the end; `ConfigError` if it cannot be written."""
     try:
-        part.touch()  # what cannot be written is known before the work is done
-        yield part
-        part.replace(path)
+        with replacing(path) as part:
+            yield part
     except OSError as error:
         raise ConfigError(f"cannot write: {error.strerror or error}", where=str(path)) from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 @contextmanager
