@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import tomlkit
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from fullswarm.config.models import RobotConfig, RobotId, Section, SwarmConfig
-from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
+from fullswarm.config.toml_errors import KeyPath, S, dotted, explain, line_numbers, parse_toml, validated
 from fullswarm.errors import ConfigError, did_you_mean
 
 Table = dict[str, Any]
-S = TypeVar("S", bound=BaseModel)
-
-_SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 _PLAIN_WORD = re.compile(r"[^\[\]{}\"'=,\n]+")
 
 HOW_A_BOX = "write centre x, y, size x, y in m, yaw in rad"
@@ -61,7 +57,7 @@ def load_swarm(path: Path | str, overrides: Iterable[str] = (), check: Check | N
         All that is wrong, one line each: ``file:line: key: what``; overrides as ``--set key: what``.
     """
     text = _read(Path(path))
-    document = _Document(str(path), _parse(str(path), text), line_numbers(text))
+    document = _Document(str(path), parse_toml(text, str(path)), line_numbers(text))
     for override in overrides:
         document.override(override)
     return document.check(check)
@@ -84,18 +80,6 @@ def _read(path: Path) -> str:
         raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", where=str(path)) from None
-
-
-def _parse(name: str, text: str) -> Table:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        what, at = str(error), _SYNTAX_AT.search(str(error))
-        line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
-        hint = "is a quote not closed in that line?" if "Illegal character '\\n'" in what else ""
-        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', what)}", hint=hint) from None
-    except RecursionError:
-        raise ConfigError(f"{name}:1: not valid TOML: nested too deeply") from None
 
 
 class _Document:
@@ -187,8 +171,7 @@ class _Document:
 
     def _validate(self, schema: type[S], data: object, base: KeyPath) -> S | None:
         try:
-            # JSON mode is strict (no "5" or true for 5) and yet takes lists for tuples and text for paths.
-            return schema.model_validate_json(json.dumps(data, default=str), strict=True)
+            return validated(schema, data)
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 path, what = explain(details, schema, () if base else ("fleet",))

@@ -1,4 +1,4 @@
-"""Explains what is wrong in a TOML file and in which line: pydantic's errors in plain words, the line of every key.
+"""Reads TOML and explains what is wrong in it, with the line of each error: pydantic's errors in plain words.
 
 Python's reader and tomlkit both forget the lines of what they read. The scanner here assumes a text that ``tomllib``
 has accepted: it finds the parts and checks nothing.
@@ -6,19 +6,23 @@ has accepted: it finds the parts and checks nothing.
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from fullswarm.errors import did_you_mean, nearest
+from fullswarm.errors import ConfigError, did_you_mean, nearest
 from fullswarm.units import unit_of
 
 KeyPath = tuple[str | int, ...]
 """Way to a value: names of tables and keys, numbers of list elements."""
+S = TypeVar("S", bound=BaseModel)
+
+_SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 MUST_BE = {
     "bool_parsing": "must be true or false",
@@ -118,6 +122,68 @@ def _fields(schema: type[BaseModel], path: KeyPath) -> Mapping[str, object]:
         if isinstance(part, str):
             model = dict(_sections(model)).get(part, model)
     return model.model_fields
+
+
+# ------------------------------------------------------------ reading
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the tables of TOML `text`; `where` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML: ``where:line: what``.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what, at = str(error), _SYNTAX_AT.search(str(error))
+        line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
+        hint = "is a quote not closed in that line?" if "Illegal character '\\n'" in what else ""
+        raise ConfigError(f"{where}:{line}: not valid TOML: {_SYNTAX_AT.sub('', what)}", hint=hint) from None
+    except RecursionError:
+        raise ConfigError(f"{where}:1: not valid TOML: nested too deeply") from None
+
+
+def parse_section(
+    text: str,
+    where: str,
+    schema: type[S],
+    explained: Callable[[ErrorDetails, type[BaseModel]], tuple[KeyPath, str]] = explain,
+) -> S:
+    """Return the settings that TOML `text` describes; `where` names it in errors, `explained` replaces `explain`.
+
+    Raises
+    ------
+    ConfigError
+        Not TOML, or not such settings: all errors, sorted by line: ``where:line: key: what``.
+    """
+    data = parse_toml(text, where)
+    try:
+        return validated(schema, data)
+    except ValidationError as error:
+        lines, found = line_numbers(text), set[tuple[int, str]]()
+        for details in _own(error.errors(include_url=False)):
+            path, what = explained(details, schema)
+            line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 0)
+            place = f"{where}:{line}" if line else where
+            found.add((line, f"{place}: {dotted(path)}: {what}" if path else f"{place}: {what}"))
+        raise ConfigError("\n".join(complaint for _, complaint in sorted(found))) from None
+
+
+def validated(schema: type[S], data: object) -> S:
+    """Return `data` as settings; raises pydantic's `ValidationError`."""
+    # JSON mode is strict (no "5" or true for 5) and yet takes lists for tuples and text for paths.
+    return schema.model_validate_json(json.dumps(data, default=str), strict=True)
+
+
+def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """Leave out lists that are too short only because what stands in them is wrong, and so was not counted."""
+    paths = [each["loc"] for each in errors]
+
+    def holds_another(path: tuple[int | str, ...]) -> bool:
+        return any(len(other) > len(path) and other[: len(path)] == path for other in paths)
+
+    return [each for each in errors if each["type"] != "too_short" or not holds_another(each["loc"])]
 
 
 # ------------------------------------------------------------ lines of a text

@@ -19,7 +19,6 @@ import os
 import re
 import shutil
 import socket
-import tomllib
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -36,6 +35,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from fullswarm.clock import wall_time_s
+from fullswarm.config.toml_errors import parse_toml
 from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment.model import Parameter
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
@@ -43,6 +43,7 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.scenarios import Scenario
 from fullswarm.evaluate.swarm import Coverage, Numbers
+from fullswarm.files import replacing
 from fullswarm.perf.coverage import GridFrame
 
 FORMAT = "fullswarm.trial/1"
@@ -211,7 +212,7 @@ def load_trial(path: Path) -> Launch:
 def parse_trial(text: str, where: str) -> Launch:
     """Return the trial that TOML `text` describes; `ConfigError` as `load_trial`."""
     try:
-        document = msgspec.convert(tomllib.loads(text), _Document)
+        document = msgspec.convert(parse_toml(text, where), _Document)
         if document.format != LAUNCH_FORMAT:
             raise ConfigError(f"format '{document.format}' is not {LAUNCH_FORMAT}", where=where)
         cell = {**document.cell, "parameters": list(dict(document.cell.get("parameters", {})).items())}
@@ -224,8 +225,6 @@ def parse_trial(text: str, where: str) -> Launch:
             stop=tuple(document.stop.items()),
             arena=_arena(Scenario.model_validate_json(json.dumps(document.scenario), strict=True)),
         )
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", where=where) from error
     except (msgspec.ValidationError, ValidationError, TypeError, ValueError) as error:
         raise ConfigError(f"not the file of a trial: {error}", where=where) from error
     return Launch(document.experiment, trial)
@@ -287,23 +286,12 @@ def write_files(out: Path, name: str, files: Files) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` with the same ending, to write to; at the end it takes its place.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be written. Nothing half done is left, whatever happens.
-    """
-    part = path.with_name(f".{path.stem}-{socket.gethostname()}-{os.getpid()}{path.suffix}")
+    """Yield a new file that takes the place of `path` at the end; `ConfigError` if it cannot be written."""
     try:
-        part.touch()  # what cannot be written is known before the work is done
-        yield part
-        part.replace(path)
+        with replacing(path) as part:
+            yield part
     except OSError as error:
         raise ConfigError(f"cannot write: {error.strerror or error}", where=str(path)) from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 @contextmanager

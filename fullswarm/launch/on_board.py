@@ -20,6 +20,7 @@ import fullswarm
 from fullswarm.agent.telemetry import health_file
 from fullswarm.agent.telemetry.health_file import Process, Rate
 from fullswarm.config import AgentConfig
+from fullswarm.files import replace_file
 from fullswarm.launch import HEALTH
 from fullswarm.runtime import Runtime, Timer
 
@@ -194,7 +195,7 @@ class OnBoard:
         )
         why = health_file.why_not(vitals, settings.core_silence_s)
         try:
-            health_file.write(self._path, health_file.text_of(vitals, process, why))
+            replace_file(self._path, health_file.text_of(vitals, process, why))
             self._trouble = ""
         except OSError as error:
             if str(error) != self._trouble:

@@ -15,6 +15,7 @@ import msgspec
 
 from fullswarm.bus.base import Bus
 from fullswarm.errors import ConfigError
+from fullswarm.files import replace_file
 from fullswarm.keys import Keys
 from fullswarm.messages import Summary
 from fullswarm.runtime import Scheduler
@@ -123,7 +124,7 @@ class PerformanceNode:
             _append(self._results / "summaries.jsonl", self._lines)
             self._lines.clear()
             text = msgspec.json.format(msgspec.json.encode(self.document()), indent=2) + b"\n"
-            _replace(self._results / "performance.json", text, sync=sync)
+            replace_file(self._results / "performance.json", text, sync=sync)
         except OSError as error:
             self.fault = f"{self._results}: cannot write the results: {error.strerror or error}"
             return
@@ -173,14 +174,3 @@ def _append(path: Path, lines: list[bytes]) -> None:
             with contextlib.suppress(OSError):
                 log.truncate(before)
             raise
-
-
-def _replace(path: Path, text: bytes, *, sync: bool) -> None:
-    """Put `text` into `path` in one step; `sync` waits for the disk, which a running core must not do."""
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        file.write(text)
-        if sync:
-            file.flush()
-            os.fsync(file.fileno())
-    part.replace(path)

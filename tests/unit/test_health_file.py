@@ -80,15 +80,6 @@ def test_the_file_is_json_that_a_shell_can_read(tmp_path: Path) -> None:
     assert re.findall(r'^ *"moving": (\w+)', text, re.MULTILINE) == ["false"]
 
 
-def test_the_file_is_replaced_in_one_step(tmp_path: Path) -> None:
-    path = tmp_path / "health.json"
-    health_file.write(path, "old")
-    with path.open() as reader:
-        health_file.write(path, "new")
-        assert reader.read() == "old"
-    assert (path.read_text(), [each.name for each in tmp_path.iterdir()]) == ("new", ["health.json"])
-
-
 def test_this_machine_has_a_boot_and_an_uptime() -> None:
     assert health_file.boot_id() == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     assert abs(health_file.machine_s() - float(Path("/proc/uptime").read_text().split()[0])) < 1.0

@@ -122,11 +122,11 @@ def test_a_second_run_appends_to_the_log(tmp_path: Path) -> None:
 
 def test_a_disk_that_refuses_is_told_and_tried_again(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    (tmp_path / "performance.json.part").mkdir()  # stands in the way of the temporary file
+    (tmp_path / "performance.json").mkdir()  # no file can replace a directory
     bench.tell("work", total_m=1.0)
     bench.runtime.run(1.0)
     assert "cannot write" in bench.node.fault
-    (tmp_path / "performance.json.part").rmdir()
+    (tmp_path / "performance.json").rmdir()
     bench.runtime.run(1.0)
     assert bench.node.fault == ""
     assert stored(tmp_path)["metrics"]["work"]["values"] == {"total_m": 1.0}

@@ -124,19 +124,6 @@ def text_of(vitals: Vitals, process: Process, why: tuple[str, ...]) -> str:
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
-def write(path: Path, text: str) -> None:
-    """Replace the file in one step: a reader finds the old text or the new one.
-
-    Raises
-    ------
-    OSError
-        The folder is not there, not ours, or full.
-    """
-    fresh = path.with_name(f".{path.name}.new")
-    fresh.write_text(text, encoding="utf-8")
-    fresh.replace(path)
-
-
 def machine_s() -> float:
     """Return how long this machine has been up, seconds, asleep or not: a shell reads the same number."""
     return float(UPTIME.read_text(encoding="ascii").split()[0])

@@ -38,6 +38,7 @@ from fullswarm.deploy.fleet.releases import extras_needed
 from fullswarm.deploy.release.keys import Keys, public, usable
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, Unreachable
+from fullswarm.files import replace_file
 from fullswarm.operator import session
 
 PROGRESS_S = 2.0
@@ -442,10 +443,7 @@ def _forget_others(file: Path, name: str, own: str) -> bool:
     kept = [line for line in lines if not _is_other(line, name, own)]
     if kept == lines:
         return False
-    fresh = file.with_name(f"{file.name}.new")
-    fresh.touch(mode=0o600)
-    fresh.write_text("".join(f"{line}\n" for line in kept), "utf-8")
-    os.replace(fresh, file)  # noqa: PTH105  (one word less than Path's)
+    replace_file(file, "".join(f"{line}\n" for line in kept), mode=0o600)
     return True
 
 

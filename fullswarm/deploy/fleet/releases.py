@@ -23,6 +23,7 @@ from fullswarm.deploy.release.packages import ONBOARD
 from fullswarm.deploy.release.store import gzipped_archive, plain_archive
 from fullswarm.drivers.make import make_of
 from fullswarm.errors import ConfigError, MessageError
+from fullswarm.files import replace_file
 
 if TYPE_CHECKING:
     from fullswarm.config import RobotConfig, SwarmConfig
@@ -205,8 +206,6 @@ class Desired:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             with self.file.with_suffix(".lock").open("a") as lock:
                 fcntl.flock(lock, fcntl.LOCK_EX)  # another terminal may update other robots
-                fresh = self.file.with_suffix(".fresh")
-                fresh.write_text(json.dumps({**self.read(), **releases}, indent=1, sort_keys=True) + "\n", "utf-8")
-                fresh.replace(self.file)
+                replace_file(self.file, json.dumps({**self.read(), **releases}, indent=1, sort_keys=True) + "\n")
         except OSError as error:
             output.progress(f"warning: {self.file}: cannot store what robots should run: {error.strerror}")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import hmac
-import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 from fullswarm.clock import wall_time_s
 from fullswarm.drivers.mavlink.codec import FrameSigner
 from fullswarm.errors import ConfigError, DriverError
+from fullswarm.files import replace_file
 
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01
@@ -131,9 +131,7 @@ class Timestamps:
             return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            new = self._path.with_name(f"{self._path.name}.{os.getpid()}")
-            new.write_text(f"{self._saved}\n")
-            new.replace(self._path)
+            replace_file(self._path, f"{self._saved}\n")
         except OSError as error:
             raise DriverError(
                 f"cannot keep the signing timestamps: {error.strerror}",

@@ -10,8 +10,9 @@ from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_va
 
 from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import AgentConfig, EngineName, NoiseConfig, PerformanceConfig, Section
+from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.scenarios.model import package_names, parse_section, read_named, scenario_names
+from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
 
 Parameter = bool | int | float | str
 T = TypeVar("T")

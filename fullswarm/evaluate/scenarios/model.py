@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Iterable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self
 
 import tomlkit
-from pydantic import AfterValidator, Field, PositiveFloat, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 from tomlkit.items import Array, Table
 
 from fullswarm.config import Point, Section
-from fullswarm.config.toml_errors import dotted, explain, line_numbers
+from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 
 
@@ -49,8 +46,6 @@ def read_named(name_or_path: str | Path, folder: Traversable, kind: str) -> tupl
     except UnicodeDecodeError as error:
         raise ConfigError(f"the {kind} is not UTF-8 text", where=text) from error
 
-
-S = TypeVar("S", bound=Section)
 
 Box = tuple[float, float, float, float, float]
 """Centre x, y, size x, y in metres, yaw in radians; as in `WorldConfig.boxes`."""
@@ -155,41 +150,6 @@ def parse_scenario(text: str, where: str) -> Scenario:
         Not TOML, or not a scenario.
     """
     return parse_section(text, where, Scenario)
-
-
-def parse_section(text: str, where: str, kind: type[S]) -> S:
-    """Return the settings of type `kind` that TOML `text` describes; `where` names it in errors.
-
-    Raises
-    ------
-    ConfigError
-        Not TOML, or not such settings: all errors at once, with their lines.
-    """
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", where=where) from error
-    try:
-        # JSON mode is strict (no "5" for 5) and yet takes TOML's lists for tuples.
-        return kind.model_validate_json(json.dumps(document, default=str), strict=True)
-    except ValidationError as error:
-        lines, complaints = line_numbers(text), []
-        for details in _own(error.errors(include_url=False)):
-            path, what = explain(details, kind)
-            known = next((path[:size] for size in range(len(path), 0, -1) if path[:size] in lines), None)
-            line = f":{lines[known]}" if known else ""
-            complaints.append(f"{where}{line}: {dotted(path)}: {what}" if path else f"{where}: {what}")
-        raise ConfigError("\n".join(complaints)) from error
-
-
-def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
-    """Leave out lists that are too short only because what stands in them is wrong, and so was not counted."""
-    paths = [each["loc"] for each in errors]
-
-    def holds_another(path: tuple[int | str, ...]) -> bool:
-        return any(len(other) > len(path) and other[: len(path)] == path for other in paths)
-
-    return [each for each in errors if each["type"] != "too_short" or not holds_another(each["loc"])]
 
 
 def scenario_to_toml(scenario: Scenario, notes: Iterable[str] = ()) -> str:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic_core import ErrorDetails
 
 from fullswarm.config.models import Section
-from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers
+from fullswarm.config.toml_errors import KeyPath, explain, parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import Value
@@ -22,7 +19,6 @@ from fullswarm.operator.joystick.state import AXES, BUTTONS, PadState, shaped
 DEFAULT = Path(__file__).with_name("bindings.toml")
 SWITCH_AT = 1.2
 """On a diagonal the other axis must be further out by this factor before the direction changes (hysteresis)."""
-_SYNTAX_AT = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 
 def _axis(text: str) -> str:
@@ -199,28 +195,12 @@ def load_bindings(path: Path | None = None) -> Bindings:
 
 def parse_bindings(text: str, name: str = "bindings") -> Bindings:
     """Check the text of a bindings file; raises as `load_bindings`."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        at = _SYNTAX_AT.search(str(error))
-        line = text.count("\n") + 1 if at is None or at[1] is None else int(at[1])
-        raise ConfigError(f"{name}:{line}: not valid TOML: {_SYNTAX_AT.sub('', str(error))}") from None
-    except RecursionError:
-        raise ConfigError(f"{name}:1: not valid TOML: nested too deeply") from None
-    try:
-        return Bindings.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as error:
-        lines = line_numbers(text)
-        found = sorted(set(_errors(error, name, lines)))
-        raise ConfigError("\n".join(error_text for _, error_text in found)) from None
+    return parse_section(text, name, Bindings, _explained)
 
 
-def _errors(error: ValidationError, name: str, lines: dict[KeyPath, int]) -> Iterator[tuple[int, str]]:
-    for details in error.errors(include_url=False):
-        path, what = explain(details, Bindings)
-        path = tuple(part for part in path if part != "[key]")  # a dict's key is wrong, not its value
-        if "parameters" in path[:-1]:  # one error_text instead of one per type that it is not
-            path = path[: path.index("parameters") + 2]
-            what = "must be a flag, number, word, point or list of points"
-        line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 0)
-        yield line, f"{name}:{line}: {dotted(path)}: {what}" if path else f"{name}: {what}"
+def _explained(error: ErrorDetails, schema: type[BaseModel]) -> tuple[KeyPath, str]:
+    path, what = explain(error, schema)
+    path = tuple(part for part in path if part != "[key]")  # a dict's key is wrong, not its value
+    if "parameters" in path[:-1]:  # one complaint instead of one per type that it is not
+        return path[: path.index("parameters") + 2], "must be a flag, number, word, point or list of points"
+    return path, what

@@ -5,15 +5,13 @@ A line is ``guid,name,a:b0,leftx:a0,…,platform:Linux,``; the user's file of su
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
-from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from dataclasses import dataclass
 from pathlib import Path
 
 from fullswarm.errors import ConfigError
+from fullswarm.files import replace_file
 from fullswarm.operator.joystick.state import AXES, BUTTONS, RawState
 
 FILE = "gamecontrollerdb.txt"
@@ -146,7 +144,8 @@ def write_file(path: Path, made: Mapping) -> None:
     try:
         before = path.read_text(encoding="utf-8-sig").splitlines() if path.exists() else []
         path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, [*(line for line in before if not _same_pad(line, made)), made.text])
+        lines = [*(line for line in before if not _same_pad(line, made)), made.text]
+        replace_file(path, "".join(f"{line}\n" for line in lines), mode=0o600)
     except OSError as error:
         raise ConfigError(f"cannot be written: {error.strerror}", where=str(path)) from None
 
@@ -157,18 +156,6 @@ def _same_pad(line: str, made: Mapping) -> bool:
     except ValueError:
         return False
     return (other.guid.lower(), other.platform) == (made.guid.lower(), made.platform)
-
-
-def _replace(path: Path, lines: Iterable[str]) -> None:
-    """Write to a temporary file, then rename it: no reader sees an incomplete file."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.writelines(f"{line}\n" for line in lines)
-        Path(name).replace(path)
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 # ---------------------------------------------------------------- the wizard
