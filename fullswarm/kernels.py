@@ -11,7 +11,7 @@ import hashlib
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 import platformdirs
@@ -24,6 +24,7 @@ Flags = NDArray[np.bool_]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Arrays = TypeVar("Arrays", bound=NamedTuple)
 
 _ALL: list[Kernel[Any, Any]] = []
 _compiled = False
@@ -78,6 +79,14 @@ def _linked(source: Any, form: str) -> Any:
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """Mark `function` as a kernel (see the module's docstring)."""
     return Kernel(function)
+
+
+def views(arrays: Arrays) -> Arrays:
+    """Return the same tuple with memory views in the place of its arrays.
+
+    Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
+    """
+    return arrays._make(map(memoryview, arrays))
 
 
 def _fingerprint() -> str:
