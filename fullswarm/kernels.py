@@ -15,7 +15,7 @@ import textwrap
 import types
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar, get_type_hints
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 import platformdirs
@@ -28,6 +28,7 @@ Flags = NDArray[np.bool_]
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Arrays = TypeVar("Arrays", bound=NamedTuple)
 
 _ALL: list[Kernel[Any, Any]] = []
 _compiled = False
@@ -154,6 +155,14 @@ def _flat(entry: Callable[..., R], source: Callable[P, R], fields: Mapping[str, 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """Mark `function` as a kernel (see the module's docstring)."""
     return Kernel(function)
+
+
+def views(arrays: Arrays) -> Arrays:
+    """Return the same tuple with memory views in the place of its arrays.
+
+    Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
+    """
+    return arrays._make(map(memoryview, arrays))
 
 
 def _fingerprint() -> str:

@@ -6,7 +6,7 @@ import json
 import os
 import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import typer
@@ -42,13 +42,18 @@ def data_table(table: RenderableType, into_file: int = 80) -> None:
     console.print(table)
 
 
-def plain_table(*columns: str) -> Table:
-    """Return a table without lines whose long cells are wrapped; cells are rich markup, so escape other texts."""
+def plain_table(*columns: str, numbers: Sequence[str] = ()) -> Table:
+    """Return a table without lines whose long cells are wrapped; columns of `numbers` are to the right and never are.
+
+    Cells are rich markup, so escape other texts.
+    """
     from rich.table import Table
 
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table = Table(box=None, pad_edge=False)
     for name in columns:
         table.add_column(name, overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", no_wrap=True, min_width=len(name))
     return table
 
 

@@ -108,7 +108,7 @@ def law_module(name: str) -> Any:
     """
     target = LAWS.get(name) or _entry_point(BEHAVIOUR_GROUP, name)
     if target is None:
-        raise ConfigError(f"this robot has no law '{name}'", hint=did_you_mean(name, law_names()))
+        raise ConfigError(f"this robot has no control law '{name}'", hint=did_you_mean(name, law_names()))
     return _import(target.partition(":")[0], name)
 
 

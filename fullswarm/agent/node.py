@@ -14,7 +14,7 @@ from fullswarm import __version__
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
-from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
@@ -73,7 +73,8 @@ class AgentNode:
         self._identity, self._loop = identity, loop
         limits = tuple(each.limits for each in fleet.descriptions)
         self.controller = RobotController(limits, settings.speed_limit_m_s, settings.turn_limit_rad_s)
-        self.reflexes = _reflexes(config, fleet, thresholds or _thresholds(settings))
+        accel = np.array([each.accel_m_s2 for each in limits])
+        self.reflexes = _reflexes(config, fleet, accel, thresholds or _thresholds(settings))
         self.standstill = Standstill(fleet.descriptions, settings.control_rate_hz)
         self._state = state = AgentState(
             radius=np.array([each.radius_m for each in fleet.descriptions]),
@@ -84,7 +85,6 @@ class AgentNode:
             at_standstill=self.standstill.at_standstill,
             standstill_since_s=self.standstill.since_s,
         )
-        self._accel = accel = np.array([each.accel_m_s2 for each in limits])
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
@@ -220,7 +220,7 @@ class AgentNode:
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
-        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired, self._accel)
+        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
         tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
@@ -337,21 +337,23 @@ def _thresholds(settings: AgentConfig) -> Thresholds:
     return Thresholds(settings.battery_low, settings.battery_rise, settings.fence_margin_m, settings.fence_delay_s)
 
 
-def _reflexes(config: SwarmConfig, fleet: Fleet, thresholds: Thresholds) -> Reflexes:
+def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thresholds) -> Reflexes:
     # The filter keeps its margin for what it does not know: a position may become less certain by so much.
     spare_m = max(config.agent.safety_margin_m, LEAST_SPARE_M)
     sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
-    return Reflexes(len(fleet.ids), config.bounds_m, thresholds, sigma_limit_m)
+    return Reflexes(config.bounds_m, thresholds, accel, sigma_limit_m)
 
 
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
-    found = Neighbours(fleet.ids, settings.neighbour_timeout_s)
     # The limits of other robots are not on the wire: they are taken for robots like this one.
-    found.accel_m_s2, found.turn_rad_s = float(accel.max()), float(controller.turn_limit.max())
-    found.speed_m_s = float(controller.speed_limit.max())
-    # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
-    found.halt_s = settings.core_silence_s + settings.command_ttl_s
-    return found
+    assumed = Assumed(
+        accel_m_s2=float(accel.max()),
+        speed_m_s=float(controller.speed_limit.max()),
+        turn_rad_s=float(controller.turn_limit.max()),
+        # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
+        halt_s=settings.core_silence_s + settings.command_ttl_s,
+    )
+    return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 
 
 def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> SafetyFilter:

@@ -119,14 +119,12 @@ def test_outside_it_turns_round_and_drives_back() -> None:
 
 def furthest_out_m(start: tuple[float, float, float], accel: float, wishes: list[tuple[float, float]]) -> float:
     """Drive an independent body by wishes of 1 s each: it brakes no harder than `accel` and follows 0.1 s late."""
-    reflexes = Reflexes(1, (0.0, 0.0, 6.0, 4.0), Thresholds())
+    reflexes = Reflexes((0.0, 0.0, 6.0, 4.0), Thresholds(), np.array([accel]))
     speed, turn, pose, worst = 0.0, 0.0, np.array([start]), -math.inf
     late = [(0.0, 0.0)] * 5
     for speed_wish, turn_wish in wishes:
         for _ in range(50):
-            reflexes.watch_geofence(
-                pose, np.array([[speed, turn]]), np.array([[speed_wish, turn_wish]]), np.array([accel])
-            )
+            reflexes.watch_geofence(pose, np.array([[speed, turn]]), np.array([[speed_wish, turn_wish]]))
             late.append((min(max(speed_wish, reflexes.floor[0]), reflexes.ceiling[0]), turn_wish))
             target, turn = late.pop(0)
             speed += min(max(target - speed, -accel * TICK_S), accel * TICK_S)
@@ -233,7 +231,7 @@ def test_a_clock_that_goes_back_is_a_leap_too() -> None:
         reflexes.watch_clock(now_s, before_s, TTL_S)
         return reflexes.clock_jumped
 
-    reflexes = Reflexes(1, (0.0, 0.0, 1.0, 1.0), Thresholds())
+    reflexes = Reflexes((0.0, 0.0, 1.0, 1.0), Thresholds(), np.ones(1))
     ticks = ((10.0, 9.98), (5.0, 10.0), (5.29, 5.27), (5.31, 5.29))
     assert [slept(*each) for each in ticks] == [False, True, True, False]
 
@@ -248,7 +246,7 @@ def test_readings_that_stop_as_those_of_a_frozen_world(bench: Bench, monkeypatch
 
 
 def test_a_row_of_its_own_for_every_robot() -> None:
-    reflexes = Reflexes(2, (0.0, 0.0, 1.0, 1.0), Thresholds(battery_low=0.2))
+    reflexes = Reflexes((0.0, 0.0, 1.0, 1.0), Thresholds(battery_low=0.2), np.ones(2))
     reading = FleetReading(
         stamp_s=np.zeros(2), pose=np.zeros((2, 3)), odometry=np.zeros((2, 3)), twist=np.zeros((2, 2)),
         hazards=np.zeros(2, np.uint8), contacts=np.zeros(2, np.int64), battery=np.array([0.19, 0.5]),
@@ -262,9 +260,9 @@ def test_a_row_of_its_own_for_every_robot() -> None:
 @pytest.mark.parametrize("heading_rad", [0.0, 0.5 * math.pi])
 def test_who_stands_in_a_corner_may_drive_along_the_edges(heading_rad: float) -> None:
     """The cosine of a right angle is no zero: without care a robot exactly on an edge could not leave along it."""
-    made = Reflexes(1, (0.0, 0.0, 20.0, 20.0), Thresholds())
+    made = Reflexes((0.0, 0.0, 20.0, 20.0), Thresholds(), np.ones(1))
     pose, along, out = np.array([[0.0, 0.0, heading_rad]]), np.array([[0.4, 0.0]]), np.array([[-0.4, 0.0]])
-    made.watch_geofence(pose, along, along, np.array([1.0]))
+    made.watch_geofence(pose, along, along)
     assert made.ceiling[0] > 0.4
-    made.watch_geofence(pose, out, out, np.array([1.0]))
+    made.watch_geofence(pose, out, out)
     assert made.floor[0] == 0.0

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.neighbours import estimates
-from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, Predicted, Received, StateSubscriptions
 from fullswarm.agent.safety.filter import (
     BLIND,
     CROWDED,
@@ -29,6 +29,7 @@ from fullswarm.messages import RobotStates
 from fullswarm.runtime import Mailbox
 
 ACCEL, SPEED, TURN, HALT_S, TIMEOUT_S = 2.0, 0.5, 4.25, 1.3, 1.0
+ASSUMED = Assumed(ACCEL, SPEED, TURN, HALT_S)
 HERE = np.zeros((1, 2))
 BOUNDS = np.array([-50.0, -50.0, 50.0, 50.0])
 
@@ -41,9 +42,7 @@ def state(x: float, y: float, speed: float = 0.0, sequence: int = 1, robot: str 
 
 
 def table() -> Neighbours:
-    made = Neighbours(("me",), TIMEOUT_S)
-    made.accel_m_s2, made.speed_m_s, made.turn_rad_s, made.halt_s = ACCEL, SPEED, TURN, HALT_S
-    return made
+    return Neighbours(("me",), TIMEOUT_S, ASSUMED)
 
 
 def one_filter() -> SafetyFilter:
@@ -193,10 +192,10 @@ def test_the_deviation_is_told_and_added_up() -> None:
 
 def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     """The disc never jumps to a smaller one with age while nothing is heard."""
-    heard = np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]])
-    out = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1)
+    received = Received(np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1))
+    out = Predicted(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1))
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():
-        estimates.predict(heard, np.zeros(1), 1, age_s, TIMEOUT_S, HALT_S, ACCEL, SPEED, TURN, *out)
-        sizes.append(float(out[2][0]))
+        estimates.predict(received, 1, age_s, TIMEOUT_S, ASSUMED, out)
+        sizes.append(float(out.spread_m[0]))
     assert (np.diff(sizes) >= -1e-12).all()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from fullswarm.agent.motion.robot_controller import StopReason, explain_hazards
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import Description, Fleet, FleetReading, Hazard, Lifecycle
 from fullswarm.geometry import wrap
-from fullswarm.kernels import Array, Flags, kernel
+from fullswarm.kernels import Array, Flags, Index, kernel
 from fullswarm.reasons import Code, Reason, given, reason
 
 BATTERY_LOW = int(Hazard.BATTERY_LOW)
@@ -32,8 +33,44 @@ class Thresholds:
     fence_delay_s: float = 0.15  # from seeing to braking, for the distance at which braking begins
 
 
+class InspectionLimits(NamedTuple):
+    """Up to which sigma (n,) a position is good enough, and from and up to which charge a battery is low."""
+
+    sigma_m: Array
+    battery_low: float
+    battery_risen: float
+
+
+class Unfit(NamedTuple):
+    """What :func:`inspect` fills, (n,) each; see :class:`Reflexes`."""
+
+    pose_unknown: Flags
+    pose_uncertain: Flags
+    battery_low: Flags
+
+
+class Geofence(NamedTuple):
+    """Bounds of the centres, m; accelerations (n,) m/s²; and the delay from seeing to braking in s."""
+
+    bounds_m: tuple[float, float, float, float]
+    accel_m_s2: Array
+    delay_s: float
+
+
+class SpeedBounds(NamedTuple):
+    """What :func:`geofence` fills, (n,) m/s each: the least and the greatest speed that it allows."""
+
+    floor: Array
+    ceiling: Array
+
+
 class Reflexes:
     """Battery, pose, geofence and clock of n robots.
+
+    Parameters
+    ----------
+    accel_m_s2 : (n,) how hard each robot brakes
+    sigma_limit_m : (n,) up to which sigma of its position a robot may drive; default: any
 
     Attributes
     ----------
@@ -46,28 +83,29 @@ class Reflexes:
 
     def __init__(
         self,
-        count: int,
         bounds_m: tuple[float, float, float, float],
         thresholds: Thresholds,
+        accel_m_s2: Array,
         sigma_limit_m: Array | None = None,
     ) -> None:
-        margin_m = thresholds.fence_margin_m
+        count, margin_m, low = len(accel_m_s2), thresholds.fence_margin_m, thresholds.battery_low
         x_min, y_min, x_max, y_max = bounds_m
-        self._geofence = np.array([x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m])
-        self._thresholds = thresholds
-        self.battery_low = np.zeros(count, bool)
-        self.pose_unknown, self.pose_uncertain = np.zeros(count, bool), np.zeros(count, bool)
-        self._sigma_limit_m = np.full(count, math.inf) if sigma_limit_m is None else sigma_limit_m
+        bounds = (x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m)
+        self._geofence = Geofence(bounds, accel_m_s2, thresholds.fence_delay_s)
+        sigma_m = np.full(count, math.inf) if sigma_limit_m is None else sigma_limit_m
+        self._limits = InspectionLimits(sigma_m, battery_low=low, battery_risen=low + thresholds.battery_rise)
+        self._unfit = unfit = Unfit(np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool))
+        self.pose_unknown, self.pose_uncertain, self.battery_low = unfit
+        self._speeds = SpeedBounds(floor=np.full(count, -math.inf), ceiling=np.full(count, math.inf))
+        self.floor, self.ceiling = self._speeds
         self.clock_jumped = False
-        self.floor, self.ceiling = np.full(count, -math.inf), np.full(count, math.inf)
         self._jump_over_s = -math.inf
 
     def update(self, reading: FleetReading, pose: Array) -> None:
         """Take a reading and the poses (n, 3) estimated from it."""
-        low = self._thresholds.battery_low
         inspect.run(
-            pose, reading.position_sigma_m, self._sigma_limit_m, reading.battery, reading.hazards, low,
-            low + self._thresholds.battery_rise, self.pose_unknown, self.pose_uncertain, self.battery_low,
+            pose, sigma_m=reading.position_sigma_m, battery=reading.battery, hazards=reading.hazards,
+            limits=self._limits, unfit=self._unfit,
         )  # fmt: skip
 
     def watch_clock(self, now_s: float, before_s: float, patience_s: float) -> None:
@@ -80,60 +118,64 @@ class Reflexes:
             self._jump_over_s = now_s + patience_s
         self.clock_jumped = now_s < self._jump_over_s
 
-    def watch_geofence(self, pose: Array, twist: Array, desired: Array, accel_m_s2: Array) -> None:
+    def watch_geofence(self, pose: Array, twist: Array, desired: Array) -> None:
         """Compute between which speeds desired twists (n, 2) stay within the arena, or lead back into it.
 
         `twist` (n, 2) is the measured motion.
         """
-        geofence.run(
-            pose, twist, desired, self._geofence, accel_m_s2, self._thresholds.fence_delay_s, self.floor, self.ceiling
-        )
+        geofence.run(pose, twist, desired, self._geofence, self._speeds)
 
 
 @kernel
 def inspect(
-    pose: Array, sigma_m: Array, sigma_limit_m: Array, level: Array, hazards: NDArray[np.uint8], low: float,
-    risen: float, pose_unknown: Flags, pose_uncertain: Flags, battery_low: Flags,
-) -> None:  # fmt: skip
-    """Fill `pose_unknown` and `pose_uncertain` and update `battery_low` (n,). A level of -1 or a NaN sigma: unknown."""
+    pose: Array, sigma_m: Array, battery: Array, hazards: NDArray[np.uint8], limits: InspectionLimits, unfit: Unfit
+) -> None:
+    """Fill `pose_unknown` and `pose_uncertain` and update `battery_low`. A battery of -1 or a NaN sigma: unknown."""
+    sigma_limit_m, low, risen = limits
+    pose_unknown, pose_uncertain, battery_low = unfit
     for i in range(pose.shape[0]):
         pose_unknown[i] = not math.isfinite(pose[i, 0] + pose[i, 1] + pose[i, 2])
         pose_uncertain[i] = sigma_m[i] > sigma_limit_m[i]
         warned = int(hazards[i]) & BATTERY_LOW != 0
-        battery_low[i] = warned or 0.0 <= level[i] < low or (battery_low[i] and level[i] < risen)
+        battery_low[i] = warned or 0.0 <= battery[i] < low or (battery_low[i] and battery[i] < risen)
 
 
 @kernel
-def geofence(
-    pose: Array, twist: Array, desired: Array, bounds: Array, accel_m_s2: Array, delay_s: float, floor: Array,
-    ceiling: Array,
-) -> None:  # fmt: skip
-    """Fill `floor` and `ceiling` (n,): speeds that can be braked to zero before the centre crosses an edge.
+def geofence(pose: Array, twist: Array, desired: Array, fence: Geofence, speeds: SpeedBounds) -> None:
+    """Fill `speeds` with those that can be braked to zero before the centre crosses an edge.
 
     For each edge: v² / 2a + v · delay <= distance / cos, where cos is of the angle between the motion and the
     edge's normal, the worst one that the measured or desired turn rate can reach until the robot is at standstill.
     A robot that drives along an edge and then begins to turn towards it may cross it by its braking distance.
     """
+    bounds, accel_m_s2, delay_s = fence
+    floor, ceiling = speeds
     for i in range(pose.shape[0]):
         floor[i] = -math.inf
         ceiling[i] = math.inf
-        if not math.isfinite(pose[i, 0] + pose[i, 1] + pose[i, 2] + desired[i, 0] + desired[i, 1]):
+        x = pose[i, 0]
+        y = pose[i, 1]
+        yaw = pose[i, 2]
+        desired_speed = desired[i, 0]
+        desired_turn = desired[i, 1]
+        if not math.isfinite(x + y + yaw + desired_speed + desired_turn):
             continue
         accel = accel_m_s2[i]
-        speed = max(math.fabs(twist[i, 0]), math.fabs(desired[i, 0]))
-        turned = max(math.fabs(twist[i, 1]), math.fabs(desired[i, 1])) * (delay_s + speed / accel)
-        nearest = min(pose[i, 0] - bounds[0], pose[i, 1] - bounds[1], bounds[2] - pose[i, 0], bounds[3] - pose[i, 1])
+        speed = max(math.fabs(twist[i, 0]), math.fabs(desired_speed))
+        turned = max(math.fabs(twist[i, 1]), math.fabs(desired_turn)) * (delay_s + speed / accel)
+        nearest = min(x - bounds[0], y - bounds[1], bounds[2] - x, bounds[3] - y)
         if nearest > speed * delay_s + speed * speed / (2.0 * accel):
             continue
         for side in range(4):
+            centre = x if side % 2 == 0 else y
             if side < 2:
-                room = pose[i, side] - bounds[side]
+                room = centre - bounds[side]
                 normal = math.pi if side == 0 else -0.5 * math.pi
             else:
-                room = bounds[side] - pose[i, side - 2]
+                room = bounds[side] - centre
                 normal = 0.0 if side == 2 else 0.5 * math.pi
             for way in range(2):
-                heading = pose[i, 2] + (0.0 if way == 0 else math.pi)
+                heading = yaw + (0.0 if way == 0 else math.pi)
                 off = math.fabs(wrap(heading - normal))
                 # Outside, turning must stay free, or no robot could turn round and drive back.
                 outward = math.cos(max(0.0, off - turned) if room > 0.0 else off)
@@ -151,6 +193,21 @@ def geofence(
 SPEED, TURN, WINDOW, WAY, ANGLE = range(5)
 STAMP, X, Y, HEADING, LINEAR, ANGULAR = range(6)
 ROUNDING_S = 1e-6
+
+
+class Window(NamedTuple):
+    """The last `held` (n,) readings of each robot, in a ring (n, k, 6) with the newest one at `newest` (n,)."""
+
+    past: Array
+    newest: Index
+    held: Index
+
+
+class Judgement(NamedTuple):
+    """What :func:`judge` fills, (n,) each; see :class:`Standstill`."""
+
+    at_standstill: Flags
+    since_s: Array
 
 
 class Standstill:
@@ -175,53 +232,53 @@ class Standstill:
             [[each.speed_m_s, each.turn_rad_s, each.window_s, each.way_m, each.angle_rad] for each in noise]
         ).reshape(count, 5)
         depth = 2 + math.ceil(max((each.window_s for each in noise), default=0.0) * rate_hz)
-        self._past = np.full((count, depth, 6), -math.inf)
-        self._newest, self._held = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        self.at_standstill = np.ones(count, bool)
-        self.since_s = np.full(count, math.inf)
+        past = np.full((count, depth, 6), -math.inf)
+        self._window = Window(past, newest=np.zeros(count, np.int64), held=np.zeros(count, np.int64))
+        self._judgement = Judgement(np.ones(count, bool), np.full(count, math.inf))
+        self.at_standstill, self.since_s = self._judgement
 
     def update(self, reading: FleetReading) -> None:
         """Take the newest readings; one that was taken before changes nothing."""
-        judge.run(
-            reading.stamp_s, reading.odometry, reading.twist, self._noise, self._past, self._newest, self._held,
-            self.at_standstill, self.since_s,
-        )  # fmt: skip
+        judge.run(reading.stamp_s, reading.odometry, reading.twist, self._noise, self._window, self._judgement)
 
 
 @kernel
-def judge(
-    stamp_s: Array, odometry: Array, twist: Array, noise: Array, past: Array, newest: NDArray[np.int64],
-    held: NDArray[np.int64], at_standstill: Flags, since_s: Array,
-) -> None:  # fmt: skip
-    """Fill `at_standstill` and `since_s` (n,); `past` (n, k, 6): a ring of readings, the last one at `newest`."""
+def judge(stamp_s: Array, odometry: Array, twist: Array, noise: Array, window: Window, judgement: Judgement) -> None:
+    """Take a reading of each robot into `window` if it is new, and fill `judgement`; `noise` (n, 5)."""
+    past, newest, held = window
+    at_standstill, since_s = judgement
     depth = past.shape[1]
     for i in range(stamp_s.shape[0]):
-        if not stamp_s[i] > past[i, newest[i], STAMP]:
+        now_s = stamp_s[i]
+        if not now_s > past[i, newest[i], STAMP]:
             continue
         head = (newest[i] + 1) % depth
         newest[i] = head
         held[i] = min(held[i] + 1, depth)
-        past[i, head, STAMP] = stamp_s[i]
-        past[i, head, X] = odometry[i, 0]
-        past[i, head, Y] = odometry[i, 1]
-        past[i, head, HEADING] = odometry[i, 2]
+        x = odometry[i, 0]
+        y = odometry[i, 1]
+        heading = odometry[i, 2]
+        past[i, head, STAMP] = now_s
+        past[i, head, X] = x
+        past[i, head, Y] = y
+        past[i, head, HEADING] = heading
         past[i, head, LINEAR] = twist[i, 0]
         past[i, head, ANGULAR] = twist[i, 1]
         still = False
         speed = 0.0
         turn = 0.0
         count = 0
-        oldest_s = stamp_s[i]
+        oldest_s = now_s
         for back in range(held[i]):
             at = (head - back) % depth
-            way_m = math.hypot(past[i, at, X] - odometry[i, 0], past[i, at, Y] - odometry[i, 1])
-            if not way_m <= noise[i, WAY] or math.fabs(wrap(past[i, at, HEADING] - odometry[i, 2])) > noise[i, ANGLE]:
+            way_m = math.hypot(past[i, at, X] - x, past[i, at, Y] - y)
+            if not way_m <= noise[i, WAY] or math.fabs(wrap(past[i, at, HEADING] - heading)) > noise[i, ANGLE]:
                 break
             speed += past[i, at, LINEAR]
             turn += past[i, at, ANGULAR]
             count += 1
             oldest_s = past[i, at, STAMP]
-            if stamp_s[i] - oldest_s >= noise[i, WINDOW] - ROUNDING_S:
+            if now_s - oldest_s >= noise[i, WINDOW] - ROUNDING_S:
                 still = True
                 break
         if still:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, Index, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -27,7 +27,7 @@ class Nearby(NamedTuple):
     """Which robots are near each own robot, and where they may be; rows of the arrays of :class:`Neighbours`.
 
     `start` (n + 1,), `other`: the neighbours of robot i are ``other[start[i]:start[i + 1]]``. `places`, `spread_m`,
-    `blur_m`: see :func:`predict`. `states`: (m, 6) as received, at `arrival_s` (m,).
+    `blur_m`: see :class:`Predicted`. `states`: (m, 6) as received, at `arrival_s` (m,).
     """
 
     start: Index
@@ -39,6 +39,43 @@ class Nearby(NamedTuple):
     arrival_s: Array
 
 
+class Received(NamedTuple):
+    """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
+
+    `arrival_s` is on this machine's clock; -inf: never received, or forgotten.
+    """
+
+    states: Array
+    arrival_s: Array
+
+
+class Assumed(NamedTuple):
+    """Limits of the other robots, and after how long one that fell silent is at standstill, at the latest."""
+
+    accel_m_s2: float
+    speed_m_s: float
+    turn_rad_s: float
+    halt_s: float
+
+
+UNMOVED = Assumed(0.0, 0.0, 0.0, 0.0)
+"""The other robots keep the motion that they sent."""
+
+
+class Predicted(NamedTuple):
+    """What :func:`predict` fills.
+
+    `predicted`: (m, 2), NaN for silent robots. `places` (m, 2), `spread_m` (m,): centre and radius of the disc that
+    holds the robot's centre. `blur_m`: (m,) by how much its direction is unknown: the spread, but 0 for a silent robot,
+    which is kept off like a wall, so that a robot inside its disc may leave it.
+    """
+
+    predicted: Array
+    places: Array
+    spread_m: Array
+    blur_m: Array
+
+
 class Neighbours:
     """The newest state of every robot received, as arrays that grow with the swarm.
 
@@ -48,17 +85,15 @@ class Neighbours:
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
-    places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :func:`predict`. A robot that
+    places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
     names : (m,) ids of the robots
-    accel_m_s2, speed_m_s, turn_rad_s : assumed limits of the others
-    halt_s : after how long a silent robot is at standstill, at the latest
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
-    def __init__(self, ids: tuple[str, ...], timeout_s: float) -> None:
-        self._own = ids
+    def __init__(self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED) -> None:
+        self._own, self._assumed = ids, assumed
         self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
@@ -77,8 +112,6 @@ class Neighbours:
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
         self.silent = 0
         self.own_frame_host, self.own_frame_s = "", -math.inf
-        self.accel_m_s2 = self.speed_m_s = self.turn_rad_s = 0.0
-        self.halt_s = timeout_s
         self._near: Nearby | None = None
         self._grow(max(16, len(ids)))
 
@@ -144,10 +177,8 @@ class Neighbours:
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
-        self.silent = predict.run(
-            self.states, self.arrival_s, self.count, now_s, self._timeout_s, max(self.halt_s, self._timeout_s),
-            self.accel_m_s2, self.speed_m_s, self.turn_rad_s, self.predicted, self.places, self.spread_m, self.blur_m,
-        )  # fmt: skip
+        received, out = self._viewed if predict.run is predict.plain else (self._received, self._predicted)
+        self.silent = predict.run(received, self.count, now_s, self._timeout_s, self._assumed, out)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
         """Find what the safety filter must respect: as `within`, but silent robots too, at uncertain places."""
@@ -177,7 +208,7 @@ class Neighbours:
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
             x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
-            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self.speed_m_s)):
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self._assumed.speed_m_s)):
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
@@ -250,6 +281,9 @@ class Neighbours:
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
+            self._received = Received(self.states, self.arrival_s)
+            self._predicted = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
+            self._viewed = views(self._received), views(self._predicted)
 
 
 def _fits(states: RobotStates) -> bool:
@@ -310,27 +344,17 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(
-    states: Array, arrival_s: Array, count: int, now_s: float, timeout_s: float, halt_s: float, accel_m_s2: float,
-    speed_m_s: float, turn_rad_s: float, predicted: Array, places: Array, spread_m: Array, blur_m: Array,
-) -> int:  # fmt: skip
-    """Predict the received states to `now_s`; return how many robots are silent: older than `timeout_s`.
+def predict(received: Received, count: int, now_s: float, timeout_s: float, assumed: Assumed, out: Predicted) -> int:
+    """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
     robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until `halt_s` and then stays, for ever.
-
-    Parameters
-    ----------
-    states : (m, 6) x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m)
-    arrival_s : (m,) when each was received, on this machine's clock; -inf: never, or forgotten
-    halt_s : after so long a robot that fell silent is at standstill
-    accel_m_s2, speed_m_s, turn_rad_s : assumed limits of the others
-    predicted : (m, 2) out, NaN for silent robots
-    places, spread_m : (m, 2), (m,) out, centre and radius of the disc that holds the robot's centre
-    blur_m : (m,) out, by how much its direction is unknown: the spread, but 0 for a silent robot, which is kept off
-        like a wall, so that a robot inside its disc may leave it
+    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever.
     """
+    states, arrival_s = received
+    accel_m_s2, speed_m_s, turn_rad_s, halt_s = assumed
+    halt_s = max(halt_s, timeout_s)
+    predicted, places, spread_m, blur_m = out
     silent = 0
     for row in range(count):
         age_s = max(now_s - arrival_s[row], 0.0)

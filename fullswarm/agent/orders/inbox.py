@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
 from fullswarm.agent.message_delay import MessageDelay
@@ -19,6 +18,7 @@ from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
 from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
+from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 REMEMBERED_STOPS = 256
@@ -56,7 +56,7 @@ class Inbox:
         self._answers: list[ControlAck | None] = [None] * len(ids)
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._delays = [MessageDelay() for _ in ids]
-        self._stops: OrderedDict[str, None] = OrderedDict()
+        self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
         self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
         robot = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
@@ -91,7 +91,7 @@ class Inbox:
                 robot = self._fleet.ids[row]
                 # An id of its own: the core carries out each stop once, and other robots may publish the same one.
                 stop = StopRequest(id=f"{epoch.halted}@{robot}", robots=(robot,), source=robot)
-                self._remember(stop.id)  # it comes back here
+                self._stops[stop.id] = None  # it comes back here
                 self._bus.publish(self._keys.stop, stop)
 
     # ------------------------------------------------------------------ behaviours
@@ -175,7 +175,7 @@ class Inbox:
         task = self._tasks.of[row]
         if task is None:
             return
-        self._epochs[row].voided.note(task.request.request_id, why)
+        self._epochs[row].voided[task.request.request_id] = why
         self.ended[row] = why
         self._drop(row)
 
@@ -211,16 +211,11 @@ class Inbox:
     def _on_stop(self, stop: StopRequest) -> None:
         if stop.id in self._stops:
             return
-        self._remember(stop.id)
+        if stop.id:
+            self._stops[stop.id] = None
         for row in self._addressed(stop.robots):
             self._halt(row, stop.id or "stop", reason(Code.STOPPED, by=stop.source or "an operator"))
         self._wake()
-
-    def _remember(self, stop_id: str) -> None:
-        if stop_id:
-            self._stops[stop_id] = None
-            while len(self._stops) > REMEMBERED_STOPS:
-                self._stops.popitem(last=False)
 
     def _on_estop(self, order: EStop) -> None:
         if self.estops.repeats(order):
@@ -256,17 +251,7 @@ class Inbox:
 
 
 REMEMBERED = 64
-
-
-class Memory(OrderedDict[str, Reason]):
-    """The newest `REMEMBERED` names with a reason for each."""
-
-    def note(self, name: str, why: Reason = NONE) -> None:
-        """Remember `name`, forgetting the oldest when there are too many."""
-        self[name] = why
-        self.move_to_end(name)
-        while len(self) > REMEMBERED:
-            self.popitem(last=False)
+"""Cores, and requests of each robot: other processes choose their names, so their number must be bounded."""
 
 
 class Cores:
@@ -274,15 +259,13 @@ class Cores:
 
     def __init__(self, silence_s: float) -> None:
         self._silence_s = silence_s
-        self._received_s: OrderedDict[str, float] = OrderedDict()
+        self._received_s: Recent[str, float] = Recent(REMEMBERED)
         self._newest_s = -math.inf
 
     def beat(self, process: str, now_s: float) -> bool:
         """Take a heartbeat; tell whether it is the first of its process."""
         new = process not in self._received_s
         self._received_s[process] = self._newest_s = now_s
-        while len(self._received_s) > REMEMBERED:
-            self._received_s.popitem(last=False)
         return new
 
     def alive(self, process: str, now_s: float) -> bool:
@@ -310,9 +293,9 @@ class CoreEpoch:
     def __init__(self, cores: Cores) -> None:
         self._cores = cores
         self._core = ""
-        self._replaced = Memory()
-        self._seen = Memory()
-        self.voided = Memory()
+        self._replaced: Recent[str, None] = Recent(REMEMBERED)
+        self._seen: Recent[str, None] = Recent(REMEMBERED)
+        self.voided: Recent[str, Reason] = Recent(REMEMBERED)
         self.halted = ""
 
     def replaced(self, core: str, now_s: float) -> bool:
@@ -326,13 +309,13 @@ class CoreEpoch:
             return True
         self._replaced.pop(core, None)
         if self._core:
-            self._replaced.note(self._core)
+            self._replaced[self._core] = None
         self._core = core
         return False
 
     def see(self, request_id: str) -> None:
         """Remember a request that was to start here."""
-        self._seen.note(request_id)
+        self._seen[request_id] = None
 
     def accept(self) -> None:
         """Note that a request was started: no stop is in force any more."""
@@ -344,5 +327,5 @@ class CoreEpoch:
         `order_id` is empty when a core was there to receive the stop.
         """
         for request_id in self._seen:
-            self.voided.note(request_id, why)
+            self.voided[request_id] = why
         self.halted = self.halted or order_id

@@ -47,7 +47,7 @@ class HalfPlanes(NamedTuple):
 
 @kernel
 def box_gap(x: float, y: float, obstacles: Array, row: int) -> tuple[float, float, float]:
-    """Measure the way from a point to a rounded box.
+    """Return the distance and direction from a point to a rounded box.
 
     Returns
     -------

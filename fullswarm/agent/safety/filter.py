@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import structlog
@@ -15,7 +15,7 @@ from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_pla
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import Array, Flags, Index, kernel
+from fullswarm.kernels import Array, Flags, Index, kernel, views
 
 log = structlog.get_logger()
 
@@ -106,9 +106,6 @@ class Given(NamedTuple):
     arena: Arena
     out: Filtered
     planes: HalfPlanes
-
-
-Arrays = TypeVar("Arrays", bound=NamedTuple)
 
 
 def robot_params(
@@ -248,14 +245,6 @@ def guard(
         news += why != verdict[i] and (why > LIMITED or verdict[i] > LIMITED)
         verdict[i] = why
     return news
-
-
-def views(arrays: Arrays) -> Arrays:
-    """Return the same tuple with memory views in the place of its arrays.
-
-    Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
-    """
-    return arrays._make(map(memoryview, arrays))
 
 
 class SafetyFilter:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.markup import escape
-from rich.table import Table
 
 from fullswarm import output
 from fullswarm.deploy.fleet.facts import Facts, clock_error_s, facts_of
@@ -111,7 +110,7 @@ def print_rows(rows: Sequence[Row] | Sequence[Status], *, as_json: bool) -> int:
             del robot["exit_code"]
         output.data_json({"ok": code == 0, "robots": robots})
         return code
-    shown = Table(box=None, pad_edge=False)
+    shown = output.plain_table()
     for name in COLUMNS[type(rows[0])] if rows else ():
         shown.add_column(name, overflow="fold", no_wrap=name in ("robot", "result"))
     for each in rows:  # escaped, because some of the text comes from robots

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 from rich.table import Table
 
+from fullswarm import output
 from fullswarm.evaluate.experiment.plan import Cell, Trial, differ_by_group
 
 
@@ -211,12 +212,10 @@ NONE = "-"
 
 def table(report: Report) -> Table:
     """Return the results for people."""
-    view = Table(box=None, pad_edge=False)
     grouped = differ_by_group(each.cell for each in report.cells)
-    for name in (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "bad"):
-        view.add_column(name, overflow="fold")
-    for name in ("N", "seeds", "coll.", "pairs", "touched", "robots %", "trials %", "mean s", "blocked"):
-        view.add_column(name, justify="right", no_wrap=True, min_width=len(name))
+    texts = (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "bad")
+    numbers = ("N", "seeds", "coll.", "pairs", "touched", "robots %", "trials %", "mean s", "blocked")
+    view = output.plain_table(*texts, numbers=numbers)
     for cell in report.cells:
         view.add_row(*[cell.cell.group] * grouped, *_row(cell), style="red" if _is_bad(cell) else None)
     return view

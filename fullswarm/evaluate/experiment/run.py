@@ -400,9 +400,9 @@ def _compare(before: Record | None, record: Record) -> None:
 
 
 def _table(record: Record) -> Table:
-    view = Table(box=None, pad_edge=False, show_header=True)
-    for name, side in (("", "left"), ("onboard", "right"), ("truth", "right")):
-        view.add_column(name, justify="right" if side == "right" else "left")
+    view = output.plain_table("")
+    view.add_column("onboard", justify="right")
+    view.add_column("truth", justify="right")
     for row in _rows(record):
         view.add_row(*row)
     return view

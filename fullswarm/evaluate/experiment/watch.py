@@ -416,7 +416,7 @@ def details(progress: Progress) -> str:
 
 def cell_table(cells: tuple[CellResult, ...]) -> Table:
     """Return a row for each cell."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    table = output.plain_table()
     groups = len({each.cell.group for each in cells}) > 1  # cells may differ in nothing else that is shown
     for name in ("group", "behaviour", "scenario", "engine", "limits")[not groups :]:
         table.add_column(name, no_wrap=True, overflow="ellipsis")

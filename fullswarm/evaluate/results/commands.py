@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from rich.table import Table
 
 from fullswarm import output
 from fullswarm.errors import ConfigError, did_you_mean
@@ -64,13 +63,11 @@ def list_cells(folder: Path, as_json: bool) -> int:
     if as_json:
         output.data_json({"cells": cells, "problems": problems})
         return 0
-    table = Table(box=None, pad_edge=False)
     alike = {tuple(cell[name] for name in ALIKE) for cell in cells}
     grouped = len(alike) < len(cells)  # some differ by nothing else
-    for name in (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "network"):
-        table.add_column(name, overflow="fold")
-    for name in ("N", "trials", "failed", "apart", "coll.", "arrived %", "simulated s"):
-        table.add_column(name, justify="right", no_wrap=True)
+    texts = (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "network")
+    numbers = ("N", "trials", "failed", "apart", "coll.", "arrived %", "simulated s")
+    table = output.plain_table(*texts, numbers=numbers)
     for cell in cells:
         table.add_row(*[cell["group"]] * grouped, *_cell_row(cell), style="red" if cell["failed"] else None)
     output.data_table(table, into_file=130)
@@ -114,8 +111,7 @@ def _show_trial(stored: StoredTrial, as_json: bool) -> int:
     output.data(f"{record.trial.label}\n{stored.path}\nend: {record.end_reason or '-'}")
     if record.failure:
         output.data(f"failure: {record.failure}")
-    table = Table("source", "quantity", box=None, pad_edge=False)
-    table.add_column("value", justify="right")
+    table = output.plain_table("source", "quantity", numbers=("value",))
     table.add_column("unit")
     values = values_of(record)
     for key in in_order(values):
@@ -140,9 +136,8 @@ def _show_sample(trials: list[StoredTrial], what: str, as_json: bool) -> int:
         output.data_json({"filter": what, **counts, "ids": [each.record.id for each in trials], "metrics": rows})
         return 0
     output.data(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
-    table = Table("source", "quantity", "unit", box=None, pad_edge=False)
-    for name in ("trials", "mean", "95 % interval", "median", "quartiles", "least", "most"):
-        table.add_column(name, justify="right", no_wrap=True)
+    numbers = ("trials", "mean", "95 % interval", "median", "quartiles", "least", "most")
+    table = output.plain_table("source", "quantity", "unit", numbers=numbers)
     for key, each in found:
         if is_dull(key[1]):
             continue
@@ -231,9 +226,8 @@ def compare(words: list[str], by: str | None, with_cells: bool, as_json: bool) -
 
 def _print_comparison(found: Comparison, with_cells: bool) -> None:
     output.data(f"A: {found.a}\nB: {found.b}\n{found.pairs} pairs; alone: {found.alone_a} of A, {found.alone_b} of B")
-    table = Table(*(("cell",) if with_cells else ()), "source", "quantity", "unit", box=None, pad_edge=False)
-    for name in ("pairs", "A", "B", "B - A", "95 % interval", "dz", "r", "p rank", "p sign"):
-        table.add_column(name, justify="right", no_wrap=True)
+    numbers = ("pairs", "A", "B", "B - A", "95 % interval", "dz", "r", "p rank", "p sign")
+    table = output.plain_table(*["cell"] * with_cells, "source", "quantity", "unit", numbers=numbers)
     for each in found.overall + (found.cells if with_cells else []):
         if is_dull(each.name):
             continue

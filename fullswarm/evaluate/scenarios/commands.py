@@ -20,9 +20,7 @@ def list_all(as_json: bool) -> int:
     if as_json:
         output.data_json([{"name": each.name, "description": each.description} for each in scenarios])
         return 0
-    from rich.table import Table
-
-    table = Table("scenario", "arena, m", "boxes", "what it is", box=None, pad_edge=False)
+    table = output.plain_table("scenario", "arena, m", "boxes", "what it is")
     for each in scenarios:
         count = len(each.boxes) + (each.random_boxes.count if each.random_boxes else 0)
         table.add_row(each.name, _size(each), str(count), each.description)
