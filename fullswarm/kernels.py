@@ -26,6 +26,9 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 """The arrays of the whole package: what a kernel takes and a behaviour returns."""
 
+Fields = Mapping[str, tuple[str, ...]]
+"""The fields of named tuples, by the name of the parameter."""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 Arrays = TypeVar("Arrays", bound=NamedTuple)
@@ -65,12 +68,11 @@ class Kernel(Generic[P, R]):
         for other in _called(self.__wrapped__).values():
             other.compile()
         fields = _tuple_fields(self.__wrapped__)
-        source = _indexing(self.__wrapped__, fields) if fields else self.__wrapped__
-        self.compiled = numba.njit(cache=True, error_model="numpy")(_linked(source, "compiled"))
-        self.run = self.compiled
-        if fields:
-            entry = _entry(self.__wrapped__, self.compiled, fields)
-            self.run = _flat(numba.njit(cache=True, error_model="numpy")(entry), self.__wrapped__, fields)
+        source = _flattened(self.__wrapped__, fields)
+        self.compiled = numba.njit(cache=True, error_model="numpy", forceinline=bool(fields))(
+            _linked(source, "compiled")
+        )
+        self.run = _taking_tuples(self.compiled, self.__wrapped__, fields) if fields else self.compiled
 
 
 def _called(source: Any) -> dict[str, Kernel[Any, Any]]:
@@ -93,31 +95,70 @@ def _tuple_fields(source: Any) -> dict[str, tuple[str, ...]]:
     return {name: kind._fields for name, kind in kinds.items() if name != "return" and hasattr(kind, "_fields")}
 
 
-class _FieldsByIndex(ast.NodeTransformer):
-    """Reads fields of named tuples by their index."""
+class _Flattening(ast.NodeTransformer):
+    """Replaces the named tuples of a kernel by their members: in its parameters, its body and its calls of kernels."""
 
-    def __init__(self, fields: Mapping[str, tuple[str, ...]]) -> None:
-        self._fields = fields
+    def __init__(
+        self, fields: Mapping[str, tuple[str, ...]], called: Mapping[str, Mapping[str, tuple[str, ...]]]
+    ) -> None:
+        self._fields, self._called = fields, called
+
+    def _members(self, name: str, ctx: ast.expr_context) -> list[ast.expr]:
+        return [ast.Name(f"{name}__{field}", ctx) for field in self._fields[name]]
+
+    def visit_arguments(self, node: ast.arguments) -> ast.AST:
+        """Take the members one by one."""
+        names = [
+            name
+            for each in node.args
+            for name in ([f"{each.arg}__{field}" for field in self._fields.get(each.arg, ())] or [each.arg])
+        ]
+        return ast.arguments([], [ast.arg(name) for name in names], None, [], [], None, node.defaults)
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
-        """Replace ``tuple.field`` by ``tuple[index]``."""
-        if not isinstance(node.value, ast.Name) or node.attr not in self._fields.get(node.value.id, ()):
-            return self.generic_visit(node)
-        index = ast.Constant(self._fields[node.value.id].index(node.attr))
-        return ast.copy_location(ast.Subscript(node.value, index, node.ctx), node)
+        """Read a member."""
+        if isinstance(node.value, ast.Name) and node.value.id in self._fields:
+            return ast.copy_location(ast.Name(f"{node.value.id}__{node.attr}", node.ctx), node)
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        """Make a tuple of the members where the whole is meant, as for unpacking it."""
+        if node.id not in self._fields:
+            return node
+        return ast.copy_location(ast.Tuple(self._members(node.id, ast.Load()), ast.Load()), node)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        """Pass the members to a kernel one by one."""
+        if isinstance(node.func, ast.Name) and node.func.id in self._called:
+            kinds = self._called[node.func.id]
+            given = list(zip(node.args, kinds.values(), strict=True))
+            node.args = [each for value, kind in given for each in (self._passed(value, kind) if kind else [value])]
+        return self.generic_visit(node)
+
+    def _passed(self, value: ast.expr, kind: tuple[str, ...]) -> list[ast.expr]:
+        if not isinstance(value, ast.Name):
+            raise TypeError(f"line {value.lineno}: give a kernel a named tuple by its name")
+        if value.id in self._fields:
+            return self._members(value.id, ast.Load())
+        return [ast.Attribute(value, field, ast.Load()) for field in kind]
 
 
-def _indexing(source: Any, fields: Mapping[str, tuple[str, ...]]) -> Any:
-    """Return a function that reads the fields of its named tuples by index, so that plain tuples do as well.
+def _flattened(source: Any, fields: Mapping[str, tuple[str, ...]]) -> Any:
+    """Return a kernel's function that takes the members of its named tuples one by one.
 
-    Its code keeps file and lines, by which numba finds its cache and reports errors.
+    numba takes some ten times as long for an array in a tuple as for an array: to find its type at each call, and to
+    count references to it in each turn of a loop. The code keeps file and lines, by which numba finds its cache and
+    reports errors.
     """
+    called = {name: _parameter_fields(other.__wrapped__) for name, other in _called(source).items()}
+    if not fields and not any(any(kinds.values()) for kinds in called.values()):
+        return source
     tree = ast.parse(textwrap.dedent(inspect.getsource(source)))
     definition = tree.body[0]
-    assert isinstance(definition, ast.FunctionDef)  # noqa: S101  (a kernel is a function)
-    definition.decorator_list = []
+    if isinstance(definition, ast.FunctionDef):
+        definition.decorator_list = []
     ast.increment_lineno(tree, source.__code__.co_firstlineno - 1)
-    whole = ast.fix_missing_locations(_FieldsByIndex(fields).visit(tree))
+    whole = ast.fix_missing_locations(_Flattening(fields, called).visit(tree))
     made: dict[str, Any] = {}
     flags = __future__.annotations.compiler_flag
     code = compile(whole, source.__code__.co_filename, "exec", flags, dont_inherit=True)
@@ -127,28 +168,18 @@ def _indexing(source: Any, fields: Mapping[str, tuple[str, ...]]) -> Any:
     return function
 
 
-def _entry(source: Any, compiled: Any, fields: Mapping[str, tuple[str, ...]]) -> Any:
-    """Return a function, yet to be compiled, that takes the members of named tuples one by one and calls `compiled`.
-
-    numba finds the type of an array in a tenth of the time that it needs for a tuple with the array in it.
-    """
-    names = list(inspect.signature(source).parameters)
-    members = {name: [f"{name}_{k}" for k in range(len(fields[name]))] for name in names if name in fields}
-    flat = ", ".join(", ".join(members.get(name, [name])) for name in names)
-    passed = ", ".join(f"({', '.join(members[name])},)" if name in members else name for name in names)
-    text = "\n" * (source.__code__.co_firstlineno - 1) + f"def entry({flat}): return compiled({passed})"
-    made: dict[str, Any] = {}
-    exec(compile(text, source.__code__.co_filename, "exec"), {"compiled": compiled}, made)  # noqa: S102  (see above)
-    entry = made["entry"]
-    entry.__module__, entry.__qualname__ = source.__module__, f"{source.__qualname__}.entry"
-    return entry
+def _parameter_fields(source: Any) -> dict[str, tuple[str, ...]]:
+    """Return the fields of each parameter; none for what is no named tuple."""
+    fields = _tuple_fields(source)
+    return {name: fields.get(name, ()) for name in inspect.signature(source).parameters}
 
 
-def _flat(entry: Callable[..., R], source: Callable[P, R], fields: Mapping[str, tuple[str, ...]]) -> Callable[P, R]:
-    """Return a function with the parameters of `source` that hands the members of named tuples to `entry`."""
+def _taking_tuples(compiled: Callable[..., R], source: Any, fields: Mapping[str, tuple[str, ...]]) -> Callable[..., R]:
+    """Return a function with the parameters of `source` that hands on the members of named tuples."""
     names = list(inspect.signature(source).parameters)
     passed = ", ".join(f"*{name}" if name in fields else name for name in names)
-    run: Callable[P, R] = eval(f"lambda {', '.join(names)}: entry({passed})", {"entry": entry})  # noqa: S307  (names only)
+    text = f"lambda {', '.join(names)}: compiled({passed})"
+    run: Callable[..., R] = eval(text, {"compiled": compiled})  # noqa: S307  (the names of its own parameters)
     return run
 
 

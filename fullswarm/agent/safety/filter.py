@@ -298,11 +298,12 @@ class SafetyFilter:
     def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> Given:
         """Keep these arrays and their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
-        self.given = Given(self._robots, requested, near, arena, out, self._planes)
-        self._viewed = Given(
-            self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
-        )
-        return self.given
+        self.given = given = Given(self._robots, requested, near, arena, out, self._planes)
+        if guard.run is guard.plain:
+            self._viewed = Given(
+                self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
+            )
+        return given
 
     def note(self, row: int) -> str:
         """Return why the filter brakes robot `row`; empty when it does not."""
