@@ -1,7 +1,7 @@
 """``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of the agent's unit on a robot.
 
 ``python -m fullswarm agent ROBOT --fleet FILE`` runs the agent without the rest of the command line when
-``FULLSWARM_HEALTH`` is set; nothing is imported before it is known that this is wanted.
+``FULLSWARM_HEALTH`` is set; ``fullswarm.cli`` is then not imported.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fullswarm.launch import HEALTH
 def plain_logs() -> None:
     """Log to stderr for a journal, without colours; and without rich, which structlog imports for screens only.
 
-    With it come pygments and a parser of markdown: 8 MB and half a second that a small computer feels.
+    With it come pygments and a parser of markdown: 8 MB and half a second on a small computer.
     """
     if "structlog" not in sys.modules and "rich" not in sys.modules:
         sys.modules["rich"] = None  # type: ignore[assignment]  # as if it were not installed

@@ -123,7 +123,7 @@ def update(
 ) -> int:
     """Update robots: copy to all, then switch a canary, a wave, the rest; roll back unhealthy ones.
 
-    After Ctrl-C each robot keeps what it ran; one that is switching rolls back by itself.
+    After Ctrl-C each robot keeps what it ran; one that is switching rolls back automatically.
     """
     from fullswarm.deploy.fleet import commands
     from fullswarm.deploy.fleet.rollout import Plan, parse_share

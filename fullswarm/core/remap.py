@@ -1,7 +1,7 @@
-"""The core's end of the centralised behaviours: keeps their node in step with what the robots shall run.
+"""Keeps the requests that the node of the centralised behaviours computes equal to those that the core has active.
 
-The node's heartbeat names the requests that it computes. A missing one is sent again, a superfluous one is ended; so
-either side may lose messages or be started again.
+The node's heartbeat names the requests that it computes. The core sends a missing one again and ends a superfluous one,
+so that messages may be lost and either side may be restarted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The Acme Scout, a small delivery robot that does not exist, as a package outside of fullswarm.
 
-``MAKE`` is its record, to which the entry point leads. ``protocol`` is bytes only and pure; ``session`` is the
-conversation without port, thread or clock; ``driver`` owns the TCP connection and its thread; ``probe`` asks an address
-what is there; ``emulator`` is the other end of the wire, over a body that really moves.
+``MAKE`` is its record, which the entry point names. ``protocol`` converts between bytes and values and is pure;
+``session`` is a state machine without port, thread or clock; ``driver`` gives that session and a TCP port to a
+`LinkedDriver`, which owns the connection and its thread; ``probe`` checks whether a Scout is at an address;
+``emulator`` is the robot's firmware behind a TCP port, with a simulated body.
 """
 
 from fullswarm.drivers.make import Emulation, Evidence, Icon, Make, Model

@@ -1,4 +1,4 @@
-"""Drives an Acme Scout: ``acme://192.168.7.20:7700``. All but the URL and the parts is fullswarm's own."""
+"""Drives an Acme Scout: ``acme://192.168.7.20:7700``. It adds only the URL and the session to `LinkedDriver`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SILENCE_S = 2.0
 
 
 class AcmeDriver(LinkedDriver[bytes]):
-    """A :class:`~fullswarm.drivers.base.Driver` for an Acme Scout; ``ConfigError`` if the URL is none of a Scout."""
+    """A :class:`~fullswarm.drivers.base.Driver` for an Acme Scout; ``ConfigError`` if the URL is not that of a Scout."""
 
     def __init__(self, url: str, clock: Clock | None = None) -> None:
         host, port = _address(url)
@@ -40,5 +40,5 @@ def _address(url: str) -> tuple[str, int]:
     except ValueError as error:
         raise ConfigError(f"not a URL: {error}", where=url) from error
     if parts.scheme != "acme" or not parts.hostname or parts.path or parts.query:
-        raise ConfigError("this names no Acme robot", where=url, hint=f"write acme://192.168.7.20:{PORT}")
+        raise ConfigError("not the URL of an Acme robot", where=url, hint=f"write acme://192.168.7.20:{PORT}")
     return parts.hostname, port

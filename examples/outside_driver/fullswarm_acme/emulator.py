@@ -1,4 +1,4 @@
-"""A Scout to try the driver on: its firmware in the shell of all emulators. `fullswarm emulate acme` runs one."""
+"""Emulates a Scout: its firmware behind a real TCP port. `fullswarm emulate acme` runs one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEP_S = 0.02
 
 
 class Firmware:
-    """What the robot's own computer does: obey lines, ramp, stop by itself after 1 s without DRIVE."""
+    """What the robot's own computer does: execute lines, ramp speeds, stop after 1 s without DRIVE."""
 
     def __init__(self, body: Body) -> None:
         self.body, self.battery, self.estop = body, 1.0, False

@@ -1,4 +1,4 @@
-"""The Scout's line protocol: values to bytes and back. The only place where units turn.
+"""Converts between values and the Scout's line protocol; the only place where units are converted.
 
 A line is words of ASCII, an asterisk, four digits of CRC and a line feed: ``DRIVE 250 -300*e456``. Lengths are mm,
 angles mrad, counter-clockwise, x forward as ours::
@@ -6,7 +6,7 @@ angles mrad, counter-clockwise, x forward as ours::
     to the robot     HELLO      asks for ROBOT, and for STATE 50 times a second from now on
                      ENABLE     motors on: they obey DRIVE
                      DISABLE    motors off
-                     DRIVE v w  for 0.5 s; the robot stops by itself when no other comes
+                     DRIVE v w  set-point; the robot stops when no other one arrives within 1 s
     from the robot   ROBOT model firmware boot
                      STATE mode x y heading v w bumper battery      mode is IDLE, ON or ESTOP; since its boot
 """

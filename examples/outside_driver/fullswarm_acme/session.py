@@ -1,4 +1,4 @@
-"""The conversation with one Scout as a state machine: lines and time in, bytes out. No port, no thread, no clock."""
+"""Runs the protocol with one Scout as a state machine: bytes and time in, bytes out; no port, thread or clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Scout's driver by the published check, with all hands that its emulator has; its protocol by itself."""
+"""The published check of the Scout's driver with every fault of its emulator, and its protocol alone."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from fullswarm_acme.session import Session
 
 
 def test_keeps_the_contract() -> None:
-    with rig() as hands:
-        report = check_driver(hands)
+    with rig() as emulated:
+        report = check_driver(emulated)
     print(report)
     assert report.skipped == {}
 
@@ -66,7 +66,7 @@ def test_a_pressed_button_is_a_fault_that_says_so_and_a_reboot_moves_no_odometry
     assert session.reading.odometry.heading_rad == pytest.approx(before.odometry.heading_rad)
 
 
-def test_nobody_there() -> None:
+def test_an_unreachable_robot_and_a_wrong_url_are_errors() -> None:
     driver = AcmeDriver("acme://127.0.0.1:1")
     with pytest.raises(DriverError, match="is the robot on"):
         driver.open()
@@ -82,19 +82,19 @@ small = st.floats(-30.0, 30.0)
 
 @given(st.sampled_from(["IDLE", "ON", "ESTOP"]), small, small, st.floats(-3.14, 3.14), small, st.booleans())
 def test_a_state_goes_round(mode: str, x_m: float, y_m: float, heading: float, v: float, bumper: bool) -> None:
-    told = State(mode, Pose(x_m, y_m, heading), Twist(v, -v), bumper, 0.5)
-    found = parse_state(state(told))
+    sent = State(mode, Pose(x_m, y_m, heading), Twist(v, -v), bumper, 0.5)
+    found = parse_state(state(sent))
     assert found is not None
     assert (found.mode, found.bumper, found.battery) == (mode, bumper, 0.5)
     assert found.pose.x_m == pytest.approx(x_m, abs=1e-3)
     assert found.pose.heading_rad == pytest.approx(heading, abs=1e-3)
-    assert found.twist == quantised(told.twist) == parse_drive(drive(told.twist))
+    assert found.twist == quantised(sent.twist) == parse_drive(drive(sent.twist))
 
 
 @given(st.binary(max_size=300), st.integers(1, 50))
 def test_noise_hides_no_line_behind_it_and_makes_none(noise: bytes, size: int) -> None:
-    said = noise + b"\n" + line("HELLO") + line("ENABLE")
+    data = noise + b"\n" + line("HELLO") + line("ENABLE")
     parser, texts = LineParser(), list[str]()
-    for start in range(0, len(said), size):
-        texts += parser.feed(said[start : start + size])
+    for start in range(0, len(data), size):
+        texts += parser.feed(data[start : start + size])
     assert texts == ["HELLO", "ENABLE"]

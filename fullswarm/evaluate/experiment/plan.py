@@ -93,11 +93,11 @@ def plan(
     Raises
     ------
     ConfigError
-        A filter names no field, nothing is left, a scenario's file is wrong, or there is no such engine.
+        A filter names no field, nothing is left, a scenario's file is wrong, or the engine is unknown.
     """
     if engine is not None and engine not in get_args(EngineName):
         raise ConfigError(
-            f"there is no engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(EngineName))
+            f"unknown engine '{engine}'", where="--engine", hint=did_you_mean(engine, get_args(EngineName))
         )
     shrunk = experiment.small if small else None
     wanted = seeds or parse_seeds(shrunk.seeds if shrunk else experiment.seeds)
