@@ -1,0 +1,63 @@
+"""Kernels compiled give what they give in plain Python, with named tuples too, which compiled code does not have."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from fullswarm import kernels
+from fullswarm.kernels import Array, Kernel
+
+
+class Pair(NamedTuple):
+    """Two columns."""
+
+    first: Array
+    second: Array
+
+
+def difference(pair: Pair, i: int) -> float:
+    return float(pair.first[i] - pair.second[i])
+
+
+def apart(scale: float, pair: Pair, out: Array) -> float:
+    first, second = pair
+    total = 0.0
+    for i in range(pair.first.shape[0]):
+        out[i] = scale * inner(pair, i) + first[i] * second[i]
+        total += out[i]
+    return total
+
+
+def nested(pair: Pair, i: int) -> float:
+    return inner((pair.first, pair.second), i)  # type: ignore[arg-type]  # a tuple that has no name
+
+
+inner = Kernel(difference)
+
+
+@pytest.fixture
+def pair() -> Pair:
+    rng = np.random.default_rng(7)
+    return Pair(rng.normal(size=5), rng.normal(size=5))
+
+
+def test_named_tuples_are_read_unpacked_and_passed_on_alike(pair: Pair) -> None:
+    kernel = Kernel(apart)
+    plain, compiled = np.zeros(5), np.zeros(5)
+    total = kernel.run(2.0, pair, plain)
+    kernel.compile()
+    assert kernel.run is not kernel.plain
+    assert kernel.run(2.0, pair, compiled) == total
+    assert compiled.tolist() == plain.tolist()
+    assert kernel.run(scale=2.0, pair=pair, out=compiled) == total
+    swapped = Pair(pair.second, pair.first)
+    assert kernel.run(2.0, swapped, compiled) != total
+
+
+def test_a_named_tuple_without_a_name_is_refused_when_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "_ALL", [])  # other tests compile all that are there
+    with pytest.raises(TypeError, match="by its name"):
+        Kernel(nested).compile()
