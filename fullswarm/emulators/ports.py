@@ -1,4 +1,4 @@
-"""The robot's ends of real links: a pseudo terminal, UDP, TCP. What nobody takes is lost.
+"""The robot's ends of real links: a pseudo terminal, UDP, TCP. What is not taken is lost.
 
 Addresses::
 

@@ -82,7 +82,7 @@ class _Scene:
     start: Index
     other: Index
     predicted: Array
-    heard: Array
+    states: Array
     bounds: Bounds
     permutable: bool = True  # no two neighbours are equally near, so that their order cannot matter
 
@@ -95,7 +95,7 @@ class _Scene:
             np.full(len(self.position), RADIUS_M),
             lambda: near,
             self.predicted.copy(),
-            self.heard.copy(),
+            self.states.copy(),
             self.bounds,
         )
 
@@ -110,16 +110,16 @@ class _Scene:
             start=np.array([0, len(near)]),
             other=np.arange(len(near)),
             predicted=self.predicted[near],
-            heard=self.heard[near],
+            states=self.states[near],
         )
 
     def shuffled(self, rng: np.random.Generator) -> _Scene:
         """Return the same with the neighbours of each robot, and all received states, in another order."""
-        order = rng.permutation(len(self.heard))
+        order = rng.permutation(len(self.states))
         moved_to = np.argsort(order)
         edges = [rng.permutation(self.other[a:b]) for a, b in zip(self.start[:-1], self.start[1:], strict=True)]
         return replace(
-            self, other=moved_to[np.concatenate(edges)], predicted=self.predicted[order], heard=self.heard[order]
+            self, other=moved_to[np.concatenate(edges)], predicted=self.predicted[order], states=self.states[order]
         )
 
 
@@ -226,17 +226,17 @@ def _scenes(rng: np.random.Generator, rows: Rows, bounds: Bounds) -> Iterator[_S
     low, high = np.array(bounds[:2]), np.array(bounds[2:])
     count = len(rows)
     position = rng.uniform(low, high, (count, 2))
-    heard = np.zeros((count + STRANGERS, 6))
-    heard[:, :2] = np.concatenate([position, rng.uniform(low, high, (STRANGERS, 2))])
-    heard[:, 2] = rng.uniform(-np.pi, np.pi, len(heard))
-    heard[:, 3:5] = rng.uniform(-0.5, 0.5, (len(heard), 2))
-    heard[:, 5] = RADIUS_M
+    states = np.zeros((count + STRANGERS, 6))
+    states[:, :2] = np.concatenate([position, rng.uniform(low, high, (STRANGERS, 2))])
+    states[:, 2] = rng.uniform(-np.pi, np.pi, len(states))
+    states[:, 3:5] = rng.uniform(-0.5, 0.5, (len(states), 2))
+    states[:, 5] = RADIUS_M
     span = float(np.hypot(*(high - low)))
-    some = _sensed("some neighbours", rows, position, heard, rng.uniform(0.1, 0.5) * span, bounds)
+    some = _sensed("some neighbours", rows, position, states, rng.uniform(0.1, 0.5) * span, bounds)
     yield some
-    yield _sensed("no neighbours", rows, position, heard, -1.0, bounds)
-    yield _sensed("all robots neighbours", rows, position, heard, 2.0 * span, bounds)
-    together = heard.copy()
+    yield _sensed("no neighbours", rows, position, states, -1.0, bounds)
+    yield _sensed("all robots neighbours", rows, position, states, 2.0 * span, bounds)
+    together = states.copy()
     together[:, :2] = position[0]
     at_one_place = np.repeat(position[:1], count, axis=0)
     name = "neighbours at the robot's own place"
@@ -244,20 +244,22 @@ def _scenes(rng: np.random.Generator, rows: Rows, bounds: Bounds) -> Iterator[_S
     for key, value in rows[0].items():
         if _is_point(value):
             arrived = np.array([row[key] for row in rows], float)
-            told = heard.copy()
-            told[:count, :2] = arrived
+            states_there = states.copy()
+            states_there[:count, :2] = arrived
             name = f"robots exactly on their parameter '{key}'"
-            yield replace(_sensed(name, rows, arrived, told, span, bounds), permutable=False)
+            yield replace(_sensed(name, rows, arrived, states_there, span, bounds), permutable=False)
 
 
-def _sensed(what: str, rows: Rows, position: Array, heard: Array, reach_m: float, bounds: Bounds) -> _Scene:
-    """Return the scene in which each robot senses all others within `reach_m`; robot i is row i of `heard`."""
-    distance = np.linalg.norm(heard[None, :, :2] - position[:, None], axis=2)
+def _sensed(what: str, rows: Rows, position: Array, states: Array, reach_m: float, bounds: Bounds) -> _Scene:
+    """Return the scene in which each robot senses all others within `reach_m`; robot i is row i of `states`."""
+    distance = np.linalg.norm(states[None, :, :2] - position[:, None], axis=2)
     near = distance <= reach_m
     near[np.arange(len(position)), np.arange(len(position))] = False
     start = np.concatenate([[0], np.cumsum(near.sum(axis=1))])
-    predicted = np.ascontiguousarray(heard[:, :2])
-    return _Scene(what, rows, position, heard[: len(position), 2], start, np.nonzero(near)[1], predicted, heard, bounds)
+    predicted = np.ascontiguousarray(states[:, :2])
+    return _Scene(
+        what, rows, position, states[: len(position), 2], start, np.nonzero(near)[1], predicted, states, bounds
+    )
 
 
 def _given(view: View, params: Params) -> dict[str, Any]:

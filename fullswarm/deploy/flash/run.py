@@ -94,12 +94,12 @@ def _wait(
 ) -> int:
     """Wait for the robots; print the result before it, or at the end as one JSON document, whatever comes of it."""
     code = 0 if request.as_json else _show(request, lines, {})
-    heard: dict[str, FirstReport] = {}
+    reported: dict[str, FirstReport] = {}
     try:
-        heard, silent = wait_for_robots(hub, robots, minutes)
+        reported, silent = wait_for_robots(hub, robots, minutes)
     finally:
         if request.as_json:
-            code = _show(request, lines, heard)
+            code = _show(request, lines, reported)
     if silent:
         what = f"no report within {minutes:g} minutes"
         raise Unreachable(what, where=", ".join(silent), hint=ADVICE)
@@ -299,7 +299,7 @@ def _progress(what: str) -> image.Report:
     return lambda done: progress("image", what, done)
 
 
-def _show(request: FlashRequest, lines: Sequence[CardResult], heard: dict[str, FirstReport]) -> int:
+def _show(request: FlashRequest, lines: Sequence[CardResult], reported: dict[str, FirstReport]) -> int:
     failed = any(line.state.startswith("FAILED") for line in lines)
     if request.as_json:
         rows = [
@@ -309,7 +309,7 @@ def _show(request: FlashRequest, lines: Sequence[CardResult], heard: dict[str, F
                 "state": line.state,
                 "note": line.note,
                 **line.details,
-                "hello": asdict(heard[line.robot]) if line.robot in heard else None,
+                "hello": asdict(reported[line.robot]) if line.robot in reported else None,
             }
             for line in lines
         ]

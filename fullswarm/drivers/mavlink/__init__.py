@@ -56,8 +56,8 @@ MAKE = Make(
         mode="fullswarm.emulators.mavlink:mode",
     ),
     probe="fullswarm.drivers.mavlink.probe",
-    check="rover over USB or radio: powered; over UDP: it sends to this machine and port (--udp 0.0.0.0:14550 hears "
-    "the network)",
+    check="rover over USB or radio: powered; over UDP: it sends to this machine and port (--udp 0.0.0.0:14550: from "
+    "other machines)",
     icon=Icon("square", "M"),
     evidence=(
         Evidence("emulated", "our emulators of ArduPilot Rover 4.6 and PX4 1.16, which MAVLink clients drive as well",

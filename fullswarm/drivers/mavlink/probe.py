@@ -240,7 +240,7 @@ def udp_holder(port: int) -> str:
             if any(each.is_symlink() and str(each.readlink()) in sockets for each in (process / "fd").iterdir()):
                 holders.append(f"{(process / 'comm').read_text().strip()} (pid {process.name})")
         except OSError:
-            continue  # ended meanwhile, or somebody else's
+            continue  # ended meanwhile, or of another user
     return ", ".join(holders)
 
 
