@@ -33,7 +33,7 @@ class Code(enum.StrEnum):
     BATTERY = "battery"
     CLOCK = "clock"
     POSE = "pose"
-    FENCE = "fence"
+    GEOFENCE = "fence"
     OVERLAP = "overlap"  # robot: the other one
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
@@ -77,7 +77,7 @@ TEXTS: dict[Code, str] = {
     Code.BATTERY: "the battery is low; charge it, or drive it to its charger by hand",
     Code.CLOCK: "clock jumped (suspend or stall); waiting for fresh data",
     Code.POSE: "the estimator has no pose",
-    Code.FENCE: "it would leave the arena",
+    Code.GEOFENCE: "it would leave the arena",
     Code.OVERLAP: "'{robot}' is reported in the same place, so one position is wrong: check where both robots are, "
     "then drive them apart by hand or correct their poses (`pose` in the fleet file, pose fixes)",
     Code.FRAME: "its position counts from where it was switched on, and other robots are present: write [world] "

@@ -17,7 +17,7 @@ from rich.markup import escape
 
 from fullswarm import output, registry
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Reading, Twist
+from fullswarm.drivers.base import STAND, STOPPING_HAZARDS, Description, Driver, Hazard, Lifecycle, Reading, Twist
 from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
 from fullswarm.geometry import wrap
@@ -231,7 +231,7 @@ def _identity(bench: Bench) -> Step:
     charge = "battery unknown" if battery is None else f"battery {battery:.0%}"
     hazards = Hazard.NONE if reading is None else reading.hazards
     what = f"firmware {firmware or 'not reported'}, {charge}"
-    if hazards & (Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.ESTOP_BUTTON | Hazard.OVERCURRENT | Hazard.MOTORS_OFF):
+    if hazards & STOPPING_HAZARDS:
         return Step("state", "failed", f"{what}, {_names(hazards)}: fix this first")
     return Step("state", "passed", f"{what}, {_names(hazards)}" if hazards else what)
 

@@ -48,6 +48,10 @@ class Hazard(enum.IntFlag):
     MOTORS_OFF = 64  # a switch on the robot keeps its motors from power
 
 
+STOPPING_HAZARDS = Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON | Hazard.MOTORS_OFF
+"""With one of these a robot may not move at all; a bump bars the way forward only."""
+
+
 @dataclass(frozen=True, slots=True)
 class Twist:
     """Body velocity: m/s along x, rad/s counter-clockwise."""

@@ -34,7 +34,7 @@ _STOPS: dict[str, str] = _CAUSES | {
     Code.BATTERY: "Charge it, or drive it there by hand.",
     Code.CLOCK: "Its computer is overloaded or was suspended: close other work there.",
     Code.POSE: "Check that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
-    Code.FENCE: "Drive it back by hand, or give it a goal inside the arena.",
+    Code.GEOFENCE: "Drive it back by hand, or give it a goal inside the arena.",
 }
 
 

@@ -92,7 +92,7 @@ def test_a_robot_that_is_not_filtered_stops_at_the_edge(accel: float) -> None:
     bench.run(12.0)
     assert bench.agent.pose[0, 0] <= 10.0 + 1e-6
     assert bench.agent.pose[0, 0] > 9.7
-    assert reason(bench) is StopReason.FENCE
+    assert reason(bench) is StopReason.GEOFENCE
 
 
 def flocking() -> dict[str, Any]:
@@ -107,7 +107,7 @@ def test_outside_it_turns_round_and_drives_back() -> None:
     bench.enable("drive", STICKS, expires_s=0.3)
     bench.run(0.2)
     assert not bench.commanded.any()
-    assert reason(bench) is StopReason.FENCE
+    assert reason(bench) is StopReason.GEOFENCE
     bench.enable("move_to_goal", {"goal": [5.0, 5.0], "gain": 0.5, "arrive_radius_m": 0.05}, request_id="home")
     furthest = 0.0
     for _ in range(400):

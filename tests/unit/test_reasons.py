@@ -21,7 +21,7 @@ from fullswarm.agent.motion import robot_controller
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.cli.request import refusal
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import Hazard
+from fullswarm.drivers.base import STOPPING_HAZARDS, Hazard
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import EStop, HealthReport, LeaseRequest, RequestStatus, RobotHealth, StopRequest
@@ -165,7 +165,7 @@ def test_each_reason_of_the_table_can_be_worded() -> None:
 def test_every_hazard_that_stops_a_robot_has_a_code_of_its_own_or_needs_the_driver_s_words() -> None:
     named = {str(each.name).lower() for each in robot_controller.HAZARDS} - {"estop_button"}
     assert named <= set(Code)
-    assert all(hazard & robot_controller.STOPPING_HAZARDS for hazard in robot_controller.HAZARDS)
+    assert all(hazard & STOPPING_HAZARDS for hazard in robot_controller.HAZARDS)
     assert Hazard.BUMP not in robot_controller.HAZARDS
 
 

@@ -4,8 +4,8 @@
 ``robot_controller.py``  Decides whether each robot may move, and holds speed and turn rate within their limits
 ``reflexes.py``          What stops a robot without a message: battery, pose, geofence, clock, driver; standstill
 
-A reflex on a sensor's bit (bump, cliff, wheel drop) is a member of ``Hazard`` in ``drivers/base.py`` and a line in
-``HAZARDS`` or ``STOPPING_HAZARDS`` of ``robot_controller.py``. A condition that is computed from readings is a field of
-``Reflexes``, which ``Doubt`` passes to the controller. Each stop reason is a ``Code`` with its text in
-:mod:`fullswarm.reasons` and a ``StopReason`` with its entry in ``CODES`` of ``robot_controller.py``.
+A reflex on a sensor's bit (bump, cliff, wheel drop) is a member of ``Hazard`` and of ``STOPPING_HAZARDS`` in
+``drivers/base.py``, and its words in ``HAZARDS`` of ``robot_controller.py``. A condition that is computed from readings
+is a field of ``Reflexes`` in ``reflexes.py``, which ``Doubt`` passes to the controller. Each stop reason is a ``Code``
+with its text in :mod:`fullswarm.reasons` and a ``StopReason`` with its entry in ``CODES`` of ``robot_controller.py``.
 """

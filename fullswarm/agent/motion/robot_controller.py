@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.drivers.base import Hazard, Limits
+from fullswarm.drivers.base import STOPPING_HAZARDS, Hazard, Limits
 from fullswarm.geometry import clamp
 from fullswarm.kernels import Array, Flags, kernel
 from fullswarm.reasons import Code, Reason
@@ -37,7 +37,7 @@ class StopReason(enum.IntEnum):
     BATTERY = 11
     CLOCK = 12
     POSE = 13
-    FENCE = 14
+    GEOFENCE = 14
     OVERLAP = 15
     FRAME = 16
     UNSURE = 17
@@ -45,7 +45,7 @@ class StopReason(enum.IntEnum):
 
 # The kernels' own numbers: compiled code knows no enum, and plain Python reads a global faster than a member.
 MOVING, ESTOP, DRIVER, READING, HAZARD, IDLE, LAW, HUB, CORE = (int(each) for each in tuple(StopReason)[:9])
-EXPIRED, STALE, BATTERY, CLOCK, POSE, FENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(StopReason)[9:])
+EXPIRED, STALE, BATTERY, CLOCK, POSE, GEOFENCE, OVERLAP, FRAME, UNSURE = (int(each) for each in tuple(StopReason)[9:])
 
 CODES: dict[int, Code] = {
     StopReason.MOVING: Code.NONE,
@@ -62,7 +62,7 @@ CODES: dict[int, Code] = {
     StopReason.BATTERY: Code.BATTERY,
     StopReason.CLOCK: Code.CLOCK,
     StopReason.POSE: Code.POSE,
-    StopReason.FENCE: Code.FENCE,
+    StopReason.GEOFENCE: Code.GEOFENCE,
     StopReason.OVERLAP: Code.OVERLAP,
     StopReason.FRAME: Code.FRAME,
     StopReason.UNSURE: Code.UNSURE,
@@ -78,7 +78,7 @@ HAZARDS: dict[Hazard, tuple[str, str]] = {
 }
 """What a hazard that stops a robot is called, and what to do about it."""
 
-STOPPING_HAZARDS = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.ESTOP_BUTTON | Hazard.MOTORS_OFF)
+STOPPING = int(STOPPING_HAZARDS)
 BUMP = int(Hazard.BUMP)
 STILL = 1e-3
 """m/s and rad/s: less is no motion."""
@@ -238,7 +238,7 @@ def why_not(
         why = DRIVER
     elif not sensed.stamp_s[i] >= sensed.read_since_s:
         why = READING
-    elif int(sensed.hazards[i]) & STOPPING_HAZARDS:
+    elif int(sensed.hazards[i]) & STOPPING:
         why = HAZARD
     elif not task.active[i]:
         why = IDLE
@@ -284,7 +284,7 @@ def decide(
             speed, low, high = clamp(wanted[i, 0], low, high), max(low, doubt.floor[i]), min(high, doubt.ceiling[i])
             held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
             if held and math.fabs(wanted[i, 1]) < STILL:
-                why = FENCE
+                why = GEOFENCE
         changed = changed or reason[i] != why
         reason[i] = why
         decision.drive_on[i] = task.active[i] and not estop

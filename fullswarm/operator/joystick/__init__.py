@@ -5,7 +5,8 @@ the rest runs on any clock.
 
 ``state.py``           the state of a gamepad, and the protocol of its source
 ``bindings.py``        reads which control requests what (``bindings.toml``, or the user's file);
-                       those of a gamepad in the browser are in ``console/page/drive.js``
+                       a new binding is a line there, a new function of a button a field of ``Buttons`` and its rule in
+                       ``pilot.py``. A gamepad in the browser has its own, ``BUTTON`` in ``console/page/drive.js``
 ``pilot.py``           converts the inputs of pads to requests, stops and e-stops: the rules of driving; read this first
 ``teleop_session.py``  drives the selected robots: leases, stream, zeros
 ``selection.py``       selects a robot, a group, a make or the whole swarm
