@@ -88,7 +88,7 @@ def test_a_stale_signature_is_refused_before_anything_is_written(fleet: Fleet, t
     lab, before = fleet.lab, fleet.listing()
     forged = tmp_path / fleet.second
     shutil.copytree(lab.folder / "releases" / fleet.second, forged)
-    file, sums = forged / "app/fullswarm/keys.py", forged / "SHA256SUMS"
+    file, sums = forged / "app" / MODULE, forged / "SHA256SUMS"
     old = hashlib.sha256(file.read_bytes()).hexdigest()
     file.unlink()  # it is a hard link
     file.write_text("import os\n")
