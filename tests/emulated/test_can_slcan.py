@@ -177,7 +177,7 @@ def test_a_file_is_not_overwritten(url: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_nobody_reads_and_the_emulator_goes_on(url: str) -> None:
+def test_an_adapter_that_is_not_read_drops_frames_and_the_emulator_continues(url: str) -> None:
     """An adapter whose computer has stopped reading drops frames; it does not stop the robot's firmware."""
     path = url.split("://")[1].split("?")[0]
     with EmulatedBase(url) as base:

@@ -34,7 +34,6 @@ SLOWEST = 0.25
 MOST_LEAD_RAD = 2.5
 YAW_P, DRIVE_TO_TURN_RAD, TURN_TO_DRIVE_RAD = 5.0, 0.174533, 0.0872665
 """Where a parameter cannot be read: PX4's defaults, and its simulated rover's gain."""
-FLOWING_S = 0.5  # 2 Hz is its lowest rate
 HOLD_ACTION, DISARM_ACTION = 5.0, 7.0
 
 

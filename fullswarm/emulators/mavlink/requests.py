@@ -25,7 +25,6 @@ FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 SWITCH_MODE = 1  # a flag of REPOSITION
 HOME_MESSAGE = 242
 Values = Sequence[float]
-ORIGIN_MESSAGE = 49
 
 
 @dataclass(frozen=True, slots=True)
