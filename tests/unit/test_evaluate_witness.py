@@ -23,10 +23,12 @@ class Robots:
     """Say where they are and what they touch."""
 
     def __init__(self) -> None:
-        self.mailbox = Mailbox()
+        self.mailbox, self.now_s = Mailbox(), 0.0
         self.bus = LocalBus(self.mailbox)
         self.witness = ReportedWitness(
-            self.bus, SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS]})
+            self.bus,
+            SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS], "world": {"walls": False}}),
+            lambda: self.now_s,
         )
 
     def stand(self, robot: str, x_m: float, y_m: float) -> None:

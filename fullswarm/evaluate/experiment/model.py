@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
@@ -14,6 +14,8 @@ from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
 
+EvidenceMode = Literal["always", "contacts", "never"]
+"""Of which trials the motion is kept: of all, of those with a contact, or of none."""
 Parameter = bool | int | float | str
 T = TypeVar("T")
 LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
@@ -135,6 +137,7 @@ class Experiment(Section):
     limits: dict[str, Body] = Field(min_length=1)
     groups: tuple[Group, ...] = Field(min_length=1)
     small: Small = Small()
+    evidence: EvidenceMode = "contacts"  # whose motion is kept, to audit it
 
     @model_validator(mode="after")
     def _named(self) -> Self:
