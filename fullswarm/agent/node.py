@@ -123,6 +123,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, ended=self.inbox.ended,
+            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
@@ -345,7 +346,7 @@ def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thres
 
 
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
-    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
         speed_m_s=float(controller.speed_limit.max()),

@@ -42,15 +42,17 @@ class Nearby(NamedTuple):
 class Received(NamedTuple):
     """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
 
-    `arrival_s` is on this machine's clock; -inf: never received, or forgotten.
+    `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
+    that each states; NaN: it states none.
     """
 
     states: Array
     arrival_s: Array
+    limits: Array
 
 
 class Assumed(NamedTuple):
-    """Limits of the other robots, and after how long one that fell silent is at standstill, at the latest."""
+    """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest."""
 
     accel_m_s2: float
     speed_m_s: float
@@ -82,6 +84,7 @@ class Neighbours:
     Attributes
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
+    limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
@@ -105,6 +108,7 @@ class Neighbours:
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
+        self.limits = np.zeros((0, 3))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
@@ -141,10 +145,14 @@ class Neighbours:
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
         table = np.array(columns)
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
+        limits = np.full((3, len(rows)), math.nan)
+        if states.accel_m_s2:
+            limits[:] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
-            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            rows, table, teams, limits = rows[finite], table[:, finite], teams[finite], limits[:, finite]
         self.states[rows] = table.T
+        self.limits[rows] = limits.T
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
@@ -167,6 +175,11 @@ class Neighbours:
         received[row, 3] = speed_m_s
         received[row, 4] = turn_rad_s
         received[row, 5] = radius_m
+        if states.accel_m_s2:
+            limits = self.limits
+            limits[row, 0] = states.speed_limit_m_s[0]
+            limits[row, 1] = states.turn_limit_rad_s[0]
+            limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
@@ -208,7 +221,9 @@ class Neighbours:
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
             x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
-            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self._assumed.speed_m_s)):
+            stated_m_s = float(self.limits[row, 0])
+            fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
@@ -275,13 +290,14 @@ class Neighbours:
         if count > len(self.states):
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
+            self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            self._received = Received(self.states, self.arrival_s)
+            self._received = Received(self.states, self.arrival_s, self.limits)
             self._predicted = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             self._viewed = views(self._received), views(self._predicted)
 
@@ -292,6 +308,9 @@ def _fits(states: RobotStates) -> bool:
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
     if states.teams and len(states.teams) != count:
+        return False
+    accel_m_s2 = states.accel_m_s2
+    if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
@@ -351,8 +370,8 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
     robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
     robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever.
     """
-    states, arrival_s = received
-    accel_m_s2, speed_m_s, turn_rad_s, halt_s = assumed
+    states, arrival_s, limits = received
+    assumed_accel, assumed_speed, assumed_turn, halt_s = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
@@ -368,6 +387,13 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
             continue
         speed = states[row, 3]
         rate = states[row, 4]
+        speed_m_s = limits[row, 0]
+        turn_rad_s = limits[row, 1]
+        accel_m_s2 = limits[row, 2]
+        if math.isnan(speed_m_s + turn_rad_s + accel_m_s2):
+            speed_m_s = assumed_speed
+            turn_rad_s = assumed_turn
+            accel_m_s2 = assumed_accel
         moved_s = min(age_s, halt_s)
         fastest = max(speed_m_s, math.fabs(speed))
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
