@@ -297,7 +297,7 @@ class WorldWitness:
 
     @property
     def radius_m(self) -> Array:
-        """Their true sizes."""
+        """The true sizes."""
         return self._world.radius_m
 
     def tally(self) -> ContactTally:
@@ -416,17 +416,15 @@ def in_safe_set(world: World, margin_m: float) -> bool:
     """Return whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
     position, radius_m = world.pose[:, :2], world.radius_m
     apart = position[:, None] - position[None, :]
-    gap_m = np.hypot(apart[..., 0], apart[..., 1]) - (radius_m[:, None] + radius_m)
-    np.fill_diagonal(gap_m, np.inf)
-    if gap_m.min(initial=np.inf) < margin_m - TOLERANCE:
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    if (distance < radius_m[:, None] + radius_m[None, :] + margin_m).any():
         return False
-    clearance_m = radius_m[:, None] + margin_m
-    x_min, y_min, x_max, y_max = world.config.bounds_m
-    inside: NDArray[np.bool_] = (position >= (x_min + clearance_m, y_min + clearance_m)) & (
-        position <= (x_max - clearance_m, y_max - clearance_m)
-    )
+    clearance_m = (radius_m + margin_m)[:, None]
+    low, high = np.array(world.config.bounds_m).reshape(2, 2)
+    inside: NDArray[np.bool_] = (position >= low + clearance_m) & (position <= high - clearance_m)
     return bool(inside.all()) and all(
-        box_gap.run(x, y, world.obstacles, row)[0] >= clear_m
-        for (x, y), clear_m in zip(position, clearance_m[:, 0], strict=True)
+        box_gap.run(x, y, world.obstacles, row)[0] >= each_m + margin_m
+        for (x, y), each_m in zip(position, radius_m, strict=True)
         for row in range(len(world.obstacles))
     )

@@ -105,7 +105,8 @@ class WorldNode:
         """
         world = self.world
         nowhere = np.full((len(world.ids), 2), np.nan)
-        self._truth = Truth(world.ids, world.radius_m, nowhere, 0.0, bounds_m, cell_m)
+        radius_m = world.radius_m
+        self._truth = Truth(world.ids, radius_m, nowhere, 0.0, bounds_m, cell_m)
         return SupervisorCalculator(self._bus, self._keys, self._scheduler, self._truth, self._process)
 
     def _step(self) -> None:

@@ -35,6 +35,7 @@ class World:
     twist : (n, 2) measured, m/s and rad/s
     contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
     hazards : (n,) ``Hazard`` bits
+    radius_m : (n,) of the bodies
     target, drive : (n, 2) set-points as requested, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
     radius_m : (n,) of the bodies, which their drivers may state otherwise
@@ -67,10 +68,10 @@ class World:
         self.obstacles.flags.writeable = False
         self.bodies = tuple(config.of_body(robot) for robot in ids)
         self.descriptions = tuple(describe(body) for body in self.bodies)
-        self.radius_m = np.array([body.radius_m for body in self.bodies])
-        self.engine = make_engine(config, fill_starts(config, ids, starts))
+        self.engine = make_engine(config, fill_starts(config, ids, starts), self.bodies)
         self.firmware = self.engine.firmware
         self.referee = self.engine.referee
+        self.radius_m = self.referee.radius_m
         self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.referee.contacts
         self.sensed_pose = self.pose if _perfect(config) else self.pose.copy()
         self.odometry = np.zeros((n, 3))
