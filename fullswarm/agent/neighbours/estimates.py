@@ -175,8 +175,10 @@ class Neighbours:
         received[row, 3] = speed_m_s
         received[row, 4] = turn_rad_s
         received[row, 5] = radius_m
-        if states.accel_m_s2:
-            limits = self.limits
+        limits = self.limits
+        if not states.accel_m_s2:
+            limits[row, 2] = math.nan
+        else:
             limits[row, 0] = states.speed_limit_m_s[0]
             limits[row, 1] = states.turn_limit_rad_s[0]
             limits[row, 2] = states.accel_m_s2[0]
