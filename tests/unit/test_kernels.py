@@ -79,8 +79,9 @@ def test_a_bound_call_gives_what_the_whole_call_gives_and_reads_arrays_anew(pair
             assert whole(*arguments) == expected[0]
             assert out.tolist() == expected.tolist()
         pair.first[:] += 1.0
+    too_few: Any = calls[1]
     with pytest.raises(TypeError):
-        calls[1](2.0)  # type: ignore[arg-type]  # too few
+        too_few(2.0)
 
 
 def test_a_named_tuple_without_a_name_is_refused_when_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
