@@ -195,7 +195,9 @@ class AgentNode:
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
-            self.calculators.update(now_s, state.pose, contacts, period_s, reading.odometry, reading.twist)
+            self.calculators.update(
+                now_s, state.pose, contacts, period_s, reading.odometry, reading.twist, state.setpoints
+            )
         except Exception as error:
             self._measurement_failed(error)
         self.inbox.watch_estops(now_s)
