@@ -129,6 +129,10 @@ class AgentNode:
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, ended=self.inbox.ended,
         )  # fmt: skip
+        self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
+        self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
+        self._sensed: Sensed | None = None
+        self._doubt = _doubt(self.reflexes, self.pose_conflicts)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
@@ -228,24 +232,36 @@ class AgentNode:
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
-        tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
-            now_s, dt_s,
-            Task(tasks.active, tasks.survives_core, tasks.expires_at_s),
-            Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
-            Sensed(read_since_s, reading.stamp_s, reading.hazards),
-            Doubt(
-                battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
-                pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
-                frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
-            ),
-        )  # fmt: skip
+            now_s, dt_s, read_since_s, self._task, self._link_now(now_s), self._sensed_in(reading), self._doubt_now()
+        )
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
+
+    # The controller's tuples are kept while nothing in them changed: to make them takes longer than to decide.
+    def _link_now(self, now_s: float) -> Link:
+        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
+        ready = self._drivers.look()
+        if link.core_alive is not core_alive or link.hub_alive is not hub_alive or link.driver_ready is not ready:
+            self._link = link = Link(core_alive, hub_alive, ready)
+        return link
+
+    def _sensed_in(self, reading: FleetReading) -> Sensed:
+        sensed = self._sensed
+        if sensed is None or sensed.stamp_s is not reading.stamp_s or sensed.hazards is not reading.hazards:
+            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
+        return sensed
+
+    def _doubt_now(self) -> Doubt:
+        doubt, clock_jumped = self._doubt, self.reflexes.clock_jumped
+        frame_conflict = self.pose_conflicts.frame_conflict
+        if doubt.clock_jumped is not clock_jumped or doubt.frame_conflict is not frame_conflict:
+            self._doubt = doubt = doubt._replace(clock_jumped=clock_jumped, frame_conflict=frame_conflict)
+        return doubt
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
@@ -354,6 +370,14 @@ def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thres
     spare_m = max(config.agent.safety_margin_m, LEAST_SPARE_M)
     sigma_limit_m = np.array([each.pose_sigma_m + spare_m for each in fleet.descriptions])
     return Reflexes(config.bounds_m, thresholds, accel, sigma_limit_m)
+
+
+def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
+    return Doubt(
+        battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
+        pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
+        frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
+    )  # fmt: skip
 
 
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
