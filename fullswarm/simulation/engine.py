@@ -6,6 +6,8 @@ import math
 from importlib import import_module
 from typing import Protocol
 
+import numpy as np
+
 from fullswarm.config import EngineName, WorldConfig
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.kernels import Array
@@ -53,8 +55,12 @@ def check_config(config: WorldConfig) -> None:
             )
 
 
-def make_engine(config: WorldConfig, starts: Array) -> Engine:
+def make_engine(config: WorldConfig, starts: Array, radius_m: Array | None = None) -> Engine:
     """Return the engine that `config` names, its bodies at `starts` (n, 3).
+
+    Parameters
+    ----------
+    radius_m : (n,) of the bodies; None: all have the world's
 
     Raises
     ------
@@ -63,8 +69,9 @@ def make_engine(config: WorldConfig, starts: Array) -> Engine:
     """
     check_config(config)
     module, name = ENGINES[config.engine]
+    radius_m = np.full(len(starts), config.radius_m) if radius_m is None else np.asarray(radius_m, np.float64)
     try:
-        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts)
+        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts, radius_m)
         return engine
     except ModuleNotFoundError as error:
         if error.name != "pybullet":

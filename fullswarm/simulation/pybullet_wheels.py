@@ -36,12 +36,12 @@ class WheelsEngine:
     A robot of another radius has its wheel base scaled with it.
     """
 
-    def __init__(self, config: WorldConfig, starts: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, radius_m: Array) -> None:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
         self._dt_s, obstacles = 1.0 / config.rate_hz, static_obstacles(config)
-        self._base_m = WHEEL_BASE_M * config.radius_m / CREATE_RADIUS_M
+        self._base_m = WHEEL_BASE_M * radius_m / CREATE_RADIUS_M
         self._client = BulletClient(
             self._dt_s,
             config.substeps,
@@ -49,7 +49,7 @@ class WheelsEngine:
             solverResidualThreshold=1e-4,
             enableConeFriction=0,
         )
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), n, self._client.part_s)
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), radius_m, self._client.part_s)
         self.firmware = self._client.firmware + " wheels"
         api, client = self._client.api, self._client.id
         api.setGravity(0.0, 0.0, GRAVITY_M_S2, physicsClientId=client)
@@ -58,31 +58,35 @@ class WheelsEngine:
         api.changeDynamics(floor, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
         for body in self._client.add_obstacles(obstacles, 0.0):
             api.changeDynamics(body, -1, lateralFriction=SHELL_FRICTION, physicsClientId=client)
-        self._shapes = self._make_shapes(config)
+        self._rollers = self._make_rollers()
         self._fastest_m_s = 0.0
-        self._bodies = [self._add_body(config, pose) for pose in self.pose.tolist()]
+        self._bodies = [
+            self._add_body(config.mass_kg, each_m, base_m, pose)
+            for each_m, base_m, pose in zip(radius_m.tolist(), self._base_m.tolist(), self.pose.tolist(), strict=True)
+        ]
 
-    def _make_shapes(self, config: WorldConfig) -> tuple[int, int, int]:
+    def _make_rollers(self) -> tuple[int, int]:
+        """Return the shapes of a wheel and of a caster, which all bodies share."""
         api, client = self._client.api, self._client.id
         return (
-            api.createCollisionShape(
-                api.GEOM_CYLINDER, radius=config.radius_m, height=SHELL_HEIGHT_M, physicsClientId=client
-            ),
             api.createCollisionShape(api.GEOM_SPHERE, radius=WHEEL_RADIUS_M, physicsClientId=client),
             api.createCollisionShape(api.GEOM_SPHERE, radius=CASTER_RADIUS_M, physicsClientId=client),
         )
 
-    def _add_body(self, config: WorldConfig, pose: list[float]) -> int:
+    def _add_body(self, mass_kg: float, radius_m: float, base_m: float, pose: list[float]) -> int:
         """Add shell, left and right wheel (joints 0, 1; turning about y), front and rear caster (fixed)."""
         api, client = self._client.api, self._client.id
         x, y, heading = pose
-        shell, wheel, caster = self._shapes
+        wheel, caster = self._rollers
+        shell = api.createCollisionShape(
+            api.GEOM_CYLINDER, radius=radius_m, height=SHELL_HEIGHT_M, physicsClientId=client
+        )
         centre_m = SHELL_BOTTOM_M + SHELL_HEIGHT_M / 2
         wheel_z = WHEEL_RADIUS_M - centre_m
-        caster_x, caster_z = 0.8 * config.radius_m, CASTER_RADIUS_M + CASTER_GAP_M - centre_m
+        caster_x, caster_z = 0.8 * radius_m, CASTER_RADIUS_M + CASTER_GAP_M - centre_m
         straight = [0.0, 0.0, 0.0, 1.0]
         body: int = api.createMultiBody(
-            baseMass=config.mass_kg - 2 * WHEEL_MASS_KG,
+            baseMass=mass_kg - 2 * WHEEL_MASS_KG,
             baseCollisionShapeIndex=shell,
             basePosition=[x, y, centre_m],
             baseOrientation=[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)],
@@ -91,8 +95,8 @@ class WheelsEngine:
             linkCollisionShapeIndices=[wheel, wheel, caster, caster],
             linkVisualShapeIndices=[-1] * 4,
             linkPositions=[
-                [0.0, self._base_m / 2, wheel_z],
-                [0.0, -self._base_m / 2, wheel_z],
+                [0.0, base_m / 2, wheel_z],
+                [0.0, -base_m / 2, wheel_z],
                 [caster_x, 0.0, caster_z],
                 [-caster_x, 0.0, caster_z],
             ],

@@ -35,6 +35,7 @@ class World:
     twist : (n, 2) measured, m/s and rad/s
     contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
     hazards : (n,) ``Hazard`` bits
+    radius_m : (n,) of the bodies
     target, drive : (n, 2) set-points as requested, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
@@ -67,6 +68,7 @@ class World:
         self.engine = make_engine(config, fill_starts(config, ids, starts))
         self.firmware = self.engine.firmware
         self.referee = self.engine.referee
+        self.radius_m = self.referee.radius_m
         self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.referee.contacts
         self.sensed_pose = self.pose if _perfect(config) else self.pose.copy()
         self.odometry = np.zeros((n, 3))
