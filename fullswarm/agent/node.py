@@ -16,6 +16,7 @@ from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, T
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
+from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -90,6 +91,10 @@ class AgentNode:
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self.reception = ReceptionReporter(
+            bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
+            alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
+        )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
@@ -260,7 +265,10 @@ class AgentNode:
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
-        self.neighbours.receive(states, self._scheduler.now_s())
+        now_s = self._scheduler.now_s()
+        self.neighbours.receive(states, now_s)
+        if not self.reception.alone:
+            self.reception.note(states, now_s)
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
@@ -274,6 +282,7 @@ class AgentNode:
             return
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
+        self.reception.update()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -346,6 +355,7 @@ class AgentNode:
         self.publish_measurements()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
+        self.reception.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()

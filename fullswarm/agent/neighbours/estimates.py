@@ -149,6 +149,13 @@ class Neighbours:
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
+    def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
+        """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
+        newest = self._newest.get(states.host)
+        if newest and now_s - newest[2] < ANEW_S and (states.sequence <= newest[0] or states.stamp_s <= newest[1]):
+            return
+        self.receive(states, now_s - age_s)
+
     def _receive_one(self, states: RobotStates, now_s: float) -> None:
         """Do the same for a host with one robot, number by number.
 
