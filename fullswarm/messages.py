@@ -297,6 +297,36 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
 
 
+class Reception(Message, frozen=True, kw_only=True):
+    """Whose states a host receives directly, 2 Hz and on change; the core relays what is missing.
+
+    `robots`, `x_m`, `y_m`: the host's own robots and where they are, columns of equal length.
+    """
+
+    host: str
+    robots: Names
+    x_m: Places
+    y_m: Places
+    received: Names = ()  # hosts
+    stamp_s: Stamp = 0.0
+
+
+class Relayed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """States of one host as the core received them; part of RelayedStates."""
+
+    states: RobotStates
+    age_s: Duration  # since their arrival at the core
+
+
+class RelayedStates(Message, frozen=True, kw_only=True):
+    """States that a host does not receive although its robots need them, 10 Hz, from the core."""
+
+    host: str  # the one that they are for
+    relayed: Annotated[tuple[Relayed, ...], Meta(max_length=MOST)]
+    sequence: Ordinal = 0
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
@@ -460,6 +490,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),
+    Reception: lambda m: len(m.robots) == len(m.x_m) == len(m.y_m),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
 }  # fmt: skip
 """Whether a message's columns fit together, written out because states come a thousand times per second."""

@@ -127,7 +127,12 @@ def drive(
     # The robots measure until they stand, and so does the truth beside it.
     report = swarm.report()
     return Measurement(
-        outcome=msgspec.structs.replace(outcome, deadlocks=report.deadlocks, deadlock_s=report.deadlock_s),
+        outcome=msgspec.structs.replace(
+            outcome,
+            deadlocks=report.deadlocks,
+            deadlock_s=report.deadlock_s,
+            **_per_second(report.onboard, outcome.simulated_s),
+        ),
         end_reason=reason,
         onboard=report.onboard,
         truth=witness.values(),
@@ -169,6 +174,19 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
     )
+
+
+RATES = {
+    "reversals_per_s": "smoothness.reversals_mean",
+    "speed_variation_m_s2": "smoothness.speed_variation_m_s",
+    "turn_variation_rad_s2": "smoothness.turn_variation_rad_s",
+}
+"""Numbers of the outcome that are sums of the robots' own measurements over the time."""
+
+
+def _per_second(onboard: Mapping[str, float], time_s: float) -> dict[str, float]:
+    """Return the outcome's rates; none that the robots did not measure."""
+    return {name: round(onboard[key] / time_s, 5) for name, key in RATES.items() if key in onboard and time_s > 0.0}
 
 
 class Track:

@@ -224,6 +224,6 @@ def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     out = Predicted(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1))
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():
-        estimates.predict(received, 1, age_s, TIMEOUT_S, ASSUMED, out)
+        estimates.predict(received, out, ASSUMED, 1, age_s, TIMEOUT_S)
         sizes.append(float(out.spread_m[0]))
     assert (np.diff(sizes) >= -1e-12).all()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, kernel, views
+from fullswarm.kernels import Array, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -156,6 +157,13 @@ class Neighbours:
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
+    def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
+        """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
+        newest = self._newest.get(states.host)
+        if newest and now_s - newest[2] < ANEW_S and (states.sequence <= newest[0] or states.stamp_s <= newest[1]):
+            return
+        self.receive(states, now_s - age_s)
+
     def _receive_one(self, states: RobotStates, now_s: float) -> None:
         """Do the same for a host with one robot, number by number.
 
@@ -192,8 +200,7 @@ class Neighbours:
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
-        received, out = self._viewed if predict.run is predict.plain else (self._received, self._predicted)
-        self.silent = predict.run(received, self.count, now_s, self._timeout_s, self._assumed, out)
+        self.silent = self._run_predict(self.count, now_s, self._timeout_s)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
         """Find what the safety filter must respect: as `within`, but silent robots too, at uncertain places."""
@@ -299,9 +306,11 @@ class Neighbours:
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            self._received = Received(self.states, self.arrival_s, self.limits)
-            self._predicted = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
-            self._viewed = views(self._received), views(self._predicted)
+            received = Received(self.states, self.arrival_s, self.limits)
+            out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
+            if predict.run is predict.plain:
+                received, out = views(received), views(out)
+            self._run_predict = bound(partial(predict.run, received, out, self._assumed))
 
 
 def _fits(states: RobotStates) -> bool:
@@ -365,7 +374,7 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(received: Received, count: int, now_s: float, timeout_s: float, assumed: Assumed, out: Predicted) -> int:
+def predict(received: Received, out: Predicted, assumed: Assumed, count: int, now_s: float, timeout_s: float) -> int:
     """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a

@@ -8,7 +8,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fullswarm.config import DEFAULT_WORLD, WorldConfig
 from fullswarm.drivers.base import Description, Limits
-from fullswarm.drivers.sim.protocol import parse_address
+from fullswarm.drivers.ports import parse_address
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID
 
