@@ -81,9 +81,9 @@ class Standard:
     @classmethod
     def of_world(cls, world: World, goals: Array, goal_radius_m: float, emulated: bool = False) -> Standard:
         """Return that of a simulated world; `emulated`: firmware stands between the commands and the bodies."""
-        limits = ENDLESS if emulated else world.description.limits
+        stated = [ENDLESS if emulated else each.limits for each in world.descriptions]
         return cls(
-            limits=np.tile([limits.speed_m_s, limits.turn_rad_s], (len(world.ids), 1)),
+            limits=np.array([(each.speed_m_s, each.turn_rad_s) for each in stated], float).reshape(-1, 2),
             goals=goals,
             goal_radius_m=goal_radius_m,
             walls=world.config.walls,

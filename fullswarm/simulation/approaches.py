@@ -74,6 +74,7 @@ def take_pairs(nearest: Nearest, time_s: float, dt: float, pose: Array, radius: 
     """Take in one step of all pairs of bodies, none of which moved more than `furthest`."""
     n = pose.shape[0]
     slack = 2.0 * furthest
+    soon = nearest.soonest[0] * slack / dt if slack > 0.0 else 0.0
     pair = -1
     for i in range(n):
         for j in range(i + 1, n):
@@ -84,7 +85,7 @@ def take_pairs(nearest: Nearest, time_s: float, dt: float, pose: Array, radius: 
             x, y = pose[j, 0] - pose[i, 0], pose[j, 1] - pose[i, 1]
             apart = x * x + y * y
             # Neither nearer than ever within the step, nor so near that at the greatest rate it is the soonest.
-            far = max(nearest.gap[pair] + slack, nearest.soonest[0] * slack / dt) + both
+            far = max(nearest.gap[pair] + slack, soon) + both
             if apart >= far * far:
                 continue
             old_x = nearest.before[j, 0] - nearest.before[i, 0]
@@ -114,9 +115,10 @@ def take_obstacles(nearest: Nearest, time_s: float, dt: float, pose: Array, soli
         x, y = nearest.before[i, 0], nearest.before[i, 1]
         along_x, along_y = pose[i, 0] - x, pose[i, 1] - y
         length = math.sqrt(along_x * along_x + along_y * along_y)
+        soon = 0.0
         if length > 0.0:
             nearest.way[i] += length
-        soon = nearest.soonest[0] * length / dt
+            soon = nearest.soonest[0] * length / dt
         for k in range(obstacles.shape[0]):
             followed = nearest.wall_followed[i, k]
             nearest.wall_followed[i, k] = False

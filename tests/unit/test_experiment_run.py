@@ -81,7 +81,7 @@ def test_walls_and_boxes_count_apart() -> None:
 
 def test_commands_above_the_limits_are_seen() -> None:
     body = world((1.0, 1.0, 0.0), (1.0, 3.0, 0.0))
-    limits = body.description.limits
+    limits = body.descriptions[0].limits
     for row in range(2):
         body.set_limits(row, widened(limits))
     referee = referee_of(body)
