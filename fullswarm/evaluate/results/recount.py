@@ -72,6 +72,7 @@ class Recount:
     wall_m: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (n, k)
     time_to_contact_s: tuple[float, float] = (math.inf, math.inf)  # between these
     bound_m: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) the largest of each robot
+    detour_m: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) how far stored ways are from straight ones
     undecided: int = 0  # pairs and steps that may or may not have been a contact
     contradictions: list[str] = field(default_factory=list)  # within the evidence
 
@@ -90,14 +91,15 @@ class Motion:
         self.chord_m: Floats = np.hypot(*np.moveaxis(np.diff(self.xy, axis=0), 2, 0))
         turn = np.abs(np.diff(heading, axis=0))
         turn = np.minimum(turn, np.abs(2.0 * math.pi - turn))
+        self.bent = np.zeros((self.steps, self.count), bool)
+        self.bent[stored["bend_step"].astype(int) - 1, stored["bend_robot"].astype(int)] = True
         change = np.zeros_like(self.chord_m)
-        faster = np.abs(np.diff(self.chord_m, axis=0))
-        if len(faster):
+        if self.steps > 1:  # between steps without a contact: in the others bodies are stopped at once
+            free = ~(self.bent[1:] | self.bent[:-1])
+            faster = np.where(free, np.abs(np.diff(self.chord_m, axis=0)), 0.0)
             change[1:] = faster
             change[:-1] = np.maximum(change[:-1], faster)
         bound = 0.5 * self.chord_m * np.tan(0.25 * turn) + change / 8.0 + ROUNDING_M
-        self.bent = np.zeros((self.steps, self.count), bool)
-        self.bent[stored["bend_step"].astype(int) - 1, stored["bend_robot"].astype(int)] = True
         self.bound_m: Floats = np.where(self.bent, ROUNDING_M, bound)
         self.ways: dict[int, dict[int, Ints]] = {}
         for step, robot, way in zip(
@@ -112,13 +114,25 @@ class Motion:
         for first in range(0, self.steps, SPAN):
             yield first, min(self.steps, first + SPAN)
 
-    def corners(self, step: int) -> Floats:
-        """Return the ways of all bodies through a step, (p + 1, n, 2)."""
-        first, last = self.xy[step], self.xy[step + 1]
-        corners: Floats = first + (last - first) * self.part[:, None, None]
-        for robot, way in self.ways.get(step, {}).items():
-            corners[:, robot] = way * GRAIN
-        return corners
+    def corners(self, first: int, last: int) -> tuple[Ints, Floats]:
+        """Return the steps of a span in which anything touched (c,), and the ways of all bodies, (c, p + 1, n, 2)."""
+        steps = np.array([step for step in range(first, last) if step in self.ways], np.int64)
+        begin, end = self.xy[steps][:, None], self.xy[steps + 1][:, None]
+        ways: Floats = begin + (end - begin) * self.part[:, None, None]
+        for at, step in enumerate(steps.tolist()):
+            for robot, way in self.ways[step].items():
+                ways[at, :, robot] = way * GRAIN
+        return steps, ways
+
+    def detours_m(self) -> Floats:
+        """Return how far the ways of each robot that touched something were from straight ones, at most, (n,)."""
+        found = np.zeros(self.count)
+        for first, last in self.spans():
+            steps, ways = self.corners(first, last)
+            begin, end = self.xy[steps][:, None], self.xy[steps + 1][:, None]
+            off = _length(ways - begin - (end - begin) * self.part[:, None, None])
+            found = np.maximum(found, np.nan_to_num(off).max(axis=(0, 1), initial=0.0))
+        return found
 
 
 class Touches:
@@ -172,6 +186,7 @@ def recount(stored: Mapping[str, NDArray[Any]]) -> Recount:
     motion, names = Motion(stored), [str(each) for each in stored["ids"]]
     found = Recount(steps=motion.steps, end_s=motion.steps * motion.step_s)
     found.bound_m = np.nan_to_num(motion.bound_m).max(axis=0, initial=0.0)
+    found.detour_m = motion.detours_m()
     touches, soonest = Touches(motion, names), Soonest(motion.step_s)
     found.closest_m = _pairs(motion, touches, soonest)
     found.wall_m = _obstacles(motion, stored["obstacles"].astype(float), touches, soonest)
@@ -252,18 +267,21 @@ def _pairs(motion: Motion, touches: Touches, soonest: Soonest) -> Floats:
         distance = _length(apart)
         soonest.add(distance[:-1], distance[1:], touching)
         gap = _least_to_origin(apart[:-1], apart[1:]) - touching
-        for step in (each for each in range(first, last) if each in motion.ways):
-            rows = np.flatnonzero(motion.bent[step, i] | motion.bent[step, j])
-            corners = motion.corners(step)
-            ways = corners[:, j[rows]] - corners[:, i[rows]]
-            gap[step - first, rows] = _least_to_origin(ways[:-1], ways[1:]).min(axis=0) - touching[rows]
+        steps, corners = motion.corners(first, last)
+        bent = motion.bent[steps][:, i] | motion.bent[steps][:, j]
+        some = np.flatnonzero(bent.any(axis=0))
+        if len(some):
+            ways = corners[:, :, j[some]] - corners[:, :, i[some]]
+            inner = _least_to_origin(ways[:, :-1], ways[:, 1:]).min(axis=1) - touching[some]
+            at = steps[:, None] - first, some[None]
+            gap[at] = np.where(bent[:, some], inner, gap[at])
         gap = np.where(np.isnan(gap), np.inf, gap)
         tolerance = motion.bound_m[first:last, i] + motion.bound_m[first:last, j]
         tolerance = np.where(np.isnan(tolerance), 0.0, tolerance)
         closest[pairs] = np.minimum(closest[pairs], gap.min(axis=0))
         soonest.touched(gap, tolerance, motion.touch_m)
-        at, column = np.nonzero(gap <= motion.touch_m + tolerance)
-        touches.add(at + first, i[column], j[column], gap[at, column], tolerance[at, column])
+        row, column = np.nonzero(gap <= motion.touch_m + tolerance)
+        touches.add(row + first, i[column], j[column], gap[row, column], tolerance[row, column])
     return closest
 
 
@@ -301,6 +319,7 @@ def _obstacles(motion: Motion, obstacles: Floats, touches: Touches, soonest: Soo
     closest = np.full((motion.count, len(obstacles)), np.inf)
     for first, last in motion.spans():
         away, longest = _reach(motion, first, last)
+        steps, corners = motion.corners(first, last)
         for k, (x, y, half_x, half_y, yaw, corner) in enumerate(obstacles.tolist()):
             turned = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
             touching = motion.radius_m + corner
@@ -316,12 +335,13 @@ def _obstacles(motion: Motion, obstacles: Floats, touches: Touches, soonest: Soo
             distance = _to_box(places[..., 0], places[..., 1], half_x, half_y)
             soonest.add(distance[:-1], distance[1:], touching[i])
             gap = _way_to_box(places[:-1], places[1:], half_x, half_y) - touching[i]
-            for step in (each for each in range(first, last) if each in motion.ways):
-                rows = np.flatnonzero(motion.bent[step, i])
-                ways = (motion.corners(step)[:, i[rows]] - (x, y)) @ turned
-                gap[step - first, rows] = (
-                    _way_to_box(ways[:-1], ways[1:], half_x, half_y).min(axis=0) - touching[i[rows]]
-                )
+            bent = motion.bent[steps][:, i]
+            some = np.flatnonzero(bent.any(axis=0))
+            if len(some):
+                ways = (corners[:, :, i[some]] - (x, y)) @ turned
+                inner = _way_to_box(ways[:, :-1], ways[:, 1:], half_x, half_y).min(axis=1) - touching[i[some]]
+                where = steps[:, None] - first, some[None]
+                gap[where] = np.where(bent[:, some], inner, gap[where])
             gap = np.where(np.isnan(gap), np.inf, gap)
             tolerance = np.nan_to_num(motion.bound_m[first:last, i])
             closest[i, k] = np.minimum(closest[i, k], gap.min(axis=0))
