@@ -42,6 +42,7 @@ Radii = Annotated[tuple[Radius, ...], Meta(max_length=MOST)]
 Angles = Annotated[tuple[Radians, ...], Meta(max_length=MOST)]
 Speeds = Annotated[tuple[Speed, ...], Meta(max_length=MOST)]
 Turns = Annotated[tuple[Turn, ...], Meta(max_length=MOST)]
+Sigmas = Annotated[tuple[Sigma, ...], Meta(max_length=MOST)]
 Changes = Annotated[tuple[Finite, ...], Meta(max_length=MOST)]  # m/s
 Box = tuple[Metres, Metres, HalfSize, HalfSize, Radians, HalfSize]
 
@@ -289,6 +290,8 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     radius_m: Radii
     teams: Teams = ()  # of which each is; 0: of none, and empty: none is of any
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
+    sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
+    sigma_rad: Sigmas = ()  # of the heading
 
 
 class Interventions(Message, frozen=True, kw_only=True):
@@ -450,7 +453,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and (not m.teams or len(m.teams) == len(m.robots))
+        == len(m.radius_m) and all(len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad))
     ),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
 }  # fmt: skip

@@ -86,7 +86,7 @@ class DesiredMotion:
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
-        measured = Measured(pose, reading.twist, reading.stamp_s)
+        measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

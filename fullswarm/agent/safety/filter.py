@@ -54,13 +54,15 @@ class RobotParams(NamedTuple):
 class Tuning(NamedTuple):
     """Settings of the filter and of the unicycle map.
 
-    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed.
+    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed; `confidence`: so many
+    standard deviations of the own pose count.
     """
 
     period_s: float
     reach_m: float
     speed_gain: float
     turn_gain_per_s: float
+    confidence: float = 0.0
 
 
 class Requested(NamedTuple):
@@ -78,11 +80,15 @@ class Requested(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Pose (n, 3), twist (n, 2) in m/s and rad/s, and when they were measured (n,), s."""
+    """Pose (n, 3), twist (n, 2) in m/s and rad/s, when they were measured (n,), s, and `sigma` (n, 2) of the pose.
+
+    `sigma`: standard deviations of position (m, worse axis) and heading (rad).
+    """
 
     pose: Array
     twist: Array
     stamp_s: Array
+    sigma: Array
 
 
 class Filtered(NamedTuple):
@@ -142,10 +148,10 @@ def guard(
     int
         How many verdicts became or ceased to be one of those that brake.
     """
-    period_s, reach_m, speed_gain, turn_gain_per_s = tuning
+    period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m = robots
     velocity, filtered, gain, margin_m = requested
-    pose, motion, stamp_s = measured
+    pose, motion, stamp_s, sigma = measured
     twists, deviation, verdict = out
     news = 0
     for i in range(velocity.shape[0]):
@@ -183,10 +189,10 @@ def guard(
             age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
             overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
+            clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, near, arena,
-                planes,
-            )  # fmt: skip
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top, reach_m, near, arena, planes
+            )
             if count < 0:
                 why = CROWDED
         if why != FREE:
