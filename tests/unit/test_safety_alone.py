@@ -98,7 +98,8 @@ class Body:
         """Return the pose with an error anywhere within the bound that is counted, another one each time."""
         size, angle = CONFIDENCE * self.sigma[0] * math.sqrt(self.noise.random()), self.noise.uniform(-math.pi, math.pi)
         turn = CONFIDENCE * self.sigma[1] * self.noise.uniform(-1.0, 1.0)
-        return self.pose + np.array([[size * math.cos(angle), size * math.sin(angle), turn]])
+        wrong: np.ndarray = self.pose + np.array([[size * math.cos(angle), size * math.sin(angle), turn]])
+        return wrong
 
     def _obey(self) -> None:
         """Change speed and turn rate for a period as the wheels can."""
