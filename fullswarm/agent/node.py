@@ -111,6 +111,7 @@ class AgentNode:
             fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
         )
         self._estimator = estimator_for(config, fleet, start)
+        state.sigma = self._estimator.sigma
         self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.calculators = Calculators(
             fleet.ids,
@@ -389,6 +390,7 @@ def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController
         turn_rad_s=float(controller.turn_limit.max()),
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         halt_s=settings.core_silence_s + settings.command_ttl_s,
+        confidence=settings.pose_confidence_sigma,
     )
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 
@@ -400,6 +402,7 @@ def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> S
         reach_m=settings.sensing_radius_m,
         speed_gain=settings.speed_gain,
         turn_gain_per_s=settings.turn_gain_per_s,
+        confidence=settings.pose_confidence_sigma,
     )
     robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
     return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))

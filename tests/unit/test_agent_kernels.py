@@ -134,7 +134,7 @@ def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
         barrier.Arena(np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0])),
         Filtered(twists, deviation, np.zeros(count, np.int64)),
         barrier.HalfPlanes(*np.empty((5, barrier.MAX_ROWS))),
-        Measured(pose, np.zeros((count, 2)), zeros), 0.0, 0.02,
+        Measured(pose, np.zeros((count, 2)), zeros, np.zeros((count, 2))), 0.0, 0.02,
     )  # fmt: skip
     return np.hstack([twists, deviation])
 

@@ -57,13 +57,15 @@ class RobotParams(NamedTuple):
 class Tuning(NamedTuple):
     """Settings of the filter and of the unicycle map.
 
-    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed.
+    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed; `confidence`: so many
+    standard deviations of the own pose count.
     """
 
     period_s: float
     reach_m: float
     speed_gain: float
     turn_gain_per_s: float
+    confidence: float = 0.0
 
 
 class Requested(NamedTuple):
@@ -81,11 +83,15 @@ class Requested(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Pose (n, 3), twist (n, 2) in m/s and rad/s, and when they were measured (n,), s."""
+    """Pose (n, 3), twist (n, 2) in m/s and rad/s, when they were measured (n,), s, and `sigma` (n, 2) of the pose.
+
+    `sigma`: standard deviations of position (m, worse axis) and heading (rad).
+    """
 
     pose: Array
     twist: Array
     stamp_s: Array
+    sigma: Array
 
 
 class Filtered(NamedTuple):
@@ -168,10 +174,10 @@ def guard(
     int
         How many verdicts became or ceased to be one of those that brake.
     """
-    period_s, reach_m, speed_gain, turn_gain_per_s = tuning
+    period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m, dead_time_s = robots
     velocity, filtered, gain, margin_m = requested
-    pose, motion, stamp_s = measured
+    pose, motion, stamp_s, sigma = measured
     twists, deviation, verdict = out
     news = 0
     for i in range(velocity.shape[0]):
@@ -206,8 +212,9 @@ def guard(
                 else (speed_now, turn_now, heading, 0.0, 0.0, 0.0, math.fabs(speed_now))
             )
             overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
+            clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top + gain[i] * way, reach_m, near,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top + gain[i] * way, reach_m, near,
                 arena, planes,
             )  # fmt: skip
             if way > 0.0:

@@ -77,6 +77,10 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
+        sigma_m: list[float] = []
+        sigma_rad: list[float] = []
+        if state.sigma.any():
+            sigma_m, sigma_rad = state.sigma.T.tolist()
         radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
         for cell, rows in cells.items():
             message = RobotStates(
@@ -95,6 +99,8 @@ class Reports:
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
                 accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
+                sigma_m=_pick(sigma_m, rows) if sigma_m else (),
+                sigma_rad=_pick(sigma_rad, rows) if sigma_rad else (),
             )
             yield keys.state(cell, host), message
 
