@@ -129,7 +129,7 @@ def run_trial(
     """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
     from fullswarm.evaluate.experiment import run as experiment
 
-    return experiment.run_again(file, folder, as_json, evidence=evidence)
+    return experiment.run_again(file, folder, as_json, evidence)
 
 
 @experiment_app.command()

@@ -365,8 +365,7 @@ def _refusal(trial: Trial) -> str:
 
 
 def run_again(
-    file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure,
-    evidence: str = "contacts",
+    file: Path, folder: Path | None = None, as_json: bool = False, evidence: str = "contacts", run_one: Measure = measure
 ) -> int:  # fmt: skip
     """Run the trial in this process, print its record, and keep it in `folder` if there is one.
 
