@@ -365,8 +365,12 @@ def _refusal(trial: Trial) -> str:
 
 
 def run_again(
-    file: Path, folder: Path | None = None, as_json: bool = False, evidence: str = "contacts", run_one: Measure = measure
-) -> int:  # fmt: skip
+    file: Path,
+    folder: Path | None = None,
+    as_json: bool = False,
+    evidence: str = "contacts",
+    run_one: Measure = measure,
+) -> int:
     """Run the trial in this process, print its record, and keep it in `folder` if there is one.
 
     Returns
