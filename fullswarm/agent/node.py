@@ -11,6 +11,7 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
@@ -90,6 +91,8 @@ class AgentNode:
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
+        self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
@@ -286,7 +289,7 @@ class AgentNode:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s):
+        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s, self.core_clock):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:
@@ -311,7 +314,8 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
+            delay_s = np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s))
+            counted = {"deviation_m": self.filter.deviation_m, "delay_s": delay_s, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
@@ -343,6 +347,7 @@ class AgentNode:
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
+        self.core_clock.close()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()

@@ -113,6 +113,7 @@ class AgentConfig(Section):
     state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    state_delay_s: float = Field(0.05, ge=0.0, le=2.0)  # of a neighbour's state on the network, where none is measured
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)

@@ -63,6 +63,8 @@ class DesiredMotion:
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
+        if self._filter.commands.any:
+            self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return

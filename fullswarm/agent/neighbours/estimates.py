@@ -45,12 +45,14 @@ class Received(NamedTuple):
 
     `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
     that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
+    `delay_s`: (m,) how old each was on its arrival.
     """
 
     states: Array
     arrival_s: Array
     limits: Array
     sigma: Array
+    delay_s: Array
 
 
 class Assumed(NamedTuple):
@@ -94,6 +96,8 @@ class Neighbours:
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
     sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
+    delay_s : (m,) how old each state was on its arrival
+    delay_of : returns that of states at their arrival, s; see ``CoreClock.delay_s``
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
@@ -121,6 +125,8 @@ class Neighbours:
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.sigma = np.zeros((0, 2))
+        self.delay_s = np.zeros(0)
+        self.delay_of: Callable[[RobotStates, float], float] = no_delay
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
@@ -183,6 +189,7 @@ class Neighbours:
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
         self.sigma[rows] = sigma.T
+        self.delay_s[rows] = self.delay_of(states, now_s)
 
     def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
         """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
@@ -220,6 +227,7 @@ class Neighbours:
             limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
+        self.delay_s[row] = self.delay_of(states, now_s)
         self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
         self.sigma[row, 1] = states.sigma_rad[0] if states.sigma_rad else 0.0
 
@@ -303,6 +311,12 @@ class Neighbours:
         self._lists[key] = (start, other)
         return start, other
 
+    def longest_delay_s(self, now_s: float) -> float:
+        """Return the greatest delay of the states that still count, s; NaN when there are none of other robots."""
+        fresh = now_s - self.arrival_s[: self.count] <= self._timeout_s
+        fresh[self.own_row[self.own_row >= 0]] = False
+        return float(self.delay_s[: self.count][fresh].max()) if fresh.any() else math.nan
+
     def oldest_age_s(self, now_s: float) -> float:
         """Return the age of the stalest state that still counts; 0 when none is received."""
         ages = now_s - self.arrival_s[: self.count]
@@ -334,15 +348,21 @@ class Neighbours:
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
+            self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            received = Received(self.states, self.arrival_s, self.limits, self.sigma)
+            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
             out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
             self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def no_delay(_states: RobotStates, _now_s: float) -> float:
+    """Return 0: states count from their arrival."""
+    return 0.0
 
 
 def _fits(states: RobotStates) -> bool:
@@ -417,13 +437,13 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
     is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
     predicted path.
     """
-    states, arrival_s, limits, sigma = received
+    states, arrival_s, limits, sigma, delay_s = received
     assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
     for row in range(count):
-        age_s = max(now_s - arrival_s[row], 0.0)
+        age_s = max(now_s - arrival_s[row], 0.0) + delay_s[row]
         if math.isinf(age_s):
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
