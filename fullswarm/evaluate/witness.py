@@ -106,7 +106,7 @@ class Referee:
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
-        self._counts = np.zeros((2, count), np.int64)
+        self._counts, self._touching = np.zeros((2, count), np.int64), False
         self._steps = 0
         self._approaches = Approaches(bodies.referee.solids, bodies.referee.touch_m, bodies.dt_s)
         # The steps of the present span: row 0 is where it began.
@@ -120,15 +120,24 @@ class Referee:
 
     def sample(self) -> None:
         """Take in the last step."""
-        bodies, counts, found = self._bodies, self._counts, self._bodies.referee
+        bodies, found = self._bodies, self._bodies.referee
         self._steps += 1
         time_s = self._steps * bodies.dt_s
         self._row += 1
         self._pose[self._row], self._command[self._row] = bodies.pose, bodies.target
         if len(found.near):
             self._near.append((self._row, found.near.copy(), found.near_gap_m.copy()))
+        if len(found.pairs) or self._touching:
+            self._count(time_s)
+        if self._row == SPAN:
+            self._end_span()
+
+    def _count(self, time_s: float) -> None:
+        """Take in the contacts of the last step, or that there is none any more."""
+        counts, found = self._counts, self._bodies.referee
         counts[:] = 0
-        if len(found.pairs):
+        self._touching = len(found.pairs) > 0
+        if self._touching:
             for first, second in found.pairs.tolist():
                 if second >= 0:
                     counts[0, first] += 1
@@ -141,8 +150,6 @@ class Referee:
             self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
         self.robots.update(time_s, counts[0])
         self.obstacles.update(time_s, counts[1])
-        if self._row == SPAN:
-            self._end_span()
 
     def _end_span(self) -> None:
         """Take in the steps of the present span, and begin a new one."""
