@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import osqp
@@ -21,7 +22,7 @@ from tests.unit.agent_bench import Bench
 
 RADIUS_M, MARGIN_M, GAIN = 0.17, 0.03, 2.0
 BOUNDS = (0.0, 0.0, 6.0, 6.0)
-PARAMETERS = {
+PARAMETERS: dict[str, Any] = {
     "goal": [4.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "safety_margin_m": MARGIN_M, "barrier_gain_per_s": GAIN,
 }  # fmt: skip
 
