@@ -153,6 +153,24 @@ class NoiseConfig(Section):
     heading_rad: float = Field(0.0, ge=0.0, le=10.0)
 
 
+class SightConfig(Section):
+    """How simulated robots see other bodies, robots and movers alike, within the sensing radius and line of sight."""
+
+    bodies: bool = True  # False: they see none
+    noise_m: float = Field(0.0, ge=0.0, le=10.0)  # standard deviation of a seen body's place, per axis
+    dropout: float = Field(0.0, ge=0.0, le=1.0)  # share of the looks in which a body is missed
+
+
+class MoverConfig(Section):
+    """A body of the simulated world that no agent commands: a person, a cart, a robot without a filter."""
+
+    waypoints: Annotated[tuple[Point, ...], Field(min_length=1)]  # m; it starts at the first one
+    speed_m_s: float = Field(1.0, ge=0.0, le=10.0)
+    radius_m: float = Field(0.25, gt=0.0, le=50.0)
+    start_s: float = Field(0.0, ge=0.0, le=1e6)  # simulated time at which it leaves
+    repeat: Literal["back", "loop", "once"] = "back"  # at the last waypoint: return the same way, go to the first, stay
+
+
 EngineName = Literal["pybullet", "pybullet-wheels", "kinematic"]
 """The physics engines; `fullswarm.simulation.engine.ENGINES` has the class of each."""
 
@@ -176,6 +194,8 @@ class WorldConfig(Section):
     mass_kg: float = Field(3.6, gt=0.0, le=10_000.0)
     watchdog_s: float = Field(0.3, gt=0.0, le=60.0)  # a body whose driver is silent stops
     noise: NoiseConfig = NoiseConfig()
+    sight: SightConfig = SightConfig()
+    movers: tuple[MoverConfig, ...] = ()
     seed: int = 0
 
 

@@ -56,7 +56,8 @@ def parse_url(url: str) -> SimUrl:
         numbers[key] = _positive(text, key, url)
     sensing_m = numbers.pop("sensing_m")
     config = WorldConfig().model_copy(update={key: value for key, value in numbers.items() if value > 0})
-    return SimUrl(robot, host, port, describe(config), sensing_m if sensing_m > 0 else SENSING_M)
+    sensing_m = sensing_m if sensing_m > 0 else SENSING_M
+    return SimUrl(robot, host, port, describe(config, sensing_m), sensing_m)
 
 
 def _positive(text: str, key: str, url: str) -> float:
@@ -69,8 +70,8 @@ def _positive(text: str, key: str, url: str) -> float:
     return value
 
 
-def describe(config: WorldConfig) -> Description:
-    """Return what the driver of a robot in this world offers."""
+def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
+    """Return what the driver of a robot in this world offers that senses so far."""
     return Description(
         make="sim",
         model=config.engine,
@@ -84,6 +85,7 @@ def describe(config: WorldConfig) -> Description:
         senses_pose=True,
         senses_obstacles=True,
         senses_bumps=True,
+        bodies_range_m=sensing_m if config.sight.bodies else 0.0,
         watchdog_s=config.watchdog_s,
     )
 
