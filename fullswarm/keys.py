@@ -11,6 +11,7 @@ key                                                     message                w
 ``<swarm>/robot/<id>/ack``                              ControlAck             agent → request handler
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
+``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
@@ -95,6 +96,10 @@ class Keys:
     def pose_fix(self, robot: str = ANY) -> str:
         """Where something outside sees a robot."""
         return f"{self.swarm}/robot/{robot}/pose_fix"
+
+    def object_fix(self, name: str = ANY) -> str:
+        """Where something outside sees an object that is no robot."""
+        return f"{self.swarm}/object/{name}"
 
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""

@@ -128,6 +128,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, ended=self.inbox.ended,
+            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
         self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
@@ -381,7 +382,7 @@ def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
 
 
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
-    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
         speed_m_s=float(controller.speed_limit.max()),

@@ -12,6 +12,7 @@ obstacle k, whose columns are those of :func:`fullswarm.simulation.obstacles.wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ class Candidates(NamedTuple):
 
     pairs: Index  # (m, 4) row, other row or -1-k, two columns of scratch
     used: Index  # (1,) how many rows of it are
-    slack: Array  # (2,) m: that bodies have moved since the list was made; gap up to which pairs are on it, -1: no list
+    slack: Array  # (2,) m: that bodies or movers have moved since the list was made; gap up to which pairs are on it, -1: no list
     anchor: Array  # (n, 2) where bodies were then
     grid: Index  # (8 n + 64,) scratch
 
@@ -69,6 +70,11 @@ def touch_m(config: WorldConfig, radius_m: Array | None = None) -> float:
     if math.isinf(both_m):
         return TOUCH_M
     return max(TOUCH_M, 1e-4 + math.hypot(both_m, 2.0 * config.speed_limit_m_s * substep_s) - both_m)
+
+
+def radii_of(bodies: Sequence[WorldConfig]) -> Array:
+    """Return the radii of bodies, (n,) m."""
+    return np.array([body.radius_m for body in bodies], np.float64)
 
 
 class ContactReferee:
@@ -116,6 +122,13 @@ class ContactReferee:
             contacts=self.contacts,
             found=np.zeros(2, np.int64),
         )
+
+    def place_movers(self, places: Array) -> None:
+        """Put the last of the obstacles at `places` (m, 2)."""
+        rows = self.solids.obstacles[len(self.solids.obstacles) - len(places) :]
+        way_m = float(np.hypot(*(places - rows[:, :2]).T).max(initial=0.0))
+        self.candidates.slack[0] += way_m
+        rows[:, :2] = places
 
     def reach_m(self, furthest_m: float) -> float:
         """Return the gap from which bodies can touch in a step in which the fastest one drives `furthest_m`."""
@@ -312,7 +325,7 @@ def may_touch(
         dx, dy = pose[i, 0] - listed.anchor[i, 0], pose[i, 1] - listed.anchor[i, 1]
         moved = max(moved, dx * dx + dy * dy)
         marked[i] = False
-    if 2.0 * math.sqrt(moved) + reach > listed.slack[1]:
+    if 2.0 * math.sqrt(moved) + listed.slack[0] + reach > listed.slack[1]:
         if not list_near(pose, solids, 2.0 * reach, listed):
             return -1
         for i in range(n):

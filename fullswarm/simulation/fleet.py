@@ -69,7 +69,7 @@ class SimFleet:
         n = len(self.ids)
         self.urls = tuple(f"sim://{robot}" for robot in self.ids)
         sees_m = float(sensing_radius_m) if world.config.sight.bodies else 0.0
-        self.descriptions = (replace(world.description, bodies_range_m=sees_m),) * n
+        self.descriptions = tuple(replace(each, bodies_range_m=sees_m) for each in world.descriptions[rows])
         self._row = row
         self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
         # Views: the world's arrays are the same objects for its life.

@@ -11,6 +11,7 @@ other row or -1-k for obstacle k, unused, scratch). Bodies are of equal mass: bo
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 import fullswarm
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Index, kernel
-from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, sweep
+from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, radii_of, sweep
 from fullswarm.simulation.movers import solid_rows
 from fullswarm.simulation.obstacles import obstacle_gap, with_trigonometry
 
@@ -39,7 +40,7 @@ class Moving(NamedTuple):
 class KinematicEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` over arrays."""
 
-    def __init__(self, config: WorldConfig, starts: Array, radius_m: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.firmware = f"kinematic {fullswarm.__version__}"
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
@@ -50,7 +51,7 @@ class KinematicEngine:
         self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
-        self.referee = ContactReferee(config, obstacles, radius_m, part_s)
+        self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s)
         self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))
 
     def step(self, twists: Array) -> None:
@@ -69,8 +70,7 @@ class KinematicEngine:
 
     def place_movers(self, places: Array) -> None:
         """Put the movers there before the next step."""
-        obstacles = self.referee.solids.obstacles
-        obstacles[len(obstacles) - len(places) :, :2] = places
+        self.referee.place_movers(places)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
-from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.contacts import ContactReferee, radii_of
 from fullswarm.simulation.movers import solid_rows
 from fullswarm.simulation.obstacles import with_trigonometry
 
@@ -141,28 +141,27 @@ class BulletClient:
 
 def place_movers(client: BulletClient, solid: list[int], referee: ContactReferee, places: Array) -> None:
     """Put the movers, the last ones of the `solid` bodies and of the referee's obstacles, at `places` (m, 2)."""
-    first = len(solid) - len(places)
-    client.place(solid[first:], places)
-    referee.solids.obstacles[first:, :2] = places
+    client.place(solid[len(solid) - len(places) :], places)
+    referee.place_movers(places)
 
 
 class PyBulletEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` on Bullet's rigid bodies."""
 
-    def __init__(self, config: WorldConfig, starts: Array, radius_m: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
         obstacles = solid_rows(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), radius_m, self._client.part_s)
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
         self.firmware = self._client.firmware
         self._solid = self._client.add_obstacles(obstacles, -HEIGHT_M)
         self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
         self._bodies = [
-            self._add_body(config.mass_kg, each_m, pose)
-            for each_m, pose in zip(radius_m.tolist(), self.pose.tolist(), strict=True)
+            self._add_body(body.mass_kg, body.radius_m, pose)
+            for body, pose in zip(bodies, self.pose.tolist(), strict=True)
         ]
         self._velocity = np.zeros((n, 3))
         self._spin = np.zeros((n, 3))

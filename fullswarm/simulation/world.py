@@ -40,6 +40,8 @@ class World:
     radius_m : (n,) of the bodies
     target, drive : (n, 2) set-points as requested, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
+    radius_m : (n,) of the bodies, which their drivers may state otherwise
+    bodies, descriptions : the settings of each body, and what its driver states
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
     shapes : (k + m, 8) the same with trigonometry, then the movers where they are
     movers : bodies that no robot's agent commands
@@ -68,8 +70,9 @@ class World:
         self.dt_s = 1.0 / config.rate_hz
         self.obstacles = static_obstacles(config)
         self.obstacles.flags.writeable = False
-        self.description = describe(config)
-        self.engine = make_engine(config, fill_starts(config, ids, starts))
+        self.bodies = tuple(config.of_body(robot) for robot in ids)
+        self.descriptions = tuple(describe(body) for body in self.bodies)
+        self.engine = make_engine(config, fill_starts(config, ids, starts), self.bodies)
         self.firmware = self.engine.firmware
         self.referee = self.engine.referee
         self.radius_m = self.referee.radius_m
@@ -79,13 +82,11 @@ class World:
         self.hazards = np.zeros(n, np.uint8)
         self.target, self.drive = np.zeros((n, 2)), np.zeros((n, 2))
         self.commanded_s = np.full(n, -math.inf)
-        limits = self.description.limits
-        self.limits = np.empty((n, 4))
-        self.limits[:] = limits.speed_m_s, limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2
+        self.limits = np.array([body_limits(body) for body in self.bodies], float).reshape(n, 4)
         self.movers = Movers(config.movers)
         self.shapes = self.referee.solids.obstacles
-        self._bodies = np.zeros((n + len(self.movers), 3))
-        self._bodies[:n, 2], self._bodies[n:] = self.radius_m, self.movers.bodies()
+        self._discs = np.zeros((n + len(self.movers), 3))
+        self._discs[:n, 2], self._discs[n:] = self.radius_m, self.movers.bodies()
         self._sight_rng = np.random.default_rng((config.seed, 1))
         self._rng = np.random.default_rng(config.seed)
         self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
@@ -175,7 +176,7 @@ class World:
         sight, n = self.config.sight, len(self.ids)
         if not sight.bodies:
             return None
-        bodies = self._bodies
+        bodies = self._discs
         bodies[:n, :2], bodies[n:, :2] = self.pose[:, :2], self.movers.place
         seen = np.zeros(len(bodies), np.bool_)
         if row is None:
@@ -197,6 +198,11 @@ class World:
     def close(self) -> None:
         """Release the physics. Closing twice is fine."""
         self.engine.close()
+
+
+def body_limits(body: WorldConfig) -> tuple[float, float, float, float]:
+    """Return what a body can do, whatever its driver states: m/s, rad/s, m/s², rad/s²."""
+    return body.speed_limit_m_s, body.turn_limit_rad_s, body.accel_limit_m_s2, body.turn_accel_limit_rad_s2
 
 
 def _perfect(config: WorldConfig) -> bool:

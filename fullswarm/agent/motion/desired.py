@@ -47,6 +47,7 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
+        self._measured = Measured(state.pose, state.twist, np.zeros(count))  # kept while its arrays are the same
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
@@ -86,7 +87,9 @@ class DesiredMotion:
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
-        measured = Measured(pose, reading.twist, reading.stamp_s)
+        measured = self._measured
+        if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -42,15 +43,19 @@ class Nearby(NamedTuple):
 class Received(NamedTuple):
     """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
 
-    `arrival_s` is on this machine's clock; -inf: never received, or forgotten.
+    `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
+    that each states; NaN: it states none. `confined` (m, 4): a disc (x, y, radius in m) that holds a silent robot's
+    centre, and the arrival of its last state; NaN for x: it is nowhere near. It counts while no newer state arrives.
     """
 
     states: Array
     arrival_s: Array
+    limits: Array
+    confined: Array
 
 
 class Assumed(NamedTuple):
-    """Limits of the other robots, and after how long one that fell silent is at standstill, at the latest."""
+    """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest."""
 
     accel_m_s2: float
     speed_m_s: float
@@ -82,6 +87,7 @@ class Neighbours:
     Attributes
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
+    limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
@@ -105,6 +111,8 @@ class Neighbours:
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
+        self.limits = np.zeros((0, 3))
+        self._confined = np.zeros((0, 4))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
@@ -141,10 +149,14 @@ class Neighbours:
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
         table = np.array(columns)
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
+        limits = np.full((3, len(rows)), math.nan)
+        if states.accel_m_s2:
+            limits[:] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
-            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            rows, table, teams, limits = rows[finite], table[:, finite], teams[finite], limits[:, finite]
         self.states[rows] = table.T
+        self.limits[rows] = limits.T
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
 
@@ -174,6 +186,13 @@ class Neighbours:
         received[row, 3] = speed_m_s
         received[row, 4] = turn_rad_s
         received[row, 5] = radius_m
+        limits = self.limits
+        if not states.accel_m_s2:
+            limits[row, 2] = math.nan
+        else:
+            limits[row, 0] = states.speed_limit_m_s[0]
+            limits[row, 1] = states.turn_limit_rad_s[0]
+            limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
 
@@ -181,11 +200,16 @@ class Neighbours:
         """Have `within` and `around` answer for `now_s` from here on."""
         self._now_s, self._stale = now_s, True
 
+    def refresh(self, now_s: float) -> None:
+        """Predict to `now_s` now, unless that has been done."""
+        if self._stale or self._now_s != now_s:
+            self._now_s = now_s
+            self._predict()
+
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
-        received, out = self._viewed if predict.run is predict.plain else (self._received, self._predicted)
-        self.silent = predict.run(received, self.count, now_s, self._timeout_s, self._assumed, out)
+        self.silent = self._run_predict(self.count, now_s, self._timeout_s)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
         """Find what the safety filter must respect: as `within`, but silent robots too, at uncertain places."""
@@ -215,8 +239,31 @@ class Neighbours:
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
             x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
-            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self._assumed.speed_m_s)):
+            stated_m_s = float(self.limits[row, 0])
+            fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
                 self.arrival_s[row] = -math.inf
+
+    def at_rest(self, now_s: float) -> Flags:
+        """Tell which robots are silent and at standstill by now, (m,): their discs grow no more."""
+        count = self.count
+        speed, accel = self.limits[:count, 0], self.limits[:count, 2]
+        stated = np.isfinite(speed + accel)
+        speed = np.maximum(np.where(stated, speed, self._assumed.speed_m_s), np.abs(self.states[:count, 3]))
+        stop_s = speed / np.maximum(np.where(stated, accel, self._assumed.accel_m_s2), 1e-9)
+        ages_s = self.ages_s(now_s)
+        silent: Flags = np.isfinite(ages_s) & (ages_s > max(self._assumed.halt_s, self._timeout_s) + stop_s)
+        return silent
+
+    def heard(self, now_s: float) -> Flags:
+        """Tell which robots are not silent, own ones left out, (m,)."""
+        found: Flags = self.ages_s(now_s) <= self._timeout_s
+        found[self.own_row[self.own_row >= 0]] = False
+        return found
+
+    def confine(self, row: int, x_m: float, y_m: float, radius_m: float) -> None:
+        """Hold the disc of a silent robot to (x, y) and a radius; NaN: it is nowhere near. A new state ends that."""
+        self._confined[row] = x_m, y_m, radius_m, self.arrival_s[row]
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
         """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
@@ -282,15 +329,19 @@ class Neighbours:
         if count > len(self.states):
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
+            self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
+            self._confined = np.vstack([self._confined, np.full((more, 4), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            self._received = Received(self.states, self.arrival_s)
-            self._predicted = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
-            self._viewed = views(self._received), views(self._predicted)
+            received = Received(self.states, self.arrival_s, self.limits, self._confined)
+            out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
+            if predict.run is predict.plain:
+                received, out = views(received), views(out)
+            self._run_predict = bound(partial(predict.run, received, out, self._assumed))
 
 
 def _fits(states: RobotStates) -> bool:
@@ -299,6 +350,9 @@ def _fits(states: RobotStates) -> bool:
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
     if states.teams and len(states.teams) != count:
+        return False
+    accel_m_s2 = states.accel_m_s2
+    if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
@@ -351,15 +405,44 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(received: Received, count: int, now_s: float, timeout_s: float, assumed: Assumed, out: Predicted) -> int:
+def distance_m(speed: float, accel: float, fastest: float, time_s: float) -> float:
+    """Return how far a body goes in a time that gains `accel` from `speed` >= 0 until it is at `fastest`."""
+    if accel <= 0.0:
+        return fastest * time_s
+    gaining_s = min((fastest - speed) / accel, time_s)
+    return (speed + 0.5 * accel * gaining_s) * gaining_s + fastest * (time_s - gaining_s)
+
+
+@kernel
+def reachable(speed: float, accel: float, fastest: float, turn: float, time_s: float) -> tuple[float, float]:
+    """Return a disc that holds all places a unicycle can reach: its centre's distance ahead, and its radius, m.
+
+    While its heading has changed by less than a quarter turn, it is in a rectangle: ahead as far as it can go forwards,
+    behind as far as it can reverse after it has braked, and to the side as far as at full speed in a full turn. After
+    that every direction is possible at the greatest speed.
+    """
+    if accel <= 0.0:
+        return 0.0, fastest * time_s
+    straight_s = min(time_s, 0.5 * math.pi / turn) if turn > 0.0 else time_s
+    aside_m = fastest * (1.0 - math.cos(turn * straight_s)) / turn if turn > 0.0 else 0.0
+    braking_s = min(math.fabs(speed) / accel, straight_s)
+    on_m = distance_m(math.fabs(speed), accel, fastest, straight_s)
+    back_m = distance_m(0.0, accel, fastest, straight_s - braking_s)
+    ahead_m = 0.5 * (on_m - back_m) if speed >= 0.0 else 0.5 * (back_m - on_m)
+    return ahead_m, math.hypot(0.5 * (on_m + back_m), aside_m) + fastest * (time_s - straight_s)
+
+
+@kernel
+def predict(received: Received, out: Predicted, assumed: Assumed, count: int, now_s: float, timeout_s: float) -> int:
     """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
-    robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever.
+    robot is never farther from its last position than its acceleration and speed allow, nor outside of what a unicycle
+    can reach from its last motion (`reachable`): the smallest disc counts. A silent robot is at standstill or about to
+    be: its disc grows until the assumed `halt_s` and then stays, for ever, unless the robot is confined by sight.
     """
-    states, arrival_s = received
-    accel_m_s2, speed_m_s, turn_rad_s, halt_s = assumed
+    states, arrival_s, limits, confined = received
+    assumed_accel, assumed_speed, assumed_turn, halt_s = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
@@ -375,13 +458,20 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
             continue
         speed = states[row, 3]
         rate = states[row, 4]
+        speed_m_s = limits[row, 0]
+        turn_rad_s = limits[row, 1]
+        accel_m_s2 = limits[row, 2]
+        if math.isnan(speed_m_s + turn_rad_s + accel_m_s2):
+            speed_m_s = assumed_speed
+            turn_rad_s = assumed_turn
+            accel_m_s2 = assumed_accel
         moved_s = min(age_s, halt_s)
         fastest = max(speed_m_s, math.fabs(speed))
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
         near_prediction_m = 0.5 * moved_s * moved_s * strongest
-        near_state_m = fastest * moved_s
+        near_state_m = distance_m(math.fabs(speed), accel_m_s2, fastest, moved_s)
         middle = states[row, 2] + 0.5 * age_s * rate
         x = states[row, 0] + speed * age_s * math.cos(middle)
         y = states[row, 1] + speed * age_s * math.sin(middle)
@@ -397,12 +487,20 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
             places[row, 1] = y
             spread_m[row] = near_prediction_m
         else:
+            ahead_m, near_ahead_m = reachable(speed, accel_m_s2, fastest, max(turn_rad_s, math.fabs(rate)), moved_s)
+            if near_ahead_m >= near_state_m:
+                ahead_m = 0.0
+                near_ahead_m = near_state_m
             if age_s > halt_s and accel_m_s2 > 0.0:
-                near_state_m += 0.5 * fastest * fastest / accel_m_s2
-            places[row, 0] = states[row, 0]
-            places[row, 1] = states[row, 1]
-            spread_m[row] = near_state_m
+                near_ahead_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = states[row, 0] + ahead_m * math.cos(states[row, 2])
+            places[row, 1] = states[row, 1] + ahead_m * math.sin(states[row, 2])
+            spread_m[row] = near_ahead_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
+        if age_s > halt_s and confined[row, 3] == arrival_s[row]:
+            places[row, 0] = confined[row, 0]
+            places[row, 1] = confined[row, 1]
+            spread_m[row] = confined[row, 2]
     return silent
 
 

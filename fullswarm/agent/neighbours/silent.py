@@ -168,7 +168,8 @@ def _gap(points: Array, box: Array) -> Array:
     """Return the distance of points (k, 2) to a box; zero inside."""
     x, y = _local(points[:, 0] - box[0], points[:, 1] - box[1], box[4])
     out = np.hypot(np.maximum(np.abs(x) - box[2], 0.0), np.maximum(np.abs(y) - box[3], 0.0))
-    return np.maximum(out - box[5], 0.0)
+    found: Array = np.maximum(out - box[5], 0.0)
+    return found
 
 
 def names_of(names: Sequence[str], rows: Sequence[int]) -> str:

@@ -48,16 +48,18 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    limits : (n, 3) what each can do: m/s, rad/s, m/s²
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason],
+        ended: Sequence[Reason], limits: Array,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._ended = law_error, ended
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
 
     def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
@@ -89,6 +91,9 @@ class Reports:
                 turn_rad_s=_pick(turn_rad_s, rows),
                 radius_m=_pick(radius_m, rows),
                 teams=_pick(teams, rows),
+                speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
+                turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
+                accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
             )
             yield keys.state(cell, host), message
