@@ -15,6 +15,7 @@ key                                                     message                w
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
+``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
@@ -112,6 +113,10 @@ class Keys:
     def relay(self, host: str = ANY) -> str:
         """States of others that a host does not receive directly."""
         return f"{self.swarm}/relay/{host}"
+
+    def searched(self, host: str = ANY) -> str:
+        """Where silent robots can still be, as the robots of a host have seen."""
+        return f"{self.swarm}/searched/{host}"
 
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""

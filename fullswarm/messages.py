@@ -352,6 +352,22 @@ class Interventions(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+Disc = tuple[Count, Metres, Metres, HalfSize]
+
+
+class SearchedDiscs(Message, frozen=True, kw_only=True):
+    """Where silent robots can still be, as far as the robots of one host have looked; 2 Hz while there are any.
+
+    Rows: index of the robot in `robots`, x, y, radius (m) of a disc. A robot's centre is in one of its discs; one
+    without a disc is nowhere within the place in which it fell silent.
+    """
+
+    host: str
+    robots: Names
+    discs: Annotated[tuple[Disc, ...], Meta(max_length=MOST)] = ()
+    stamp_s: Stamp = 0.0
+
+
 class SeenObstacles(Message, frozen=True, kw_only=True):
     """Static obstacles that the robots of one host have seen, all of them each time, on change and every 2 s.
 

@@ -114,6 +114,10 @@ class AgentConfig(Section):
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
+    # what moves and is no robot of the fleet (people, carts): assumed limits, and whether robots step aside
+    object_speed_m_s: float = Field(2.0, ge=0.0, le=100.0)
+    object_accel_m_s2: float = Field(2.0, ge=0.0, le=100.0)
+    evade: bool = True
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)

@@ -43,7 +43,7 @@ class Candidates(NamedTuple):
 
     pairs: Index  # (m, 4) row, other row or -1-k, two columns of scratch
     used: Index  # (1,) how many rows of it are
-    slack: Array  # (2,) m: that bodies or movers have moved since the list was made; gap up to which pairs are on it, -1: no list
+    slack: Array  # (2,) m: moved since the list was made; gap up to which pairs are on it, -1: no list
     anchor: Array  # (n, 2) where bodies were then
     grid: Index  # (8 n + 64,) scratch
 

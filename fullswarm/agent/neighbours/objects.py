@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.silent import SPARE_M, in_sight
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import ObjectFix
 
@@ -26,6 +28,8 @@ SAME_M = 0.15
 """A seen body so near to where a received robot may be is that robot. Two bodies are never as near as that."""
 SETTLE_S = 0.3
 """For so long after an object was seen first its velocity is not known: any up to the assumed limit is possible."""
+MISSED_S = 0.3
+"""One that is not seen for so long although nothing hides its place has gone."""
 LOST_S = 1.0
 """An object that is not seen any more is expected on its way for so long."""
 STILL_LOST_S = 10.0
@@ -39,14 +43,14 @@ LOOK_S = 0.02
 
 
 class Objects(NamedTuple):
-    """The objects that the filter keeps off, in arrays of `MOST` rows of which the first `count[0]` are used.
+    """The objects that the filter keeps off, in arrays of `MOST` rows of which the first `used[0]` are used.
 
     `rows`: (MOST, 6) x, y (m), vx, vy (m/s), radius (m), by how much the velocity may be wrong (m/s).
     `limits`: (2,) assumed greatest speed (m/s) and acceleration (m/s²) of any object.
     """
 
     rows: Array
-    count: Index
+    used: Index
     limits: Array
 
 
@@ -99,20 +103,22 @@ class ObjectTracker:
 
     Parameters
     ----------
+    range_m : how far the robots see bodies
     speed_m_s, accel_m_s2 : assumed limits of any object
 
     Attributes
     ----------
     objects : as of the last `update`; the same arrays at all times
+    obstacles : (b, 6) what hides bodies; set by the owner
     """
 
-    def __init__(self, neighbours: Neighbours, speed_m_s: float, accel_m_s2: float) -> None:
-        self._neighbours = neighbours
+    def __init__(self, neighbours: Neighbours, range_m: float, speed_m_s: float, accel_m_s2: float) -> None:
+        self._neighbours, self._range_m = neighbours, range_m
+        self.obstacles = np.zeros((0, 6))
         self.objects = no_objects()
         self.objects.limits[:] = speed_m_s, accel_m_s2
         self._tracks: list[Track] = []
         self._told: dict[str, Track] = {}
-        self._bodies: Array | None = None
         self._stamp_s = -math.inf
 
     def tell(self, fix: ObjectFix, now_s: float) -> None:
@@ -125,38 +131,38 @@ class ObjectTracker:
         track.predict(now_s)
         track.correct(fix.x_m, fix.y_m, fix.radius_m, now_s, float(self.objects.limits[0]))
 
-    def update(self, now_s: float, position: Array, bodies: Array | None, stamp_s: float) -> None:
-        """Take in the bodies (k, 3) that the robots at `position` (n, 2) saw at `stamp_s`, and predict all to `now_s`.
+    def update(self, now_s: float, pose: Array, bodies: Array | None, stamp_s: float) -> None:
+        """Take in the bodies (k, 3) that the robots at `pose` (n, 3) saw at `stamp_s`, and predict all to `now_s`.
 
         None: they did not look. A look is used once.
         """
         if bodies is not None and stamp_s > self._stamp_s:
             self._stamp_s = stamp_s
             if len(bodies) or self._tracks:
-                self._see(stamp_s, self.unknown(bodies, now_s))
-        if self._tracks or self._told or self.objects.count[0]:
-            self._publish(now_s, position)
+                self._see(stamp_s, pose[:, :2], bodies, self.strange(bodies, now_s))
+        if self._tracks or self._told or self.objects.used[0]:
+            self._publish(now_s, pose[:, :2])
 
-    def unknown(self, bodies: Array, now_s: float) -> Array:
-        """Return those of `bodies` (k, 3) that are no received robot."""
+    def strange(self, bodies: Array, now_s: float) -> NDArray[np.bool_]:
+        """Tell which of `bodies` (k, 3) are no received robot."""
+        strange = np.ones(len(bodies), bool)
         table = self._neighbours
         heard = np.flatnonzero(table.heard(now_s))
         if not len(heard) or not len(bodies):
-            return bodies
+            return strange
         table.refresh(now_s)
         places, spread_m = table.places[heard], table.spread_m[heard]
         away_m = np.hypot(bodies[:, None, 0] - places[None, :, 0], bodies[:, None, 1] - places[None, :, 1])
         nearest = away_m.argmin(axis=0)  # a robot is one body
         found = away_m[nearest, np.arange(len(heard))] <= SAME_M + spread_m
-        strange = np.ones(len(bodies), bool)
         strange[nearest[found]] = False
-        return bodies[strange]
+        return strange
 
-    def _see(self, now_s: float, bodies: Array) -> None:
+    def _see(self, now_s: float, position: Array, bodies: Array, strange: NDArray[np.bool_]) -> None:
         speed_limit, accel = self.objects.limits.tolist()
         for track in self._tracks:
             track.predict(now_s)
-        left = bodies.tolist()
+        left = bodies[strange].tolist()
         pairs = sorted(
             (math.hypot(track.x_m - x, track.y_m - y), at, row)
             for at, track in enumerate(self._tracks) for row, (x, y, _) in enumerate(left)
@@ -169,13 +175,29 @@ class ObjectTracker:
             age_s = now_s - track.seen_s
             fresh_m = speed_limit * age_s if now_s - track.born_s < SETTLE_S else 0.5 * accel * age_s * age_s
             if away_m <= GATE_M + fresh_m:
-                track.correct(*left[row], now_s, speed_limit)
+                x, y, radius = left[row]
+                track.correct(x, y, radius, now_s, speed_limit)
                 used.add(at)
                 taken.add(row)
         self._tracks += [
             Track(x, y, radius, now_s, now_s, now_s) for row, (x, y, radius) in enumerate(left) if row not in taken
         ]
-        self._tracks = [track for track in self._tracks if not track.lost(now_s)]
+        known = bodies[~strange]
+        self._tracks = [track for track in self._tracks if not self._gone(track, now_s, position, bodies, known)]
+
+    def _gone(self, track: Track, now_s: float, position: Array, bodies: Array, known: Array) -> bool:
+        """Tell whether an object that was not seen is not there any more, or was a robot that is received now."""
+        unseen_s = now_s - track.seen_s
+        if unseen_s <= 0.0:
+            return False
+        apart_m = np.hypot(known[:, 0] - track.x_m, known[:, 1] - track.y_m)
+        if track.lost(now_s) or bool((apart_m < 0.8 * (known[:, 2] + track.radius_m)).any()):
+            return True
+        if unseen_s <= MISSED_S:
+            return False
+        at, range_m = np.array([[track.x_m, track.y_m]]), self._range_m - SPARE_M
+        eyes = position[np.isfinite(position).all(axis=1)]
+        return any(bool(in_sight(eye, at, range_m, bodies, self.obstacles)[0]) for eye in eyes)
 
     def _publish(self, now_s: float, position: Array) -> None:
         self._told = {name: track for name, track in self._told.items() if not track.lost(now_s)}
@@ -190,7 +212,8 @@ class ObjectTracker:
             known = position[np.isfinite(position).all(axis=1)]
             away = [float(np.hypot(*(known - (each.x_m, each.y_m)).T).min(initial=math.inf)) for each in tracks]
             tracks = [tracks[at] for at in np.argsort(away, kind="stable")[:MOST].tolist()]
-        rows, speed_limit, accel = self.objects.rows, *self.objects.limits.tolist()
+        rows = self.objects.rows
+        speed_limit, accel = self.objects.limits.tolist()
         for at, track in enumerate(tracks):
             age_s = max(0.0, now_s - track.time_s)
             unseen_s = max(0.0, now_s - track.seen_s)
@@ -202,4 +225,4 @@ class ObjectTracker:
             # Where it may have got to since it was seen, other than on its way.
             rows[at, 4] = track.radius_m + min(unsure_m_s + 0.5 * accel * unseen_s, 2.0 * speed_limit) * unseen_s
             rows[at, 5] = min(unsure_m_s + accel * unseen_s, 2.0 * speed_limit)
-        self.objects.count[0] = len(tracks)
+        self.objects.used[0] = len(tracks)

@@ -6,23 +6,30 @@ covers the middle of the cell; so a cell whose middle is in sight, `LOOKS` times
 it, does not hold the robot. Neither does a cell in which it would overlap something solid: a body that is seen, a
 wall. (A body that is seen may *be* the silent robot: it is avoided as such, see ``objects.py``.) What remains is
 enclosed in a disc, which the filter keeps off; when nothing remains, there is no disc any more.
+
+Agents tell each other what remains, because each sees another side: a cell that is in none of another agent's discs
+does not hold the robot. Bodies that may be it are told as discs too, so that a robot that has not seen them keeps off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours.estimates import Neighbours
-from fullswarm.kernels import Array
+from fullswarm.bus.base import Bus
+from fullswarm.kernels import Array, Flags
+from fullswarm.keys import Keys
+from fullswarm.messages import SearchedDiscs
 
 LOOKS = 3
 """So often a cell must be seen empty: a sense may miss a body once."""
 MOST_CELLS = 4096
 """A larger disc is not searched: it is kept as it is."""
+MOST_SEEN = 16
+SHARE_S = 0.5
 SPARE_M = 0.05
 """What hides a cell is taken for so much wider, and a range for so much shorter."""
 OVERLAP_M = 0.02
@@ -40,6 +47,8 @@ class _Search:
         inside = np.hypot(x, y) <= spread_m + self.half_m
         self.cells = np.stack([place[0] + x[inside], place[1] + y[inside]], axis=1)
         self.looks = np.zeros(len(self.cells), np.int64)
+        self.place, self.spread_m = place, spread_m
+        self.seen: list[tuple[float, float]] = []  # bodies that may be this robot
 
     @classmethod
     def cell_count(cls, radius_m: float, spread_m: float) -> float:
@@ -51,6 +60,24 @@ class _Search:
         kept = self.looks < LOOKS
         if not kept.all():
             self.cells, self.looks = self.cells[kept], self.looks[kept]
+
+    def note(self, x_m: float, y_m: float) -> None:
+        """Take note of a body that is no received robot, if it may be this one."""
+        if math.hypot(x_m - self.place[0], y_m - self.place[1]) > self.spread_m + self.half_m:
+            return
+        if all(math.hypot(x_m - x, y_m - y) > self.radius_m for x, y in self.seen) and len(self.seen) < MOST_SEEN:
+            self.seen.append((x_m, y_m))
+
+    def keep(self, discs: Array) -> None:
+        """Drop the cells that are in none of the `discs` (k, 3) of another agent."""
+        x, y, radius = discs.T
+        away_m = np.hypot(self.cells[:, None, 0] - x, self.cells[:, None, 1] - y)
+        self.drop(~(away_m <= radius + self.half_m).any(axis=1), LOOKS)
+
+    def discs(self) -> list[tuple[float, float, float]]:
+        """Return what other agents are told: the disc of what remains, and the bodies that may be the robot."""
+        found = [(x, y, self.half_m) for x, y in self.seen]
+        return [self.disc(), *found] if len(self.cells) else found
 
     def disc(self) -> tuple[float, float, float]:
         """Return centre and radius of a disc that holds all cells; NaN when there are none."""
@@ -69,12 +96,23 @@ class SilentSearch:
     radius_m : (n,) footprints of the agent's robots
     """
 
-    def __init__(self, neighbours: Neighbours, range_m: float, radius_m: Array) -> None:
+    def __init__(
+        self, bus: Bus, keys: Keys, host: str, neighbours: Neighbours, range_m: float, radius_m: Array
+    ) -> None:  # fmt: skip
+        self._bus, self._keys, self._host = bus, keys, host
         self._neighbours, self._range_m, self._radius_m = neighbours, range_m, radius_m
         self._searches: dict[int, _Search] = {}
+        self._share_at_s = -math.inf
+        self._subscription = bus.subscribe(keys.searched(), SearchedDiscs, self._on_searched, latest=True)
 
-    def look(self, now_s: float, position: Array, bodies: Array, obstacles: Array) -> None:
-        """Use one look of the robots at `position` (n, 2): they see `bodies` (k, 3), and know `obstacles` (b, 6)."""
+    def look(self, now_s: float, position: Array, bodies: Array, strange: Flags, obstacles: Array) -> None:
+        """Use one look of the robots at `position` (n, 2).
+
+        Parameters
+        ----------
+        bodies, strange : (k, 3) what they see, and which of it is no received robot (k,)
+        obstacles : (b, 6) what hides bodies
+        """
         table = self._neighbours
         if not table.silent:
             self._searches.clear()
@@ -84,7 +122,7 @@ class SilentSearch:
             del self._searches[row]
         if not len(rows):
             return
-        heard = table.heard(now_s)
+        heard = np.flatnonzero(table.heard(now_s))
         discs = np.vstack([bodies, np.column_stack([table.places[heard], table.states[heard, 5]])])
         for row in rows.tolist():
             away_m = np.hypot(*(position - table.places[row]).T).min(initial=math.inf)
@@ -93,7 +131,32 @@ class SilentSearch:
             search = self._search(row, obstacles)
             if search is not None and len(search.cells):
                 self._use(search, position, discs, bodies, obstacles)
+                for x_m, y_m, _ in bodies[strange].tolist():
+                    search.note(x_m, y_m)
                 table.confine(row, *search.disc())
+        if now_s >= self._share_at_s and self._searches:
+            self._share_at_s = now_s + SHARE_S
+            self._share(now_s)
+
+    def _share(self, now_s: float) -> None:
+        robots = tuple(self._neighbours.names[row] for row in self._searches)
+        discs = tuple((at, *disc) for at, search in enumerate(self._searches.values()) for disc in search.discs())
+        message = SearchedDiscs(host=self._host, robots=robots, discs=discs, stamp_s=now_s)
+        self._bus.publish(self._keys.searched(self._host), message)
+
+    def _on_searched(self, told: SearchedDiscs) -> None:
+        if told.host == self._host or not self._searches:
+            return
+        names = self._neighbours.names
+        for row, search in self._searches.items():
+            if names[row] in told.robots and len(search.cells):
+                at = told.robots.index(names[row])
+                search.keep(np.array([disc[1:] for disc in told.discs if disc[0] == at]).reshape(-1, 3))
+                self._neighbours.confine(row, *search.disc())
+
+    def close(self) -> None:
+        """Drop the subscription."""
+        self._subscription.close()
 
     def _search(self, row: int, obstacles: Array) -> _Search | None:
         table = self._neighbours
@@ -170,8 +233,3 @@ def _gap(points: Array, box: Array) -> Array:
     out = np.hypot(np.maximum(np.abs(x) - box[2], 0.0), np.maximum(np.abs(y) - box[3], 0.0))
     found: Array = np.maximum(out - box[5], 0.0)
     return found
-
-
-def names_of(names: Sequence[str], rows: Sequence[int]) -> str:
-    """Return the names of rows in their order, separated by spaces."""
-    return " ".join(names[row] for row in rows)

@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.neighbours.objects import Objects, no_objects
 from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_planes, interval, project
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
@@ -105,6 +106,7 @@ class Given(NamedTuple):
     requested: Requested
     near: Nearby
     arena: Arena
+    objects: Objects
     out: Filtered
     planes: HalfPlanes
 
@@ -128,8 +130,8 @@ def robot_params(
 
 @kernel
 def guard(
-    tuning: Tuning, robots: RobotParams, requested: Requested, near: Nearby, arena: Arena, out: Filtered,
-    planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
+    tuning: Tuning, robots: RobotParams, requested: Requested, near: Nearby, arena: Arena, objects: Objects,
+    out: Filtered, planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
@@ -186,7 +188,7 @@ def guard(
             overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
             count = half_planes(
                 i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, near, arena,
-                planes,
+                planes, objects, math.fabs(speed_now) / accel + 2.0 * period_s + age,
             )  # fmt: skip
             if count < 0:
                 why = CROWDED
@@ -262,9 +264,13 @@ class SafetyFilter:
     reach_m, bounds_m : how far obstacles are sensed; (4,) the arena
     """
 
-    def __init__(self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array) -> None:
+    def __init__(
+        self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array,
+        objects: Objects | None = None,
+    ) -> None:  # fmt: skip
         count = len(ids)
         self._ids, self._tuning = ids, tuning
+        self._objects = objects or no_objects()
         self.reach_m, self.bounds_m = tuning.reach_m, bounds_m
         self._last_s = math.inf
         self._logged_s: dict[int, float] = {}
@@ -299,10 +305,16 @@ class SafetyFilter:
     def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
         """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
-        self.given = given = Given(self._robots, requested, near, arena, out, self._planes)
+        self.given = given = Given(self._robots, requested, near, arena, self._objects, out, self._planes)
         if guard.run is guard.plain:
             given = Given(
-                self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
+                self._robots_viewed,
+                views(requested),
+                views(near),
+                views(arena),
+                views(self._objects),
+                views(out),
+                self._planes_listed,
             )
         self._guard = bound(partial(guard.run, self._tuning, *given))
 
