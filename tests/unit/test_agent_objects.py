@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.motion.evade import Evasion
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, Nearby
+from fullswarm.agent.neighbours.estimates import Assumed, Nearby, Neighbours
 from fullswarm.agent.neighbours.objects import Objects, ObjectTracker, no_objects
 from fullswarm.agent.neighbours.silent import SilentSearch
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter, Tuning, robot_params
@@ -141,7 +141,7 @@ def test_no_contact_while_the_robot_moves_whatever_the_object_does(seed: int) ->
         objects.rows[0] = *place, *velocity, OBJECT_RADIUS, 0.0
         planar[0] = -SPEED * towards if aim else wish
         stamp[0] = tick * dt_s
-        guard.apply(tick * dt_s, requested, Measured(pose, motion, stamp), near, NO_OBSTACLES, twists)
+        guard.apply(tick * dt_s, requested, Measured(pose, motion, stamp, np.zeros((1, 2))), near, NO_OBSTACLES, twists)
         motion[0, 0] += float(np.clip(twists[0, 0] - motion[0, 0], -ACCEL * dt_s, ACCEL * dt_s))
         motion[0, 1] += float(np.clip(twists[0, 1] - motion[0, 1], -20.0 * dt_s, 20.0 * dt_s))
         for _ in range(4):
@@ -163,7 +163,8 @@ def evaded(objects: Objects, wish: tuple[float, float], pose: Array = HERE, boun
     desired = np.array([wish])
     evasion = Evasion(objects, np.array([0.2]), np.array([SPEED]), np.array([TURN]))
     evasion.apply(desired, np.ones(1, bool), pose, NO_OBSTACLES, bounds)
-    return desired[0]
+    found: Array = desired[0]
+    return found
 
 
 def one_object(x: float, y: float, vx: float, vy: float) -> Objects:
@@ -227,7 +228,8 @@ def test_a_disc_that_is_in_sight_and_empty_vanishes() -> None:
 
 def test_a_disc_shrinks_to_what_is_hidden() -> None:
     made = Search()
-    before = made.look((-2.0, 0.0), NOTHING_SEEN, looks=0) or made.disc
+    made.look((-2.0, 0.0), NOTHING_SEEN, looks=0)
+    before = made.disc
     made.look((-2.0, 0.0), np.array([[0.1, 0.0, RADIUS]]))
     x, y, radius = made.disc
     assert radius < 0.6 * before[2]

@@ -19,6 +19,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.kernels import sum_of
 from fullswarm.reasons import NONE, Code, reason
 
 log = structlog.get_logger()
@@ -50,7 +51,7 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
-        self._measured = Measured(state.pose, state.twist, np.zeros(count))  # kept while its arrays are the same
+        self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
@@ -65,6 +66,8 @@ class DesiredMotion:
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
+        if self._filter.commands.any:
+            self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return
@@ -94,7 +97,7 @@ class DesiredMotion:
             self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
-            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s)
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
@@ -107,8 +110,7 @@ class DesiredMotion:
         """
         try:
             desired = group.call(view, group.params)
-            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
+            if not math.isfinite(sum_of(desired)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)
