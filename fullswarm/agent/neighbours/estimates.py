@@ -542,16 +542,19 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
             silent += 1
-        if age_s <= timeout_s and near_prediction_m < near_state_m:
-            places[row, 0] = x
-            places[row, 1] = y
-            spread_m[row] = near_prediction_m
-        else:
+        ahead_m = 0.0
+        near_ahead_m = near_state_m
+        if age_s > timeout_s or near_prediction_m > 0.5 * near_state_m:  # what is reachable is no smaller than that
             ahead_m, near_ahead_m = reachable(speed, accel_m_s2, fastest, max(turn_rad_s, math.fabs(rate)), moved_s)
             near_ahead_m += swing * near_state_m
             if near_ahead_m >= near_state_m:
                 ahead_m = 0.0
                 near_ahead_m = near_state_m
+        if age_s <= timeout_s and near_prediction_m < near_ahead_m:
+            places[row, 0] = x
+            places[row, 1] = y
+            spread_m[row] = near_prediction_m
+        else:
             if age_s > halt_s and accel_m_s2 > 0.0:
                 near_ahead_m += 0.5 * fastest * fastest / accel_m_s2
             places[row, 0] = states[row, 0] + ahead_m * math.cos(states[row, 2])
