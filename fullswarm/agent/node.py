@@ -212,6 +212,8 @@ class AgentNode:
         state.twist = reading.twist
         self.standstill.update(reading)
         self.reflexes.update(reading, state.pose)
+        if self.fixes.any_unsettled:
+            self.reflexes.pose_uncertain |= self.fixes.unsettled
         self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
