@@ -79,6 +79,7 @@ class DesiredMotion:
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
                 neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+                self._controller.speed_limit,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
