@@ -28,6 +28,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
+from fullswarm.agent.safety.startup import check_stopping
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
@@ -71,6 +72,7 @@ class AgentNode:
         loop: Callable[[], LoopStats],
         thresholds: Thresholds | None = None,
     ) -> None:
+        check_stopping(config, fleet.descriptions)
         self._bus = bus = CountingBus(bus)
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
@@ -284,7 +286,10 @@ class AgentNode:
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
-        self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        # What comes within reach before the next call must be subscribed already.
+        way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
+        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
