@@ -289,6 +289,8 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     radius_m: Radii
     teams: Teams = ()  # of which each is; 0: of none, and empty: none is of any
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
+    aim_x_m: Places = ()  # where each is driving to next, its own place: nowhere; empty: not stated
+    aim_y_m: Places = ()
 
 
 class Interventions(Message, frozen=True, kw_only=True):

@@ -122,7 +122,7 @@ class AgentNode:
         )
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
-            law_error=self.desired.law_error, ended=self.inbox.ended,
+            law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
         )  # fmt: skip
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
@@ -236,6 +236,8 @@ class AgentNode:
             ),
         )  # fmt: skip
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.news:
+            self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)

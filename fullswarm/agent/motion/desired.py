@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -11,6 +12,7 @@ import structlog
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
+from fullswarm.agent.neighbours.standing import Standing
 from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter
@@ -18,7 +20,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
-from fullswarm.reasons import NONE, Code, reason
+from fullswarm.reasons import NONE, Code, Reason, reason
 
 log = structlog.get_logger()
 
@@ -31,6 +33,8 @@ class DesiredMotion:
     Attributes
     ----------
     law_error : the last failure of each robot's control law, false if it never failed
+    blocked : by robot, why its control law knows no way to where it is to drive
+    news : `blocked` has changed since this was last set to False
     """
 
     def __init__(
@@ -47,8 +51,12 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
+        self._standing = Standing(neighbours)
+        self._margin_m = np.zeros(count)
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
+        self.blocked: dict[int, Reason] = {}
+        self.news = False
 
     def near(self, now_s: float) -> Nearby:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
@@ -62,6 +70,9 @@ class DesiredMotion:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
         settings, tasks = self._config, self._tasks
+        if self.blocked:
+            for row in [row for row in self.blocked if not tasks.active[row]]:
+                del self.blocked[row]
         if not groups and not tasks.any_filtered:
             return
         pose, neighbours = self._state.pose, self._neighbours
@@ -69,12 +80,15 @@ class DesiredMotion:
         neighbours.set_time(now_s)
 
         self._planar.fill(math.nan)
+        self._state.aim.fill(math.nan)
+        np.multiply(tasks.margin_m, tasks.filtered, out=self._margin_m)
         planar = False
         for group in groups:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known, neighbours.aims,
+                self._margin_m, partial(self._standing.around, now_s=now_s),
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -110,7 +124,25 @@ class DesiredMotion:
         (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
+        if view.aim is not None:
+            self._state.aim[rows] = view.aim
+        if view.blocked or self.blocked:
+            self._note_blocked(group, view.blocked)
         return group.planar
+
+    def _note_blocked(self, group: Group, found: Mapping[int, Reason]) -> None:
+        """Keep and log which robots of a group know no way, and which know one again."""
+        for place, row in enumerate(group.rows.tolist()):
+            why, before = found.get(place, NONE), self.blocked.get(row, NONE)
+            if why == before:
+                continue
+            self.news, robot = True, self._neighbours.ids[row]
+            if why:
+                self.blocked[row] = why
+                log.warning("a robot stands: it knows no way to its goal", robot=robot, reason=why.text)
+            else:
+                del self.blocked[row]
+                log.info("a robot knows a way to its goal again", robot=robot)
 
     def _law_failed(self, group: Group, error: Exception) -> None:
         why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}")

@@ -83,17 +83,19 @@ class Neighbours:
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     teams : (m,) of which team each is, as received; 0: none
+    aims : (m, 2) m, where each says that it is driving to next, its own place: nowhere; NaN: it does not say
     arrival_s : (m,) when, on this machine's clock
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
     names : (m,) ids of the robots
+    ids : (n,) ids of the own robots
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED) -> None:
-        self._own, self._assumed = ids, assumed
+        self.ids, self._assumed = ids, assumed
         self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
@@ -106,6 +108,7 @@ class Neighbours:
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
         self.teams = np.zeros(0, np.int64)
+        self.aims = np.zeros((0, 2))
         self.arrival_s = np.zeros(0)
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
@@ -142,10 +145,12 @@ class Neighbours:
         table = np.array(columns)
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
         finite = np.isfinite(table.sum(axis=0))
+        aims = np.array((states.aim_x_m, states.aim_y_m)) if states.aim_x_m else np.full((2, len(rows)), math.nan)
         if not finite.all():
-            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            rows, table, teams, aims = rows[finite], table[:, finite], teams[finite], aims[:, finite]
         self.states[rows] = table.T
         self.teams[rows] = teams
+        self.aims[rows] = aims.T
         self.arrival_s[rows] = now_s
 
     def _receive_one(self, states: RobotStates, now_s: float) -> None:
@@ -168,11 +173,19 @@ class Neighbours:
         received[row, 4] = turn_rad_s
         received[row, 5] = radius_m
         self.teams[row] = states.teams[0] if states.teams else 0
+        aims = self.aims
+        aims[row, 0] = states.aim_x_m[0] if states.aim_x_m else math.nan
+        aims[row, 1] = states.aim_y_m[0] if states.aim_y_m else math.nan
         self.arrival_s[row] = now_s
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
         self._now_s, self._stale = now_s, True
+
+    def refresh(self) -> None:
+        """Bring `predicted`, `places` and `spread_m` to the time of the last `set_time`."""
+        if self._stale:
+            self._predict()
 
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
@@ -263,8 +276,8 @@ class Neighbours:
                 self._row_of[robot] = self.count
                 self.names.append(robot)
                 self.count += 1
-                if robot in self._own:
-                    self.own_row[self._own.index(robot)] = self._row_of[robot]
+                if robot in self.ids:
+                    self.own_row[self.ids.index(robot)] = self._row_of[robot]
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
@@ -276,6 +289,7 @@ class Neighbours:
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
+            self.aims = np.vstack([self.aims, np.full((more, 2), math.nan)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
@@ -292,6 +306,8 @@ def _fits(states: RobotStates) -> bool:
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
     if states.teams and len(states.teams) != count:
+        return False
+    if len(states.aim_x_m) != len(states.aim_y_m) or (states.aim_x_m and len(states.aim_x_m) != count):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -48,16 +48,17 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    blocked : by robot, why its control law knows no way
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason],
+        blocked: Mapping[int, Reason], ended: Sequence[Reason],
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
-        self._law_error, self._ended = law_error, ended
+        self._law_error, self._blocked, self._ended = law_error, blocked, ended
 
     def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
@@ -76,6 +77,7 @@ class Reports:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
         radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
+        aim_x_m, aim_y_m = self._aims(there)
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -90,8 +92,17 @@ class Reports:
                 radius_m=_pick(radius_m, rows),
                 teams=_pick(teams, rows),
                 own_frame=self._conflicts.own_frame,
+                aim_x_m=_pick(aim_x_m, rows),
+                aim_y_m=_pick(aim_y_m, rows),
             )
             yield keys.state(cell, host), message
+
+    def _aims(self, there: Array) -> tuple[list[float], list[float]]:
+        """Return where the robots are driving to, their own places where they drive nowhere, as columns in m."""
+        state = self._state
+        going = (state.stop_reason == StopReason.MOVING) & np.isfinite(state.aim[:, 0])
+        x_m, y_m = np.where(going[:, None], state.aim, there[:, :2]).T.tolist()
+        return x_m, y_m
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
         """Return the health of all robots of this agent."""
@@ -114,7 +125,9 @@ class Reports:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
-        if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
+        if number == StopReason.MOVING:
+            return self._blocked.get(row, NONE)
+        if number in (StopReason.IDLE, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
 
