@@ -92,11 +92,11 @@ def case(kind: str, width_m: float, position: int) -> Case:
     ]
     near = _scatter(rng, 4 if kind == "corridor" else ROBOTS, -0.5 * thick_m)
     starts = [(*_turned(centre, yaw, x, y), float(rng.uniform(-math.pi, math.pi))) for x, y in near]
-    goals = [_turned(centre, yaw, 0.5 * thick_m + 1.7 + 0.5 * (row % 2), 0.55 * (row - 3.5)) for row in range(ROBOTS)]
+    beyond = [(0.5 * thick_m + 1.7 + 0.5 * (row % 2), 0.55 * (row - 3.5)) for row in range(ROBOTS)]
     if kind == "corridor":
-        far = [(-x, -y) for x, y in near]
-        starts += [(*_turned(centre, yaw, x, y), float(rng.uniform(-math.pi, math.pi))) for x, y in far]
-        goals = [_turned(centre, yaw, *place) for place in (*far, *near)]
+        starts += [(*_turned(centre, yaw, -x, -y), float(rng.uniform(-math.pi, math.pi))) for x, y in near]
+        beyond = [*beyond[::2], *((-x, y) for x, y in beyond[::2])]
+    goals = [_turned(centre, yaw, *place) for place in beyond]
     if kind == "dead":
         aside = float(rng.uniform(-0.3, 0.3))
         starts.append((*_turned(centre, yaw, float(rng.uniform(-0.1, 0.1)), aside), 0.0))

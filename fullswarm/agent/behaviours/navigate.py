@@ -124,7 +124,7 @@ def _lane(view: View, row: int, goal: tuple[float, float], source: str, crowd: i
         wide_m = radius_m + LANES_M[lane]
         if wide_m > least_m and math.isfinite(longest_m):
             field = planner.field_of(goal, known, view.bounds_m, Clearance(wide_m, wide_m))
-            if field.way_m(x, y) <= longest_m:
+            if field.short_m <= 0.0 and field.way_m(x, y) <= longest_m:
                 return field, known
     return shortest, known
 

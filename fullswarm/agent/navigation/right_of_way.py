@@ -30,6 +30,7 @@ RING_M = 0.8
 RING_STEP_M = 0.45
 RING_ROBOTS = 4
 BESIDE_M = 0.1
+SLOWING_M = 0.4
 EVEN_M = 0.05
 FOLLOW_M = 0.8
 MOVING_M_S = 0.03
@@ -70,7 +71,7 @@ def direction(
     off_y = aim_y - passages[row, 1]
     aim_along = axis_x * off_x + axis_y * off_y
     aim_across = -axis_y * off_x + axis_x * off_y
-    if math.fabs(along) < half + 0.17 and math.fabs(across) < 0.5 * width:
+    if math.fabs(along) < half + 0.5 * width and math.fabs(across) < 0.5 * width:
         if aim_along > along + EVEN_M:
             return 1
         return -1 if aim_along < along - EVEN_M else 0
@@ -202,30 +203,21 @@ def give_way(
         yields = sign < 0.0 if even else opposing_head < own_head
     if not yields and ahead == 0:
         return vx, vy
-    aside_sign = 1.0 if across > 0.0 else -1.0
+    ring_m = RING_M + RING_STEP_M * (max(ahead - 1, 0) // RING_ROBOTS)
     if yields:
-        if before < CLEAR_AHEAD_M:
-            if math.fabs(across) < band:
-                back = AWAY_SHARE if before < radius_m + margin_m + BESIDE_M else 0.0
-                ux = -back * axis_x - aside_sign * axis_y
-                uy = -back * axis_y + aside_sign * axis_x
-                size = math.hypot(ux, uy)
-                return AWAY_SHARE * speed * ux / size, AWAY_SHARE * speed * uy / size
-            return 0.0, 0.0
-        share = min(1.0, (before - CLEAR_AHEAD_M) / 0.5)
-        return share * vx, share * vy
-    ring_m = RING_M + RING_STEP_M * ((ahead - 1) // RING_ROBOTS)
-    if mouth_m < ring_m - EVEN_M:
-        # Away from the mouth, and off its axis.
-        ux = -max(before, 0.05) * axis_x
-        uy = -max(before, 0.05) * axis_y
-        if math.fabs(across) < band:
-            ux -= band * aside_sign * axis_y
-            uy += band * aside_sign * axis_x
-        else:
-            ux -= across * -axis_y * -1.0
-            uy -= across * axis_x * -1.0
-        size = math.hypot(ux, uy)
-        return AWAY_SHARE * speed * ux / size, AWAY_SHARE * speed * uy / size
-    share = min(1.0, max(0.0, (mouth_m - ring_m) / 0.4))
+        ring_m += RING_STEP_M
+    side = 1.0 if across > 0.0 else -1.0
+    in_band = math.fabs(across) < band
+    if mouth_m < ring_m - EVEN_M or (yields and in_band and before < CLEAR_AHEAD_M):
+        # Away from the mouth, and off its axis: those that come out need it.
+        back = 0.0 if mouth_m >= ring_m - EVEN_M else max(before, 0.05)
+        off = side * band if in_band else across
+        size = math.hypot(back, off)
+        ux = (-back * axis_x - off * axis_y) / size
+        uy = (-back * axis_y + off * axis_x) / size
+        return AWAY_SHARE * speed * ux, AWAY_SHARE * speed * uy
+    room_m = mouth_m - ring_m
+    if yields and in_band:
+        room_m = before - CLEAR_AHEAD_M
+    share = min(1.0, max(0.0, room_m / SLOWING_M))
     return share * vx, share * vy
