@@ -1,4 +1,4 @@
-"""Doors and corridors: do all robots pass, wherever a door lies and however it is turned, without a contact?
+"""Counts the robots that pass doors and corridors, wherever a door lies and however it is turned, and contacts.
 
 Eight robots of a Create's size (radius 0.17 m, 0.5 m/s) in the kinematic world, the whole stack in lockstep, judged by
 the world's referee. ``doors``: a wall with a door of a given width, at random places of the wall and of the grid, along
@@ -101,9 +101,8 @@ def case(kind: str, width_m: float, position: int) -> Case:
         aside = float(rng.uniform(-0.3, 0.3))
         starts.append((*_turned(centre, yaw, float(rng.uniform(-0.1, 0.1)), aside), 0.0))
         goals.append((math.nan, math.nan))
-    return Case(
-        kind, width_m, position, tuple(boxes), np.array(starts), np.array(goals), silent=kind == "dead" and position % 2 > 0
-    )  # fmt: skip
+    silent = kind == "dead" and position % 2 == 1
+    return Case(kind, width_m, position, tuple(boxes), np.array(starts), np.array(goals), silent)
 
 
 def _turned(centre: Array, yaw: float, x: float, y: float) -> tuple[float, float]:
@@ -164,7 +163,7 @@ def run(case: Case, agent: dict[str, Any] | None = None, limit_s: float = LIMIT_
             raise SystemExit(f"the core refused: {answers[-1].reason if answers else 'no answer'}")
         arrived = int((_away(lockstep, goals) <= 0.1)[asked].sum())
         counted = witness.tally()
-        contacts = counted.pairs_touched + int(counted.obstacle_events.sum())
+        contacts = (counted.pairs_touched or 0) + int(counted.obstacle_events.sum())
         operator.close()
     finally:
         lockstep.close()

@@ -60,7 +60,7 @@ def drive(view: View, params: Params, goals: Array) -> Array:
         field, known = _lane(view, row, (goal_x, goal_y), source, crowd[row])
         radius_m, margin_m, ways = float(view.radius[row]), float(view.margin_m[row]), field.ways
         lattice = Lattice(*field.grid, field.preferred_m, LOOK_M, PASSAGE_M)
-        to_x, to_y, gate, gate_m, length_m = follow.run(x, y, ways, lattice, _trail)
+        to_x, to_y, gate, length_m = follow.run(x, y, ways, lattice, _trail)
         if not math.isfinite(length_m):
             least_m = radius_m + margin_m + LEAST_SLACK_M
             view.blocked[row] = planner.no_way(x, y, (goal_x, goal_y), known, view.bounds_m, least_m)

@@ -123,6 +123,36 @@ def gaps(points: Array, obstacles: Array, most_m: float) -> Array:
     return nearest
 
 
+def way_gaps(start: Array, end: Array, obstacles: Array, most_m: float) -> Array:
+    """Return how near straight ways (w, 2) to (w, 2) come to an obstacle, `most_m` at most, (w,) m."""
+    nearest = np.full(len(start), most_m)
+    middle, reach_m = 0.5 * (start + end), 0.5 * np.hypot(*(end - start).T)
+    for x, y, half_x, half_y, yaw, corner_m in obstacles.tolist():
+        across = math.hypot(half_x, half_y) + corner_m + most_m + reach_m
+        near = np.flatnonzero((np.abs(middle[:, 0] - x) < across) & (np.abs(middle[:, 1] - y) < across))
+        if not len(near):
+            continue
+        ax, ay = _local(start[near] - (x, y), yaw)
+        bx, by = _local(end[near] - (x, y), yaw)
+        gap = np.minimum(_outside(ax, ay, half_x, half_y), _outside(bx, by, half_x, half_y))
+        for corner_x in (half_x, -half_x):
+            for corner_y in (half_y, -half_y):
+                gap = np.minimum(gap, _off_segment(corner_x - ax, corner_y - ay, bx - ax, by - ay))
+        gap[_cross(ax, ay, bx - ax, by - ay, half_x, half_y)] = 0.0
+        nearest[near] = np.minimum(nearest[near], gap - corner_m)
+    return nearest
+
+
+def _outside(x: Array, y: Array, half_x: float, half_y: float) -> Array:
+    return np.hypot(np.maximum(np.abs(x) - half_x, 0.0), np.maximum(np.abs(y) - half_y, 0.0))
+
+
+def _off_segment(x: Array, y: Array, dx: Array, dy: Array) -> Array:
+    """Return the distance of points from segments that go from 0 by (dx, dy)."""
+    part = np.clip((x * dx + y * dy) / np.maximum(dx * dx + dy * dy, 1e-18), 0.0, 1.0)
+    return np.hypot(x - part * dx, y - part * dy)
+
+
 def free_ways(start: Array, end: Array, clearance_m: float, obstacles: Array) -> Flags:
     """Tell which straight ways (w, 2) to (w, 2) keep `clearance_m` from all obstacles: :func:`is_free` for many."""
     free = np.ones(len(start), bool)
@@ -138,11 +168,9 @@ def free_ways(start: Array, end: Array, clearance_m: float, obstacles: Array) ->
         bx, by = _local(end[near] - (x, y), yaw)
         dx, dy = bx - ax, by - ay
         blocked = _cross(ax, ay, dx, dy, half_x + grown_m, half_y) | _cross(ax, ay, dx, dy, half_x, half_y + grown_m)
-        squared = np.maximum(dx * dx + dy * dy, 1e-18)
-        for corner_x, corner_y in ((half_x, half_y), (half_x, -half_y), (-half_x, half_y), (-half_x, -half_y)):
-            from_x, from_y = corner_x - ax, corner_y - ay
-            part = np.clip((from_x * dx + from_y * dy) / squared, 0.0, 1.0)
-            blocked |= np.hypot(from_x - part * dx, from_y - part * dy) < grown_m
+        for corner_x in (half_x, -half_x):
+            for corner_y in (half_y, -half_y):
+                blocked |= _off_segment(corner_x - ax, corner_y - ay, dx, dy) < grown_m
         free[near[blocked]] = False
     return free
 
@@ -155,7 +183,9 @@ def _local(offset: Array, yaw: float) -> tuple[Array, Array]:
 def _cross(x: Array, y: Array, dx: Array, dy: Array, half_x: float, half_y: float) -> NDArray[np.bool_]:
     first_x, last_x = _within(x, dx, half_x)
     first_y, last_y = _within(y, dy, half_y)
-    found: NDArray[np.bool_] = np.maximum(np.maximum(first_x, first_y), 0.0) < np.minimum(np.minimum(last_x, last_y), 1.0)
+    found: NDArray[np.bool_] = np.maximum(np.maximum(first_x, first_y), 0.0) < np.minimum(
+        np.minimum(last_x, last_y), 1.0
+    )
     return found
 
 

@@ -49,7 +49,7 @@ def find(obstacles: Array, widest_m: float = WIDEST_M) -> Passages:
     one, other, distance_m = _nearest_points(obstacles, corners, first, second)
     width_m = distance_m - obstacles[first, 5] - obstacles[second, 5]
     keep = np.flatnonzero((width_m > 1e-3) & (width_m < widest_m) & (distance_m > 1e-9))
-    first, second, one, other, width_m = (each[keep] for each in (first, second, one, other, width_m))
+    first, second, one, other, width_m = first[keep], second[keep], one[keep], other[keep], width_m[keep]
     normal = (other - one) / distance_m[keep, None]
     axis = np.column_stack([-normal[:, 1], normal[:, 0]])
     flip = (axis[:, 0] < -1e-9) | ((np.abs(axis[:, 0]) <= 1e-9) & (axis[:, 1] < 0.0))

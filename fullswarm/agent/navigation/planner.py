@@ -13,9 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from fullswarm.agent.navigation.geometry import Bounds, gaps
+from fullswarm.agent.navigation.geometry import Bounds, gaps, way_gaps
 from fullswarm.agent.navigation.passages import WIDEST_M
-from fullswarm.agent.navigation.roadmap import Clearance, Field, Roadmap, build_field, build_roadmap
+from fullswarm.agent.navigation.roadmap import SPAN_M, Clearance, Field, Roadmap, build_field, build_roadmap
 from fullswarm.errors import MissingExtra
 from fullswarm.kernels import Array, Flags
 from fullswarm.reasons import Code, Reason, reason
@@ -67,9 +67,7 @@ def in_passages(roadmap: Roadmap, discs: Array) -> Flags:
     return found
 
 
-def no_way(
-    x: float, y: float, goal: tuple[float, float], obstacles: Array, bounds_m: Bounds, least_m: float
-) -> Reason:
+def no_way(x: float, y: float, goal: tuple[float, float], obstacles: Array, bounds_m: Bounds, least_m: float) -> Reason:
     """Return why there is no way from (x, y) to a goal, with the width that is needed and the widest that there is."""
     key = round(x, 1), round(y, 1), goal, obstacles.tobytes(), bounds_m
     widest_m = _kept(_answers, key, ANSWERS, lambda: widest_way_m((x, y), goal, obstacles, bounds_m))
@@ -86,9 +84,7 @@ def goal_closed(goal: tuple[float, float], obstacles: Array, least_m: float) -> 
     )  # fmt: skip
 
 
-def widest_way_m(
-    start: tuple[float, float], goal: tuple[float, float], obstacles: Array, bounds_m: Bounds
-) -> float:
+def widest_way_m(start: tuple[float, float], goal: tuple[float, float], obstacles: Array, bounds_m: Bounds) -> float:
     """Return the width of the widest way between two places, m; 0 where none is wider than `THINNEST_M`.
 
     On a maximum spanning tree of the clearances the way between two nodes is the widest one.
@@ -107,17 +103,18 @@ def widest_way_m(
     if not len(thin.points) or not len(thin.start):
         return 0.0
     from_node, to_node = (int(np.argmin(np.hypot(*(thin.points - place).T))) for place in (start, goal))
-    narrowness = 1.0 + thin.clear_m.max() - np.minimum(thin.clear_m[thin.start], thin.clear_m[thin.end])
+    edge_m = way_gaps(thin.points[thin.start], thin.points[thin.end], thin.obstacles, SPAN_M)
+    narrowness = 1.0 + SPAN_M - edge_m
     count = len(thin.points)
     tree = minimum_spanning_tree(csr_array((narrowness, (thin.start, thin.end)), shape=(count, count)))
     _, before = breadth_first_order(tree, to_node, directed=False)
-    clear_m, node = float(thin.clear_m[from_node]), from_node
-    while node != to_node:
-        if before[node] < 0:
+    way = [from_node]
+    while way[-1] != to_node:
+        if before[way[-1]] < 0:
             return 0.0
-        node = int(before[node])
-        clear_m = min(clear_m, float(thin.clear_m[node]))
-    return 2.0 * clear_m
+        way.append(int(before[way[-1]]))
+    points = thin.points[way]
+    return 2.0 * float(way_gaps(points[:-1], points[1:], thin.obstacles, SPAN_M).min(initial=SPAN_M))
 
 
 def _place(point: tuple[float, float]) -> str:

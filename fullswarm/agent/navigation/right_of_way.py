@@ -1,12 +1,12 @@
-"""Decides who drives through a narrow passage, and where the others wait.
+"""Decides which robot drives through a narrow passage first, and where the others wait.
 
-Through a passage in which two robots cannot meet they go one direction at a time. Robots inside go on; of those outside,
-the side whose first robot is nearer to its mouth has the right of way, and on that side the nearest robot goes first.
-The others of that side stay on rings around the mouth, one farther out for each few that are before them. Robots of the
-other side wait beside the mouth, so that it stays free for those that come out. In a wider passage with traffic in both
-directions each keeps to its right.
+Through a passage in which two robots cannot meet they go one direction at a time. Robots inside go on; of those
+outside, the side whose first robot is nearer to its mouth has the right of way, and on that side the nearest robot goes
+first. The others of that side stay on rings around the mouth, one farther out for each few that are before them. Robots
+of the other side wait beside the mouth, so that it stays free for those that come out. In a wider passage with traffic
+in both directions each keeps to its right.
 
-Each robot decides by itself from where its neighbours are, how they move and where they say that they are driving to.
+Each robot decides by itself: from where its neighbours are, how they move, and where they say they are driving to.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ RING_STEP_M = 0.45
 RING_ROBOTS = 4
 BESIDE_M = 0.1
 SLOWING_M = 0.4
+LANE_AHEAD_M = 0.8
+LANE_SLACK_M = 0.05
 EVEN_M = 0.05
 FOLLOW_M = 0.8
 MOVING_M_S = 0.03
@@ -90,6 +92,121 @@ def direction(
 
 
 @kernel
+def survey(
+    along: float, before: float, across: float, radius_m: float, sign: float, row: int, low: int, high: int,
+    passages: Array, traffic: Traffic,
+) -> tuple[bool, bool, float, float, float, bool, bool, int]:  # fmt: skip
+    """Return what the neighbours of a robot do at passage `row`; the frame is that of its own direction.
+
+    Parameters
+    ----------
+    along, before, across : where it is: from the middle, before its mouth, to the left of the axis, m
+    sign : 1.0 when it drives along the axis, -1.0 against it
+
+    Returns
+    -------
+    tuple
+        Some robot that comes towards it is inside; one is inside or near; how far the one that is ahead of it has come
+        in, -1 if there is none; distances of the first one outside from their mouth and of the first one with its own
+        direction from its own, m; one with its own direction is inside; the next one of these comes back; how many of
+        these are outside and nearer to the mouth.
+    """
+    axis_x = sign * passages[row, 2]
+    axis_y = sign * passages[row, 3]
+    half = passages[row, 4]
+    half_width = 0.5 * passages[row, 5]
+    mouth_m = math.hypot(max(before, 0.0), across)
+    opposing_inside = False
+    opposing_near = False
+    opposing_depth = -1.0
+    opposing_head = math.inf
+    own_head = mouth_m
+    own_inside = False
+    backing = False
+    ahead = 0
+    for pair in range(low, high):
+        other = traffic.other[pair]
+        other_x = traffic.places[other, 0]
+        other_y = traffic.places[other, 1]
+        heading = traffic.states[other, 2]
+        speed_x = traffic.states[other, 3] * math.cos(heading)
+        speed_y = traffic.states[other, 3] * math.sin(heading)
+        dx = other_x - passages[row, 0]
+        dy = other_y - passages[row, 1]
+        there = axis_x * dx + axis_y * dy
+        aside = -axis_y * dx + axis_x * dy
+        going = sign * direction(
+            other_x, other_y, speed_x, speed_y, traffic.aims[other, 0], traffic.aims[other, 1], sign * there,
+            sign * aside, passages, row,
+        )  # fmt: skip
+        if going == 0.0:
+            continue
+        its_before = there - half if going < 0.0 else -half - there
+        gone = its_before < -2.0 * half - radius_m
+        its_inside = math.fabs(aside) < half_width and its_before < 0.5 * radius_m and not gone
+        its_mouth_m = math.hypot(max(its_before, 0.0), aside)
+        if going < 0.0:
+            opposing_inside = opposing_inside or its_inside
+            opposing_near = opposing_near or (its_before < CLAIM_M and not gone)
+            if its_inside and there > along:
+                opposing_depth = max(opposing_depth, -its_before)
+            elif its_before > 0.0:
+                opposing_head = min(opposing_head, its_mouth_m)
+        elif its_inside:
+            own_inside = True
+            if along < there < along + FOLLOW_M and axis_x * speed_x + axis_y * speed_y < -MOVING_M_S:
+                backing = True
+        elif its_before > 0.0:
+            own_head = min(own_head, its_mouth_m)
+            if its_mouth_m < mouth_m or (its_mouth_m == mouth_m and aside < across):
+                ahead += 1
+    return opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead
+
+
+@kernel
+def wait(
+    vx: float, vy: float, before: float, across: float, axis_x: float, axis_y: float, band_m: float, yields: bool,
+    ahead: int,
+) -> tuple[float, float]:  # fmt: skip
+    """Return the velocity of a robot that is not to enter now: to its ring around the mouth, or off the mouth's axis.
+
+    Parameters
+    ----------
+    axis_x, axis_y : in the direction of the robot
+    band_m : robots that wait for those of the other side keep so far off the axis
+    yields : it waits for the other side
+    ahead : how many are before it on its own side
+    """
+    speed = AWAY_SHARE * math.hypot(vx, vy)
+    mouth_m = math.hypot(max(before, 0.0), across)
+    ring_m = RING_M + RING_STEP_M * (max(ahead - 1, 0) // RING_ROBOTS)
+    if yields:
+        ring_m += RING_STEP_M
+    in_band = math.fabs(across) < band_m
+    if mouth_m < ring_m - EVEN_M or (yields and in_band and before < CLEAR_AHEAD_M):
+        back = 0.0 if mouth_m >= ring_m - EVEN_M else max(before, 0.05)
+        off = across
+        if in_band:
+            off = band_m if across > 0.0 else -band_m
+        size = math.hypot(back, off)
+        return speed * (-back * axis_x - off * axis_y) / size, speed * (-back * axis_y + off * axis_x) / size
+    room_m = before - CLEAR_AHEAD_M if yields and in_band else mouth_m - ring_m
+    share = min(1.0, max(0.0, room_m / SLOWING_M))
+    return share * vx, share * vy
+
+
+@kernel
+def keep_right(
+    vx: float, vy: float, along: float, across: float, half: float, axis_x: float, axis_y: float, lane_m: float
+) -> tuple[float, float]:
+    """Return the velocity towards the right lane, `lane_m` right of the axis: first to its mouth, then along it."""
+    to_along = max(LANE_AHEAD_M, -half - along)
+    to_across = -lane_m - across
+    share = math.hypot(vx, vy) / math.hypot(to_along, to_across)
+    return share * (to_along * axis_x - to_across * axis_y), share * (to_along * axis_y + to_across * axis_x)
+
+
+@kernel
 def give_way(
     x: float, y: float, vx: float, vy: float, radius_m: float, margin_m: float, gate: int, low: int, high: int,
     passages: Array, traffic: Traffic,
@@ -113,111 +230,30 @@ def give_way(
     along = axis_x * off_x + axis_y * off_y
     across = -axis_y * off_x + axis_x * off_y
     before = -half - along
-    speed = math.hypot(vx, vy)
-    inside = before < 0.5 * radius_m and math.fabs(across) < 0.5 * width
     mouth_m = math.hypot(max(before, 0.0), across)
-    narrow = width < 4.0 * radius_m + 3.0 * margin_m + ROOM_M
-    band = 2.0 * radius_m + margin_m + BESIDE_M
-    opposing_inside = False
-    opposing_near = False
-    opposing_depth = -1.0
-    opposing_head = math.inf
-    same_head = before
-    same_inside = False
-    backing = False
-    ahead = 0
-    for pair in range(low, high):
-        other = traffic.other[pair]
-        other_x = traffic.places[other, 0]
-        other_y = traffic.places[other, 1]
-        heading = traffic.states[other, 2]
-        other_speed = traffic.states[other, 3]
-        speed_x = other_speed * math.cos(heading)
-        speed_y = other_speed * math.sin(heading)
-        dx = other_x - passages[row, 0]
-        dy = other_y - passages[row, 1]
-        there = axis_x * dx + axis_y * dy
-        aside = -axis_y * dx + axis_x * dy
-        going = direction(
-            other_x, other_y, speed_x, speed_y, traffic.aims[other, 0], traffic.aims[other, 1], sign * there,
-            sign * aside, passages, row,
-        )  # fmt: skip
-        if going == 0:
-            continue
-        within = math.fabs(aside) < 0.5 * width
-        if going * sign < 0.0:
-            its_before = there - half
-            its_inside = within and its_before < 0.5 * radius_m and there > -half - radius_m
-            if its_inside:
-                opposing_inside = True
-                if there > along:
-                    opposing_depth = max(opposing_depth, -its_before)
-            if its_before > -2.0 * half - 1.0:
-                opposing_near = opposing_near or its_before < CLAIM_M
-                if not its_inside and its_before > 0.0:
-                    opposing_head = min(opposing_head, math.hypot(its_before, aside))
-        else:
-            its_before = -half - there
-            its_inside = within and its_before < 0.5 * radius_m
-            if its_inside:
-                same_inside = same_inside or there < half + radius_m
-                if along < there < along + FOLLOW_M and axis_x * speed_x + axis_y * speed_y < -MOVING_M_S:
-                    backing = True
-            elif its_before > 0.0:
-                its_mouth_m = math.hypot(its_before, aside)
-                same_head = min(same_head, its_mouth_m)
-                nearer = its_mouth_m < mouth_m
-                if its_mouth_m == mouth_m:
-                    nearer = aside < across
-                if nearer:
-                    ahead += 1
-    if not narrow:
-        if not opposing_near and not opposing_inside:
-            return vx, vy
-        lane = -min(0.25 * width, max(0.5 * width - radius_m - margin_m - 0.05, 0.0))
-        if before > CLAIM_M or along > half:
-            return vx, vy
-        # To the right half of the mouth first, then along it.
-        towards = max(along + 0.8, -half)
-        to_along = towards - along
-        to_across = lane - across
-        size = math.hypot(to_along, to_across)
-        ux = (to_along * axis_x - to_across * axis_y) / size
-        uy = (to_along * axis_y + to_across * axis_x) / size
-        return speed * ux, speed * uy
-    if inside:
-        depth = -before
-        retreat = backing
-        if opposing_depth >= 0.0:
-            even = math.fabs(opposing_depth - depth) < EVEN_M
-            retreat = retreat or (sign < 0.0 if even else opposing_depth > depth)
-        if retreat:
-            return -speed * axis_x, -speed * axis_y
-        return vx, vy
     if mouth_m > CLAIM_M + 1.0:
         return vx, vy
+    opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead = survey(
+        along, before, across, radius_m, sign, row, low, high, passages, traffic
+    )
+    if width >= 4.0 * radius_m + 3.0 * margin_m + ROOM_M:
+        if not opposing_near or before > CLAIM_M or along > half:
+            return vx, vy
+        lane_m = min(0.25 * width, max(0.5 * width - radius_m - margin_m - LANE_SLACK_M, 0.0))
+        return keep_right(vx, vy, along, across, half, axis_x, axis_y, lane_m)
+    if before < 0.5 * radius_m and math.fabs(across) < 0.5 * width:
+        # Inside: of two that meet the one that has come less far goes back, and those behind it with it.
+        even = math.fabs(opposing_depth + before) < EVEN_M
+        if backing or (opposing_depth >= 0.0 and (sign < 0.0 if even else opposing_depth > -before)):
+            speed = math.hypot(vx, vy)
+            return -speed * axis_x, -speed * axis_y
+        return vx, vy
     yields = opposing_inside
-    if not yields and not same_inside and opposing_head < CLAIM_M:
-        own_head = min(same_head, mouth_m)
+    if not yields and not own_inside and opposing_head < CLAIM_M:
         even = math.fabs(opposing_head - own_head) < EVEN_M
         yields = sign < 0.0 if even else opposing_head < own_head
     if not yields and ahead == 0:
         return vx, vy
-    ring_m = RING_M + RING_STEP_M * (max(ahead - 1, 0) // RING_ROBOTS)
-    if yields:
-        ring_m += RING_STEP_M
-    side = 1.0 if across > 0.0 else -1.0
-    in_band = math.fabs(across) < band
-    if mouth_m < ring_m - EVEN_M or (yields and in_band and before < CLEAR_AHEAD_M):
-        # Away from the mouth, and off its axis: those that come out need it.
-        back = 0.0 if mouth_m >= ring_m - EVEN_M else max(before, 0.05)
-        off = side * band if in_band else across
-        size = math.hypot(back, off)
-        ux = (-back * axis_x - off * axis_y) / size
-        uy = (-back * axis_y + off * axis_x) / size
-        return AWAY_SHARE * speed * ux, AWAY_SHARE * speed * uy
-    room_m = mouth_m - ring_m
-    if yields and in_band:
-        room_m = before - CLEAR_AHEAD_M
-    share = min(1.0, max(0.0, room_m / SLOWING_M))
-    return share * vx, share * vy
+    return wait(
+        vx, vy, before, across, axis_x, axis_y, 2.0 * radius_m + margin_m + BESIDE_M, yields, ahead
+    )  # fmt: skip

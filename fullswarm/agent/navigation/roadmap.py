@@ -1,7 +1,7 @@
 """Builds the graph of ways on a map, and on it the shortest ways to a goal.
 
-Nodes are the centres of a grid's cells and points on the axes of narrow passages, so that a passage is found wherever it
-lies between the cells. Each edge is a straight way whose clearance is checked exactly. The graph belongs to a map, a
+Nodes are the centres of a grid's cells and points on the axes of narrow passages, so that a passage is found wherever
+it lies between the cells. Each edge is a straight way whose clearance is checked exactly. The graph belongs to a map, a
 body's size and nothing else; a field of ways belongs to a goal.
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent.navigation.geometry import Bounds, free_ways, gaps, with_edges
+from fullswarm.agent.navigation.geometry import Bounds, free_ways, gaps, way_gaps, with_edges
 from fullswarm.agent.navigation.passages import Passages, find
 from fullswarm.errors import MissingExtra
 from fullswarm.kernels import Array, Index
@@ -46,7 +46,8 @@ class Ways(NamedTuple):
     """What :func:`fullswarm.agent.navigation.route.follow` needs of a field.
 
     `x`, `y`, `clear_m`: (m,) the nodes and their clearance, m. `following`: (m,) the next node, `NOWHERE` at the goal
-    and where no way leads there. `cost_m`, `length_m`: (m,) to the goal, m. `gate`: (m,) which passage is crossed on
+    and where no way leads there; `way_clear_m`: (m,) the least clearance on the way to it, exact below the preferred
+    one. `cost_m`, `length_m`: (m,) to the goal, m. `gate`: (m,) which passage is crossed on
     the way to the next node: its place in `Passages` plus 1, negative against its axis, 0 for none. `first`: (cells +
     1,), `nodes`: the nodes in cell c are ``nodes[first[c]:first[c + 1]]``. `obstacles`: (k, 6) with the edges.
     `passages`: (p, 6) as the columns of :class:`Passages`.
@@ -56,6 +57,7 @@ class Ways(NamedTuple):
     y: Array
     clear_m: Array
     following: Index
+    way_clear_m: Array
     cost_m: Array
     length_m: Array
     gate: Index
@@ -251,7 +253,11 @@ def build_field(roadmap: Roadmap, goal: tuple[float, float]) -> Field:
     if goal_clear_m < clearance.least_m and count:
         away_m = np.hypot(*(roadmap.points - there[0]).T)
         nearest = int(np.argmin(away_m))
-        there, short_m, goal_clear_m = roadmap.points[[nearest]], float(away_m[nearest]), float(roadmap.clear_m[nearest])
+        there, short_m, goal_clear_m = (
+            roadmap.points[[nearest]],
+            float(away_m[nearest]),
+            float(roadmap.clear_m[nearest]),
+        )
     points, clear_m = np.vstack([roadmap.points, there]), np.append(roadmap.clear_m, goal_clear_m)
     near = np.flatnonzero(np.hypot(*(roadmap.points - there[0]).T) < 2.0 * roadmap.grid.cell_m)
     near = near[free_ways(points[near], np.repeat(there, len(near), axis=0), clearance.least_m, solid)]
@@ -265,7 +271,8 @@ def build_field(roadmap: Roadmap, goal: tuple[float, float]) -> Field:
     following = np.where(before >= 0, before, NOWHERE).astype(np.int64)
     length_m = _lengths(points, following, cost_m)
     ways = Ways(
-        np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]), clear_m, following, cost_m, length_m,
+        np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]), clear_m, following,
+        _way_clearances(points, clear_m, following, clearance, solid), cost_m, length_m,
         _gates(points, following, roadmap.passages), *_with_goal(roadmap, there[0]), solid,
         np.column_stack(roadmap.passages),
     )  # fmt: skip
@@ -283,6 +290,19 @@ def _with_goal(roadmap: Roadmap, goal: Array) -> tuple[Index, Index]:
     nodes = np.insert(roadmap.nodes, int(first[cell + 1]), len(roadmap.points))
     first[cell + 1 :] += 1
     return first, nodes
+
+
+def _way_clearances(points: Array, clear_m: Array, following: Index, clearance: Clearance, solid: Array) -> Array:
+    """Return the least clearance between each node and the next, (m,) m; the node's own where none follows."""
+    found_m = clear_m.copy()
+    going = np.flatnonzero(following >= 0)
+    start, end = points[going], points[following[going]]
+    # Clearance falls by a metre per metre at most.
+    bound_m = 0.5 * (clear_m[going] + clear_m[following[going]] - np.hypot(*(end - start).T))
+    near = bound_m < clearance.preferred_m
+    bound_m[near] = way_gaps(start[near], end[near], solid, SPAN_M)
+    found_m[going] = bound_m
+    return found_m
 
 
 def _lengths(points: Array, following: Index, cost_m: Array) -> Array:

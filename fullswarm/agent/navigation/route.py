@@ -76,7 +76,7 @@ def entry(x: float, y: float, own_clear_m: float, ways: Ways, lattice: Lattice) 
 
 
 @kernel
-def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tuple[float, float, int, float, float]:
+def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tuple[float, float, int, float]:
     """Return where to drive to straight from (x, y), and the first passage on the way.
 
     Parameters
@@ -87,18 +87,17 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
     -------
     tuple
         x, y of the farthest point of the way to which a straight way is as clear as the way itself, m; which passage
-        is crossed first within `ahead_m`, as `Ways.gate`, 0 for none; how far away its middle is along the way, m; the
-        length of the way, m: infinite, with the robot's own place, where none is known.
+        is crossed first within `ahead_m`, as `Ways.gate`, 0 for none; the length of the way, m: infinite, with the
+        robot's own place, where none is known.
     """
     own_clear_m = gap_to(x, y, ways.obstacles, SPAN_M)
     node = entry(x, y, own_clear_m, ways, lattice)
     if node == NOWHERE:
-        return x, y, 0, 0.0, math.inf
+        return x, y, 0, math.inf
     begin = node
     total_m = math.hypot(ways.x[node] - x, ways.y[node] - y)
     length_m = total_m + ways.length_m[node]
     gate = 0
-    gate_m = 0.0
     count = 0
     most = trail.shape[0]
     gone_m = total_m
@@ -110,15 +109,14 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
             break
         if gate == 0 and gone_m <= lattice.ahead_m and ways.gate[node] != 0:
             gate = ways.gate[node]
-            gate_m = gone_m
         gone_m = total_m + ways.length_m[begin] - ways.length_m[following]
-        if gone_m > lattice.look_m and (gate != 0 or gone_m > lattice.ahead_m):
+        if gone_m > lattice.look_m + lattice.cell_m and (gate != 0 or gone_m > lattice.ahead_m):
             break
         node = following
     # Steps of doubling length along the way as long as the end is in sight, then halving: few checks find the end.
     limit_m = min(lattice.preferred_m, own_clear_m)
     seen = 0
-    seen_clear_m = min(limit_m, ways.clear_m[trail[0]])
+    seen_clear_m = min(limit_m, ways.clear_m[begin])
     step = 1
     growing = True
     while step > 0:
@@ -126,8 +124,8 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
         found = False
         if there > seen:
             clear_m = seen_clear_m
-            for k in range(seen + 1, there + 1):
-                clear_m = min(clear_m, ways.clear_m[trail[k]])
+            for k in range(seen, there):
+                clear_m = min(clear_m, ways.way_clear_m[trail[k]])
             node = trail[there]
             if is_free(x, y, ways.x[node], ways.y[node], clear_m - TOLERANCE_M, ways.obstacles):
                 found = True
@@ -139,4 +137,4 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
             growing = False
             step //= 2
     node = trail[seen]
-    return ways.x[node], ways.y[node], gate, gate_m, length_m
+    return ways.x[node], ways.y[node], gate, length_m

@@ -1,8 +1,8 @@
 """Finds the robots at standstill that are not on their way: a planner must lead around them.
 
 A robot counts when it has not moved for some seconds and either says that it is driving nowhere, or says nothing, or is
-silent. One that waits for its turn states where it is driving to, and is no obstacle. It stops counting when it moves or
-states an aim.
+silent. One that waits for its turn states where it is driving to, and is no obstacle. It stops counting when it moves
+or states an aim.
 """
 
 from __future__ import annotations
