@@ -86,7 +86,7 @@ class View:
     bounds_m : x_min, y_min, x_max, y_max of the arena
     known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
     aims : (m, 2) m, where the robots received say that they are driving to, see `Neighbours`; None: none says
-    margin_m : (n,) m, the gap that the safety filter keeps; None: it does not run
+    margin_m : (n,) m, the gap that the safety filter keeps where it runs; None: none
     standing : ``standing(row)`` returns the robots at standstill that are not on their way, as obstacles (k, 6), `row`
         itself left out
 

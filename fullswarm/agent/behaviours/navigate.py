@@ -119,7 +119,7 @@ def _lane(view: View, row: int, goal: tuple[float, float], source: str, crowd: i
     clearance = Clearance(least_m, max(radius_m + SLACK_M, least_m))
     known = _with_standing(view, row, goal, view.known(row, source), clearance)
     shortest = planner.field_of(goal, known, view.bounds_m, clearance)
-    longest_m = DETOUR * shortest.way_m(x, y) + CROWD_M
+    longest_m = DETOUR * shortest.way_m(x, y) + CROWD_M if crowd else 0.0
     for lane in range(min(crowd, len(LANES_M) - 1), 0, -1):
         wide_m = radius_m + LANES_M[lane]
         if wide_m > least_m and math.isfinite(longest_m):
@@ -134,9 +134,10 @@ def _with_standing(view: View, row: int, goal: tuple[float, float], known: Array
     discs = view.standing(row)
     if not len(discs):
         return known
-    base = planner.roadmap_of(known, view.bounds_m, clearance)
-    away_m = np.hypot(discs[:, 0] - goal[0], discs[:, 1] - goal[1])
-    discs = discs[planner.in_passages(base, discs) & (away_m > discs[:, 5] + clearance.least_m)]
+    discs = planner.in_passages(discs, known, view.bounds_m, clearance)
+    if not len(discs):
+        return known
+    discs = discs[np.hypot(discs[:, 0] - goal[0], discs[:, 1] - goal[1]) > discs[:, 5] + clearance.least_m]
     if not len(discs):
         return known
     around = np.vstack([known, discs])

@@ -52,7 +52,7 @@ class DesiredMotion:
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
         self._standing = Standing(neighbours)
-        self._margin_m = np.zeros(count)
+        self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
         self.blocked: dict[int, Reason] = {}
@@ -81,14 +81,13 @@ class DesiredMotion:
 
         self._planar.fill(math.nan)
         self._state.aim.fill(math.nan)
-        np.multiply(tasks.margin_m, tasks.filtered, out=self._margin_m)
         planar = False
         for group in groups:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
                 neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known, neighbours.aims,
-                self._margin_m, partial(self._standing.around, now_s=now_s),
+                tasks.margin_m, self._standing.around,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -100,7 +99,9 @@ class DesiredMotion:
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
-        measured = Measured(pose, reading.twist, reading.stamp_s)
+        measured = self._measured
+        if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

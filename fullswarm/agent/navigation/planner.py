@@ -29,6 +29,7 @@ THINNEST_M = 0.01
 _roadmaps: OrderedDict[Hashable, Roadmap] = OrderedDict()
 _fields: OrderedDict[Hashable, Field] = OrderedDict()
 _answers: OrderedDict[Hashable, float] = OrderedDict()
+_standing: OrderedDict[Hashable, Array] = OrderedDict()
 
 
 def roadmap_of(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Roadmap:
@@ -54,8 +55,13 @@ def _kept(shelf: OrderedDict[Hashable, T], key: Hashable, most: int, build: Call
     return found
 
 
-def in_passages(roadmap: Roadmap, discs: Array) -> Flags:
-    """Tell which robots (k, 6) stand in a passage of a map: elsewhere the others drive around them anyway."""
+def in_passages(discs: Array, obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Array:
+    """Return those of the robots (k, 6) that stand in a passage of a map: elsewhere the others drive around anyway."""
+    key = discs.tobytes(), obstacles.tobytes(), bounds_m, clearance
+    return _kept(_standing, key, FIELDS, lambda: discs[_inside(discs, roadmap_of(obstacles, bounds_m, clearance))])
+
+
+def _inside(discs: Array, roadmap: Roadmap) -> Flags:
     passages = roadmap.passages
     found = np.zeros(len(discs), bool)
     for row in range(len(passages.x)):

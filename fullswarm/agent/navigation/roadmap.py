@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fullswarm.agent.navigation.geometry import Bounds, free_ways, gaps, way_gaps, with_edges
 from fullswarm.agent.navigation.passages import Passages, find
 from fullswarm.errors import MissingExtra
-from fullswarm.kernels import Array, Index
+from fullswarm.kernels import Array, Index, kernel
 
 CELL_M = 0.2
 MOST_CELLS = 250_000
@@ -101,6 +101,24 @@ class Roadmap:
     nodes: Index
 
 
+@kernel
+def way_from(
+    x: float, y: float, node_x: Array, node_y: Array, length_m: Array, first: Index, nodes: Index, x_min: float,
+    y_min: float, cell_m: float, columns: int, rows: int,
+) -> float:  # fmt: skip
+    """Return the length of the shortest way from (x, y) by a node in the cells around it, m; inf: there is none."""
+    row = int(math.floor((y - y_min) / cell_m))
+    column = int(math.floor((x - x_min) / cell_m))
+    shortest_m = math.inf
+    for each in range(max(0, row - 1), min(rows, row + 2)):
+        low = first[each * columns + min(max(0, column - 1), columns)]
+        high = first[each * columns + max(min(columns - 1, column + 1), -1) + 1]
+        for place in range(low, high):
+            node = nodes[place]
+            shortest_m = min(shortest_m, length_m[node] + math.hypot(node_x[node] - x, node_y[node] - y))
+    return shortest_m
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
     """The ways to one goal.
@@ -119,16 +137,8 @@ class Field:
 
     def way_m(self, x: float, y: float) -> float:
         """Return how long the way from a place to the goal is; infinite where no way is known."""
-        grid, ways = self.grid, self.ways
-        row, column = math.floor((y - grid.y_min) / grid.cell_m), math.floor((x - grid.x_min) / grid.cell_m)
-        shortest_m = math.inf
-        for each in range(max(0, row - 1), min(grid.rows, row + 2)):
-            cell = each * grid.columns
-            low, high = ways.first[cell + max(0, column - 1)], ways.first[cell + min(grid.columns - 1, column + 1) + 1]
-            for node in ways.nodes[low:high].tolist():
-                away_m = math.hypot(ways.x[node] - x, ways.y[node] - y)
-                shortest_m = min(shortest_m, float(ways.length_m[node]) + away_m)
-        return shortest_m
+        ways = self.ways
+        return way_from.run(x, y, ways.x, ways.y, ways.length_m, ways.first, ways.nodes, *self.grid)
 
 
 def build_roadmap(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Roadmap:

@@ -69,8 +69,9 @@ class Standing:
         self._rows: list[int] = []
         self._discs = NO_OBSTACLES
 
-    def around(self, own: int, now_s: float) -> Array:
-        """Return the robots that stand as rounded boxes (k, 6), without own robot `own`."""
+    def around(self, own: int) -> Array:
+        """Return the robots that stand now as rounded boxes (k, 6), without own robot `own`."""
+        now_s = self._neighbours.now_s
         if not 0.0 <= now_s - self._last_s < PERIOD_S:
             self._look(now_s)
         if not self._rows:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_pla
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import Array, Flags, Index, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 
 log = structlog.get_logger()
 
@@ -54,13 +55,15 @@ class RobotParams(NamedTuple):
 class Tuning(NamedTuple):
     """Settings of the filter and of the unicycle map.
 
-    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed.
+    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed; `confidence`: so many
+    standard deviations of the own pose count.
     """
 
     period_s: float
     reach_m: float
     speed_gain: float
     turn_gain_per_s: float
+    confidence: float = 0.0
 
 
 class Requested(NamedTuple):
@@ -78,11 +81,15 @@ class Requested(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Pose (n, 3), twist (n, 2) in m/s and rad/s, and when they were measured (n,), s."""
+    """Pose (n, 3), twist (n, 2) in m/s and rad/s, when they were measured (n,), s, and `sigma` (n, 2) of the pose.
+
+    `sigma`: standard deviations of position (m, worse axis) and heading (rad).
+    """
 
     pose: Array
     twist: Array
     stamp_s: Array
+    sigma: Array
 
 
 class Filtered(NamedTuple):
@@ -127,25 +134,25 @@ def robot_params(
 
 @kernel
 def guard(
-    now_s: float, dt_s: float, tuning: Tuning, measured: Measured, robots: RobotParams, requested: Requested,
-    near: Nearby, arena: Arena, out: Filtered, planes: HalfPlanes,
+    tuning: Tuning, robots: RobotParams, requested: Requested, near: Nearby, arena: Arena, out: Filtered,
+    planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
     Parameters
     ----------
-    dt_s : since the last call
     planes : room for one robot's constraints
+    dt_s : since the last call
 
     Returns
     -------
     int
         How many verdicts became or ceased to be one of those that brake.
     """
-    period_s, reach_m, speed_gain, turn_gain_per_s = tuning
+    period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m = robots
     velocity, filtered, gain, margin_m = requested
-    pose, motion, stamp_s = measured
+    pose, motion, stamp_s, sigma = measured
     twists, deviation, verdict = out
     news = 0
     for i in range(velocity.shape[0]):
@@ -183,10 +190,10 @@ def guard(
             age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
             overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
+            clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, near, arena,
-                planes,
-            )  # fmt: skip
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top, reach_m, near, arena, planes
+            )
             if count < 0:
                 why = CROWDED
         if why != FREE:
@@ -276,7 +283,7 @@ class SafetyFilter:
         self._robots_viewed, self._planes_listed = views(robots), HalfPlanes._make(scratch.tolist())
         self._deviation = deviation
         self.given: Given | None = None
-        self._viewed: Given
+        self._guard: Callable[[Measured, float, float], int]
 
     def apply(
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
@@ -289,21 +296,21 @@ class SafetyFilter:
             given is None or near is not given.near or obstacles is not given.arena.obstacles
             or requested is not given.requested or twist is not given.out.twist
         ):  # fmt: skip
-            given = self._take(requested, near, obstacles, twist)
+            self._take(requested, near, obstacles, twist)
         if guard.run is guard.plain:
-            given, measured = self._viewed, views(measured)
-        if guard.run(now_s, dt_s, self._tuning, measured, *given):
+            measured = views(measured)
+        if self._guard(measured, now_s, dt_s):
             self._log_braking(now_s)
 
-    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> Given:
-        """Keep these arrays and their views; they seldom are others than in the tick before, and views cost time."""
+    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
+        """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
         self.given = given = Given(self._robots, requested, near, arena, out, self._planes)
         if guard.run is guard.plain:
-            self._viewed = Given(
+            given = Given(
                 self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
             )
-        return given
+        self._guard = bound(partial(guard.run, self._tuning, *given))
 
     def note(self, row: int) -> str:
         """Return why the filter brakes robot `row`; empty when it does not."""
