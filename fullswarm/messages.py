@@ -273,6 +273,22 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+class ClockProbe(Message, frozen=True, kw_only=True):
+    """An agent asks for the core's time, every second."""
+
+    host: str
+    sent_s: Stamp
+
+
+class ClockReply(Message, frozen=True, kw_only=True):
+    """The core's time, at once: half the round trip ago, as nearly as `host` can tell."""
+
+    host: str
+    sent_s: Stamp  # of the probe
+    core: str  # which core process
+    core_s: Stamp
+
+
 # ---------------------------------------------------------------- agents -> all
 class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
@@ -298,6 +314,8 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
     sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
     sigma_rad: Sigmas = ()  # of the heading
+    core: str = ""  # the core process by whose clock `stamp_s` + `offset_s` is; empty: the offset is not known
+    offset_s: Stamp = 0.0
     aim_x_m: Places = ()  # where each is driving to next, its own place: nowhere; empty: not stated
     aim_y_m: Places = ()
 

@@ -50,6 +50,7 @@ LAWS = MappingProxyType(
             "voronoi_coverage",
             "move",
             "drive",
+            "paper_bc",
             "stop",
         )
     }

@@ -11,6 +11,7 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
@@ -90,6 +91,8 @@ class AgentNode:
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
+        self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
@@ -196,6 +199,8 @@ class AgentNode:
         state.twist = reading.twist
         self.standstill.update(reading)
         self.reflexes.update(reading, state.pose)
+        if self.fixes.any_unsettled:
+            self.reflexes.pose_uncertain |= self.fixes.unsettled
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
@@ -234,38 +239,26 @@ class AgentNode:
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
+        # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
+        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
+        ready = self._drivers.look()
+        if core_alive is not link.core_alive or hub_alive is not link.hub_alive or ready is not link.driver_ready:
+            self._link = link = Link(core_alive, hub_alive, ready)
+        sensed = self._sensed
+        if sensed is None or reading.stamp_s is not sensed.stamp_s or reading.hazards is not sensed.hazards:
+            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
+        doubt, jumped, foreign = self._doubt, self.reflexes.clock_jumped, self.pose_conflicts.frame_conflict
+        if jumped is not doubt.clock_jumped or foreign is not doubt.frame_conflict:
+            self._doubt = doubt = doubt._replace(clock_jumped=jumped, frame_conflict=foreign)
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
-        twists = self.controller.step(
-            now_s, dt_s, read_since_s, self._task, self._link_now(now_s), self._sensed_in(reading), self._doubt_now()
-        )
+        twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.desired.news:
             self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
-
-    # The controller's tuples are kept while nothing in them changed: to make them takes longer than to decide.
-    def _link_now(self, now_s: float) -> Link:
-        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
-        ready = self._drivers.look()
-        if link.core_alive is not core_alive or link.hub_alive is not hub_alive or link.driver_ready is not ready:
-            self._link = link = Link(core_alive, hub_alive, ready)
-        return link
-
-    def _sensed_in(self, reading: FleetReading) -> Sensed:
-        sensed = self._sensed
-        if sensed is None or sensed.stamp_s is not reading.stamp_s or sensed.hazards is not reading.hazards:
-            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
-        return sensed
-
-    def _doubt_now(self) -> Doubt:
-        doubt, clock_jumped = self._doubt, self.reflexes.clock_jumped
-        frame_conflict = self.pose_conflicts.frame_conflict
-        if doubt.clock_jumped is not clock_jumped or doubt.frame_conflict is not frame_conflict:
-            self._doubt = doubt = doubt._replace(clock_jumped=clock_jumped, frame_conflict=frame_conflict)
-        return doubt
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
@@ -300,7 +293,7 @@ class AgentNode:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s):
+        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s, self.core_clock):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:
@@ -325,7 +318,8 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
+            delay_s = np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s))
+            counted = {"deviation_m": self.filter.deviation_m, "delay_s": delay_s, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
@@ -357,6 +351,7 @@ class AgentNode:
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
+        self.core_clock.close()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()

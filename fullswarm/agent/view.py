@@ -85,6 +85,7 @@ class View:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     bounds_m : x_min, y_min, x_max, y_max of the arena
     known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
+    speed_limit : (n,) m/s; None: there is none
     aims : (m, 2) m, where the robots received say that they are driving to, see `Neighbours`; None: none says
     margin_m : (n,) m, the gap that the safety filter keeps where it runs; None: none
     standing : ``standing(row)`` returns the robots at standstill that are not on their way, as obstacles (k, 6), `row`
@@ -106,10 +107,12 @@ class View:
         states: Array,
         bounds_m: tuple[float, float, float, float],
         known: Callable[[int, str], Array] = nothing_known,
+        speed_limit: Array | None = None,
         aims: Array | None = None,
         margin_m: Array | None = None,
         standing: Callable[[int], Array] = none_standing,
     ) -> None:
+        self.speed_limit = np.full(len(position), math.inf) if speed_limit is None else speed_limit
         self.position, self.heading, self.radius = position, heading, radius
         self.bounds_m = bounds_m
         self.known, self.standing = known, standing
@@ -169,6 +172,12 @@ class View:
         return self._pairs()[3]
 
     @property
+    def neighbour_radius(self) -> Array:
+        """Footprint of the neighbour, (e,) m."""
+        radius: Array = self._states[self.other, 5]
+        return radius
+
+    @property
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
@@ -206,6 +215,7 @@ class View:
             self._states,
             self.bounds_m,
             lambda row, source: self.known(int(rows[row]), source),
+            self.speed_limit[rows],
             self.aims,
             self.margin_m[rows],
             lambda row: self.standing(int(rows[row])),

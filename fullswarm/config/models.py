@@ -113,6 +113,7 @@ class AgentConfig(Section):
     state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    state_delay_s: float = Field(0.05, ge=0.0, le=2.0)  # of a neighbour's state on the network, where none is measured
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
@@ -139,6 +140,8 @@ class AgentConfig(Section):
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
     fix_latency_s: float = Field(0.0, ge=0.0, le=1.0)  # what even the fastest fix takes from the camera to the agent
     fix_gate_sigma: float = Field(4.0, ge=1.0, le=1000.0)  # a fix further off, in standard deviations, is an outlier
+    # so many of the first fixes must agree, unless they fit the start pose of this file
+    fix_first_count: int = Field(3, ge=1, le=10_000)
     fix_reanchor_count: int = Field(5, ge=2, le=10_000)  # so many outliers that agree, one after the other,
     fix_reanchor_s: float = Field(0.5, ge=0.0, le=60.0)  # over so long: the robot was carried, the pose jumps to them
     start_sigma_m: float = Field(0.1, gt=0.0, le=100.0)  # how well a robot is put on the start pose of this file

@@ -274,19 +274,12 @@ def closest_bodies(path: Array, at: int, i: int, j: int) -> float:
 
 
 @kernel
-def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, stop_m: float) -> float:
-    """Return the smallest gap of body `i`'s centre to obstacle `k` from point `at` of the path to the next.
+def closest_on_way(x: float, y: float, along_x: float, along_y: float, obstacles: Array, k: int) -> float:
+    """Return the smallest gap of a point to obstacle `k` on its straight way from (x, y).
 
-    The gap to a convex shape has one minimum on a straight way, which halving finds. A way that ends further from
-    `stop_m` than it is long is not searched: its smaller end is returned.
+    The gap to a convex shape has one minimum on a straight way, which halving finds.
     """
-    x, y = path[at, i, 0], path[at, i, 1]
-    along_x, along_y = path[at + 1, i, 0] - x, path[at + 1, i, 1] - y
-    first = obstacle_gap(x, y, obstacles, k)[0]
-    last = obstacle_gap(x + along_x, y + along_y, obstacles, k)[0]
-    least = min(first, last)
-    if least <= stop_m or max(first, last) - math.sqrt(along_x * along_x + along_y * along_y) > stop_m:
-        return least
+    least = min(obstacle_gap(x, y, obstacles, k)[0], obstacle_gap(x + along_x, y + along_y, obstacles, k)[0])
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         third = (high - low) / 3.0
@@ -298,6 +291,22 @@ def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, sto
         else:
             low += third
     return least
+
+
+@kernel
+def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, stop_m: float) -> float:
+    """Return the smallest gap of body `i`'s centre to obstacle `k` from point `at` of the path to the next.
+
+    A way that ends further from `stop_m` than it is long is not searched: its smaller end is returned.
+    """
+    x, y = path[at, i, 0], path[at, i, 1]
+    along_x, along_y = path[at + 1, i, 0] - x, path[at + 1, i, 1] - y
+    first = obstacle_gap(x, y, obstacles, k)[0]
+    last = obstacle_gap(x + along_x, y + along_y, obstacles, k)[0]
+    least = min(first, last)
+    if least <= stop_m or max(first, last) - math.sqrt(along_x * along_x + along_y * along_y) > stop_m:
+        return least
+    return closest_on_way(x, y, along_x, along_y, obstacles, k)
 
 
 @kernel

@@ -128,6 +128,30 @@ class Rover(Body):
         self.motion[0] = self.motors.speed_m_s, self.motors.turn_rad_s
 
 
+class Delayed(Body):
+    """A unicycle whose ramps follow the commands of `dead_time_s` ago; the controller before it ramps them, too."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.commands = [(0.0, 0.0)] * math.ceil(self.limits.dead_time_s / PERIOD_S - 1e-9)
+        self.applied = np.zeros((1, 2))
+
+    def go(self, wish: tuple[float, float], twist: tuple[float, float] | None = None) -> float:
+        self.filter.commands.update(self.applied, self.tick * PERIOD_S)
+        return super().go(wish, twist)
+
+    def _obey(self) -> None:
+        step, was, speed = self.limits.accel_m_s2 * PERIOD_S, self.applied[0, 0], self.twist[0, 0]
+        if speed * was < 0.0:
+            speed = np.clip(speed, -step, step)
+        elif abs(speed) > abs(was):
+            speed = np.clip(speed, was - step, was + step)
+        self.applied[0] = speed, self.twist[0, 1]
+        self.commands.append(tuple(self.applied[0]))
+        self.twist[0] = self.commands.pop(0)
+        super()._obey()
+
+
 def attack(body: Body, rng: np.random.Generator, ticks: int) -> float:
     """Drive with random laws, half of them towards what is nearest; return the least gap to anything."""
     limits, least = body.limits, math.inf
@@ -189,6 +213,27 @@ def test_a_rover_that_stops_softly_keeps_its_margin_before_a_wall(top_m_s: float
     assert gaps[0.0] < gaps[ROVER.overrun_m]
     if top_m_s == 0.5:
         assert gaps[0.0] < 0.0
+
+
+@pytest.mark.parametrize("limits", [PAPER, CREATE, SLUGGISH], ids=["paper", "create", "sluggish"])
+@given(seed=st.integers(0, 2**32 - 1), dead_time_s=st.sampled_from([0.05, 0.1, 0.15]))
+@settings(max_examples=12, deadline=None)
+def test_no_law_gets_a_robot_with_a_stated_dead_time_into_its_margin(
+    limits: Limits, seed: int, dead_time_s: float
+) -> None:
+    rng, pose = start(seed)
+    body = Delayed(replace(limits, dead_time_s=dead_time_s), pose)
+    assert attack(body, rng, 800) >= MARGIN_M - 1e-5
+
+
+def test_a_dead_time_that_is_not_stated_does() -> None:
+    gaps = []
+    for seed in range(5):
+        rng, pose = start(seed)
+        body = Delayed(replace(CREATE, dead_time_s=0.15), pose)
+        body.filter = Body(CREATE, pose).filter
+        gaps.append(attack(body, rng, 800))
+    assert min(gaps) < 0.0
 
 
 @given(seed=st.integers(0, 2**32 - 1), top_m_s=st.sampled_from([0.5, 1.0]))

@@ -223,7 +223,7 @@ def test_the_deviation_is_told_and_added_up() -> None:
 def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     """The disc never jumps to a smaller one with age while nothing is heard."""
     received = Received(
-        np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1), np.full((1, 3), np.nan), np.zeros((1, 2))
+        np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1), np.full((1, 3), np.nan), np.zeros((1, 2)), np.zeros(1)
     )
     out = Predicted(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1))
     sizes = []

@@ -20,6 +20,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.kernels import sum_of
 from fullswarm.reasons import NONE, Code, Reason, reason
 
 log = structlog.get_logger()
@@ -69,6 +70,8 @@ class DesiredMotion:
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
+        if self._filter.commands.any:
+            self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
         if self.blocked:
             for row in [row for row in self.blocked if not tasks.active[row]]:
@@ -86,8 +89,8 @@ class DesiredMotion:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known, neighbours.aims,
-                tasks.margin_m, self._standing.around,
+                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+                self._controller.speed_limit, neighbours.aims, tasks.margin_m, self._standing.around,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -114,8 +117,7 @@ class DesiredMotion:
         """
         try:
             desired = group.call(view, group.params)
-            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
+            if not math.isfinite(sum_of(desired)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)

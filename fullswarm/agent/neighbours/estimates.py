@@ -45,12 +45,14 @@ class Received(NamedTuple):
 
     `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
     that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
+    `delay_s`: (m,) how old each was on its arrival.
     """
 
     states: Array
     arrival_s: Array
     limits: Array
     sigma: Array
+    delay_s: Array
 
 
 class Assumed(NamedTuple):
@@ -95,6 +97,8 @@ class Neighbours:
     aims : (m, 2) m, where each says that it is driving to next, its own place: nowhere; NaN: it does not say
     arrival_s : (m,) when, on this machine's clock
     sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
+    delay_s : (m,) how old each state was on its arrival
+    delay_of : returns that of states at their arrival, s; see ``CoreClock.delay_s``
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
@@ -111,6 +115,9 @@ class Neighbours:
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
+        self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
+        self._aimed = False  # some of the batch's rows hold an aim
+        self._kept: object = None  # what seldom changes, while the batch's rows hold it
         self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
         self.now_s, self._stale = 0.0, True
         self.count = 0
@@ -123,6 +130,8 @@ class Neighbours:
         self.aims = np.zeros((0, 2))
         self.arrival_s = np.zeros(0)
         self.sigma = np.zeros((0, 2))
+        self.delay_s = np.zeros(0)
+        self.delay_of: Callable[[RobotStates, float], float] = no_delay
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
@@ -155,7 +164,19 @@ class Neighbours:
             return
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        kept = (
+            states.teams, states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2, states.sigma_m,
+            states.sigma_rad,
+        )  # fmt: skip
         table = np.array(columns)
+        if kept == self._kept and math.isfinite(sum(map(sum, columns))):
+            self.states[self._place] = table.T
+            self.arrival_s[self._place] = now_s
+            if states.aim_x_m or self._aimed:
+                self.aims[self._place] = _aims(states).T
+                self._aimed = bool(states.aim_x_m)
+            return
+        self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
         limits = np.full((3, len(rows)), math.nan)
         if states.accel_m_s2:
@@ -166,8 +187,10 @@ class Neighbours:
         if states.sigma_rad:
             sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
-        aims = np.array((states.aim_x_m, states.aim_y_m)) if states.aim_x_m else np.full((2, len(rows)), math.nan)
-        if not finite.all():
+        aims, self._aimed = _aims(states), bool(states.aim_x_m)
+        if finite.all():
+            self._kept = kept
+        else:
             rows, table, teams, aims = rows[finite], table[:, finite], teams[finite], aims[:, finite]
             limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
@@ -176,6 +199,7 @@ class Neighbours:
         self.aims[rows] = aims.T
         self.arrival_s[rows] = now_s
         self.sigma[rows] = sigma.T
+        self.delay_s[rows] = self.delay_of(states, now_s)
 
     def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
         """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
@@ -196,6 +220,7 @@ class Neighbours:
         row = self._row_of.get(states.robots[0])
         if row is None:
             row = int(self._rows(states.robots)[0])
+        self._kept = None
         received = self.states
         received[row, 0] = x_m
         received[row, 1] = y_m
@@ -215,6 +240,7 @@ class Neighbours:
         aims[row, 0] = states.aim_x_m[0] if states.aim_x_m else math.nan
         aims[row, 1] = states.aim_y_m[0] if states.aim_y_m else math.nan
         self.arrival_s[row] = now_s
+        self.delay_s[row] = self.delay_of(states, now_s)
         self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
         self.sigma[row, 1] = states.sigma_rad[0] if states.sigma_rad else 0.0
 
@@ -303,6 +329,12 @@ class Neighbours:
         self._lists[key] = (start, other)
         return start, other
 
+    def longest_delay_s(self, now_s: float) -> float:
+        """Return the greatest delay of the states that still count, s; NaN when there are none of other robots."""
+        fresh = now_s - self.arrival_s[: self.count] <= self._timeout_s
+        fresh[self.own_row[self.own_row >= 0]] = False
+        return float(self.delay_s[: self.count][fresh].max()) if fresh.any() else math.nan
+
     def oldest_age_s(self, now_s: float) -> float:
         """Return the age of the stalest state that still counts; 0 when none is received."""
         ages = now_s - self.arrival_s[: self.count]
@@ -322,7 +354,8 @@ class Neighbours:
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
-            self._batch = (robots, rows)
+            self._batch, self._kept = (robots, rows), None
+            self._place = slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
         return rows
 
     def _grow(self, count: int) -> None:
@@ -334,15 +367,28 @@ class Neighbours:
             self.aims = np.vstack([self.aims, np.full((more, 2), math.nan)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
+            self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            received = Received(self.states, self.arrival_s, self.limits, self.sigma)
+            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
             out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
             self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def _aims(states: RobotStates) -> Array:
+    """Return where the robots say that they are driving to, (2, n) m; NaN: they do not say."""
+    if states.aim_x_m:
+        return np.array((states.aim_x_m, states.aim_y_m))
+    return np.full((2, len(states.robots)), math.nan)
+
+
+def no_delay(_states: RobotStates, _now_s: float) -> float:
+    """Return 0: states count from their arrival."""
+    return 0.0
 
 
 def _fits(states: RobotStates) -> bool:
@@ -419,13 +465,13 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
     is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
     predicted path.
     """
-    states, arrival_s, limits, sigma = received
+    states, arrival_s, limits, sigma, delay_s = received
     assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
     for row in range(count):
-        age_s = max(now_s - arrival_s[row], 0.0)
+        age_s = max(now_s - arrival_s[row], 0.0) + delay_s[row]
         if math.isinf(age_s):
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan

@@ -211,6 +211,32 @@ def half_planes(
 
 
 @kernel
+def shorten(
+    planes: HalfPlanes, count: int, x: float, y: float, way: float, swing: float, reverses: bool, gain: float
+) -> None:
+    """Reduce the rooms by what a body uses up on a way that nothing can change any more.
+
+    A path of length `way` that turns by `swing` <= π/2 in all leads along its chord, and stays within half its length
+    times sin(swing / 2) of it, so it comes nearer in direction n by n·(x, y) and that at most; any path by its length.
+
+    Parameters
+    ----------
+    x, y : m, displacement in the end; `way`, m, length of the path
+    reverses : it goes forwards and backwards
+    """
+    normal_x, normal_y, limits, blur, room = planes
+    bulge = 0.5 * way * math.sin(0.5 * min(swing, math.pi))
+    reverses = reverses or swing > 0.5 * math.pi
+    for k in range(count):
+        nearer = max(0.0, normal_x[k] * x + normal_y[k] * y) + bulge + blur[k] * way
+        if reverses or nearer > way:
+            nearer = way
+        left_m = room[k] - nearer
+        room[k] = left_m if left_m > 0.0 else 0.0
+        limits[k] = gain * room[k]
+
+
+@kernel
 def interval(
     ahead_x: float, ahead_y: float, low: float, high: float, planes: HalfPlanes, count: int
 ) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.robot_controller import CODES, StopReason, explain_hazards
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -62,7 +63,9 @@ class Reports:
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
 
-    def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
+    def states(
+        self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
+    ) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
         state, ids, host = self._state, self._fleet.ids, self._identity.host
         if state.reading is None:
@@ -105,6 +108,8 @@ class Reports:
                 aim_y_m=_pick(aim_y_m, rows) if aim_y_m else (),
                 sigma_m=_pick(sigma_m, rows) if sigma_m else (),
                 sigma_rad=_pick(sigma_rad, rows) if sigma_rad else (),
+                core=clock.core,
+                offset_s=clock.offset_s,
             )
             yield keys.state(cell, host), message
 
