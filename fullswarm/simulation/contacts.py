@@ -43,7 +43,7 @@ class Candidates(NamedTuple):
 
     pairs: Index  # (m, 4) row, other row or -1-k, two columns of scratch
     used: Index  # (1,) how many rows of it are
-    slack: Array  # (2,) m: that bodies have moved since the list was made; gap up to which pairs are on it, -1: no list
+    slack: Array  # (2,) m: moved since the list was made; gap up to which pairs are on it, -1: no list
     anchor: Array  # (n, 2) where bodies were then
     grid: Index  # (8 n + 64,) scratch
 
@@ -122,6 +122,13 @@ class ContactReferee:
             contacts=self.contacts,
             found=np.zeros(2, np.int64),
         )
+
+    def place_movers(self, places: Array) -> None:
+        """Put the last of the obstacles at `places` (m, 2)."""
+        rows = self.solids.obstacles[len(self.solids.obstacles) - len(places) :]
+        way_m = float(np.hypot(*(places - rows[:, :2]).T).max(initial=0.0))
+        self.candidates.slack[0] += way_m
+        rows[:, :2] = places
 
     def reach_m(self, furthest_m: float) -> float:
         """Return the gap from which bodies can touch in a step in which the fastest one drives `furthest_m`."""
@@ -327,7 +334,7 @@ def may_touch(
         dx, dy = pose[i, 0] - listed.anchor[i, 0], pose[i, 1] - listed.anchor[i, 1]
         moved = max(moved, dx * dx + dy * dy)
         marked[i] = False
-    if 2.0 * math.sqrt(moved) + reach > listed.slack[1]:
+    if 2.0 * math.sqrt(moved) + listed.slack[0] + reach > listed.slack[1]:
         if not list_near(pose, solids, 2.0 * reach, listed):
             return -1
         for i in range(n):

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
@@ -36,19 +37,21 @@ class DesiredMotion:
     law_error : the last failure of each robot's control law, false if it never failed
     blocked : by robot, why its control law knows no way to where it is to drive
     news : `blocked` has changed since this was last set to False
+    sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     """
 
     def __init__(
         self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
         neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
-        controller: RobotController,
+        controller: RobotController, evasion: Evasion,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
         self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
+        self._evasion = evasion
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
-        self._sees_obstacles = senses_obstacles
+        self.sees_obstacles = senses_obstacles
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
@@ -101,7 +104,9 @@ class DesiredMotion:
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
+        obstacles = reading.obstacles if self.sees_obstacles else self._obstacle_map.given
+        if tasks.any_filtered and settings.evade:
+            self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
             self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
