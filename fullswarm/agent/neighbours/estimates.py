@@ -252,15 +252,10 @@ class Neighbours:
         """Have `within` and `around` answer for `now_s` from here on."""
         self.now_s, self._stale = now_s, True
 
-    def refresh(self) -> None:
-        """Bring `predicted`, `places` and `spread_m` to the time of the last `set_time`."""
-        if self._stale:
-            self._predict()
-
     def refresh(self, now_s: float) -> None:
         """Predict to `now_s` now, unless that has been done."""
-        if self._stale or self._now_s != now_s:
-            self._now_s = now_s
+        if self._stale or self.now_s != now_s:
+            self.now_s = now_s
             self._predict()
 
     def _predict(self) -> None:

@@ -83,7 +83,7 @@ class Standing:
 
     def _look(self, now_s: float) -> None:
         neighbours, count = self._neighbours, self._neighbours.count
-        neighbours.refresh()
+        neighbours.refresh(now_s)
         if len(self._watched.since_s) < len(neighbours.states) or not 0.0 <= now_s - self._last_s < FORGET_S:
             size = len(neighbours.states)
             self._watched = Watched(np.full((size, 2), math.nan), np.full(size, now_s), np.zeros(size, bool))
