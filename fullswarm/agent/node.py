@@ -346,7 +346,11 @@ class AgentNode:
         if self._state.reading is not None:
             self.metrics.sample(now_s)
             delay_s = np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s))
-            counted = {"deviation_m": self.filter.deviation_m, "delay_s": delay_s, **self.calculators.columns()}
+            no_way = np.array([float(row in self.desired.blocked) for row in range(len(delay_s))])
+            counted = {
+                "deviation_m": self.filter.deviation_m, "delay_s": delay_s, "no_way": no_way,
+                **self.calculators.columns(),
+            }  # fmt: skip
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
