@@ -183,10 +183,15 @@ class Approaches:
         )
 
     def sample(self, time_s: float, dt_s: float, pose: Array, referee: ContactReferee) -> None:
-        """Take in one step of `dt_s` that ended at `time_s` with the bodies at `pose` (n, 3), as the referee saw it."""
-        approach.run(
-            self.nearest, time_s, dt_s, pose, self._solids, referee.near, referee.near_gap_m, referee.touch_m
-        )  # fmt: skip
+        """Take in one step of `dt_s` that ended at `time_s` with the bodies at `pose` (n, 3), as the referee saw it.
+
+        Movers are left out: how near one comes is its doing.
+        """
+        near, gap_m = referee.near, referee.near_gap_m
+        if referee.fixed < len(referee.solids.obstacles):
+            fixed = near[:, 1] >= -referee.fixed
+            near, gap_m = near[fixed], gap_m[fixed]
+        approach.run(self.nearest, time_s, dt_s, pose, self._solids, near, gap_m, referee.touch_m)
 
     @property
     def apart_m(self) -> Array:
