@@ -28,11 +28,13 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
+from fullswarm.agent.safety.startup import check_stopping
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
+from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
@@ -71,6 +73,7 @@ class AgentNode:
         loop: Callable[[], LoopStats],
         thresholds: Thresholds | None = None,
     ) -> None:
+        check_stopping(config, fleet.descriptions)
         self._bus = bus = CountingBus(bus)
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
@@ -145,6 +148,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, ended=self.inbox.ended,
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
@@ -284,7 +288,10 @@ class AgentNode:
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
-        self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        # What comes within reach before the next call must be subscribed already.
+        way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
+        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:

@@ -11,14 +11,15 @@ other row or -1-k for obstacle k, unused, scratch). Bodies are of equal mass: bo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 import fullswarm
 from fullswarm.config import WorldConfig
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, Index, bound, kernel
 from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, radii_of, sweep
 from fullswarm.simulation.movers import solid_rows
 from fullswarm.simulation.obstacles import obstacle_gap, with_trigonometry
@@ -52,6 +53,8 @@ class KinematicEngine:
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
         self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s, len(config.movers))
+        self._candidates: Candidates | None = None
+        self._run: Callable[[float, int, float, Array], bool]
         self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))
 
     def step(self, twists: Array) -> None:
@@ -63,10 +66,12 @@ class KinematicEngine:
 
     def _advance(self, twists: Array) -> bool:
         referee = self.referee
-        return advance.run(
-            self._moving, twists, referee.solids, referee.candidates, referee.judged, referee.touch_m,
-            self._dt_s, self._substeps, self._movers_m_s,
-        )  # fmt: skip
+        if referee.candidates is not self._candidates:
+            self._candidates = referee.candidates
+            self._run = bound(
+                partial(advance.run, self._moving, referee.solids, referee.candidates, referee.judged, referee.touch_m)
+            )
+        return self._run(self._dt_s, self._substeps, self._movers_m_s, twists)
 
     def place_movers(self, places: Array) -> None:
         """Put the movers there before the next step."""
@@ -184,8 +189,8 @@ def note(pose: Array, path: Array, at: int) -> None:
 
 @kernel
 def advance(
-    moving: Moving, twists: Array, solids: Solids, listed: Candidates, judged: Judged, touch: float, dt: float,
-    substeps: int, movers_m_s: float,
+    moving: Moving, solids: Solids, listed: Candidates, judged: Judged, touch: float, dt: float, substeps: int,
+    movers_m_s: float, twists: Array,
 ) -> bool:  # fmt: skip
     """Advance all bodies by `dt` seconds in `substeps` parts, and judge their paths (see `sweep`).
 

@@ -15,6 +15,7 @@ from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.state import AgentState, Identity
+from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys, cell_of
@@ -55,12 +56,13 @@ class Reports:
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason], limits: Array,
+        ended: Sequence[Reason], limits: Array, waiting: Waiting,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
-        self._law_error, self._ended = law_error, ended
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
+        self._law_error, self._ended, self._waiting, self._now_s = law_error, ended, waiting, -math.inf
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
+        self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
     def states(
         self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
@@ -80,11 +82,10 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
-        sigma_m: list[float] = []
-        sigma_rad: list[float] = []
-        if state.sigma.any():
-            sigma_m, sigma_rad = state.sigma.T.tolist()
-        radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
+        sigma_m, sigma_rad = state.sigma.T.tolist()
+        if not any(sigma_m) and not any(sigma_rad):
+            sigma_m, sigma_rad = [], []
+        teams = self._tasks.team.tolist()
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -96,7 +97,7 @@ class Reports:
                 heading_rad=_pick(heading_rad, rows),
                 speed_m_s=_pick(speed_m_s, rows),
                 turn_rad_s=_pick(turn_rad_s, rows),
-                radius_m=_pick(radius_m, rows),
+                radius_m=_pick(self._radius_m, rows),
                 teams=_pick(teams, rows),
                 speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
@@ -111,6 +112,7 @@ class Reports:
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
         """Return the health of all robots of this agent."""
+        self._now_s = now_s
         return HealthReport(
             host=self._identity.host,
             process=self._identity.process,
@@ -131,6 +133,8 @@ class Reports:
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
         if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
+            if number == StopReason.MOVING:
+                return self._waiting.reason(row, self._now_s)
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
 
