@@ -39,6 +39,8 @@ class Code(enum.StrEnum):
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
     SILENT = "silent"  # robots: their names
+    NO_WAY = "no_way"  # goal, needed_m, widest_m
+    GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
     ESTOP_ENGAGED = "estop_engaged"  # by
     ESTOP_RELEASED = "estop_released"  # by
@@ -90,6 +92,9 @@ TEXTS: dict[Code, str] = {
     "it continues once that is back",
     Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
     "let another robot look at the place",
+    Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
+    "continues when it knows a wider one",
+    Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
