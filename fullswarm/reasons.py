@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from types import MappingProxyType
+
+import msgspec
 
 
 class Code(enum.StrEnum):
@@ -114,8 +115,7 @@ DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, C
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
+class Reason(msgspec.Struct, frozen=True):
     """One reason. False when there is none.
 
     Attributes
@@ -127,10 +127,10 @@ class Reason:
 
     code: str = Code.NONE
     text: str = ""
-    parameters: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, str] = {}
 
     def __bool__(self) -> bool:
-        return bool(self.code or self.text)
+        return self.code != "" or self.text != ""
 
     def __str__(self) -> str:
         return self.text
