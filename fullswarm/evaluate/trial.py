@@ -143,6 +143,7 @@ def drive(
             deadlocks=report.deadlocks,
             deadlock_s=report.deadlock_s,
             **_per_second(report.onboard, outcome.simulated_s),
+            **{name: nearest[key].value for name, key in NEAREST.items() if key in nearest},
         ),
         end_reason=reason,
         onboard=report.onboard,
@@ -191,6 +192,12 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
     )
 
 
+NEAREST = {
+    "separation_m": "separation.min_m",
+    "clearance_m": "clearance.min_m",
+    "time_to_contact_s": "time_to_contact.min_s",
+}
+"""Numbers of the outcome by what came nearest."""
 RATES = {
     "reversals_per_s": "smoothness.reversals_mean",
     "speed_variation_m_s2": "smoothness.speed_variation_m_s",

@@ -226,6 +226,12 @@ class Referee:
         self._end_span()
         return self._approaches
 
+    def rehearse(self) -> None:
+        """Do once all that is done in a trial, so that no kernel is compiled while robots drive."""
+        self.sample()
+        self._count(0.0)
+        self._end_span()
+
     def evidence(self) -> Evidence:
         """Return what is needed to count everything again."""
         bodies, found, standard, nearest = self._bodies, self._bodies.referee, self._standard, self.approaches.nearest
@@ -392,7 +398,7 @@ class WorldWitness:
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
         Truth(*about).sample(0.0, world.pose, world.twist, world.dt_s, world.contacts)
-        Referee(world, self._standard).sample()
+        Referee(world, self._standard).rehearse()
         self.truth: Truth = Truth(*about)
         self._referee = Referee(world, self._standard)
 
@@ -510,6 +516,8 @@ class ReportedWitness:
             goal_radius_m=goal_radius_m,
             walls=config.world_or_default.walls,
         )
+        self._bodies.step()
+        Referee(self._bodies, self._standard).rehearse()
         self._referee = Referee(self._bodies, self._standard)
         self._touched = np.zeros(count, bool)
         self._reported = np.full(count, -1, np.int64)  # collisions in the newest report; -1: none yet
