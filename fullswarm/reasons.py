@@ -39,6 +39,7 @@ class Code(enum.StrEnum):
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
+    SILENT = "silent"  # robots: their names
     NO_WAY = "no_way"  # goal, needed_m, widest_m
     GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
@@ -90,6 +91,8 @@ TEXTS: dict[Code, str] = {
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
+    "let another robot look at the place",
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",

@@ -37,10 +37,13 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     speed_variation_m_s2: float | None = None  # total variation of the commanded speed
     turn_variation_rad_s2: float | None = None  # and of the commanded turn rate
 
+    mover_events: int = 0  # a robot touched a mover by its own motion
+    mover_hits: int = 0  # a mover touched a robot that stood or went away from it: no collision of the robot's
+
     @property
     def events(self) -> int:
-        """All contact events."""
-        return self.robot_events + self.obstacle_events
+        """All contact events that robots brought about."""
+        return self.robot_events + self.obstacle_events + self.mover_events
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -151,6 +154,8 @@ class CellResult:
             "collisions": self.collisions if known else None,
             "robot_collisions": sum(each.robot_events for each in outcomes) if known else None,
             "obstacle_collisions": sum(each.obstacle_events for each in outcomes) if known else None,
+            "mover_collisions": sum(each.mover_events for each in outcomes) if known else None,
+            "mover_hits": sum(each.mover_hits for each in outcomes) if known else None,
             "pairs_touched": self.pairs_touched if known else None,
             "robots_touched": self.robots_touched if known else None,
             "colliding_seeds": self.colliding_seeds,
