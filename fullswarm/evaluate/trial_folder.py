@@ -455,10 +455,11 @@ def read_evidence(folder: Path) -> dict[str, NDArray[Any]]:
     ConfigError
         There is none, it is damaged, or other code has written it.
     """
-    with _arrays(folder / EVIDENCE_FILE, "evidence") as file:
-        missing = {each.name for each in fields(Evidence)} - file.keys()
-        if missing or str(file["format"]) != EVIDENCE_FORMAT:
+    with _arrays(folder / EVIDENCE_FILE, "file of evidence") as file:
+        if str(file.get("format", "")) != EVIDENCE_FORMAT:
             raise ValueError(f"format '{file.get('format', '')}' is not {EVIDENCE_FORMAT}")
+        for name in sorted({each.name for each in fields(Evidence)} - file.keys()):
+            raise ValueError(f"it has no array '{name}'")
         return file
 
 
