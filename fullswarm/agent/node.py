@@ -14,6 +14,7 @@ from fullswarm import __version__
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
+from fullswarm.agent.motion.settling import Settling
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.orders.inbox import Inbox
@@ -93,9 +94,10 @@ class AgentNode:
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
+        self.settling = Settling(state.radius, np.array(config.bounds_m))
         self.desired = DesiredMotion(
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
-            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller,
+            self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller,
         )  # fmt: skip
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)

@@ -9,6 +9,7 @@ import numpy as np
 import structlog
 
 from fullswarm.agent.motion.robot_controller import RobotController
+from fullswarm.agent.motion.settling import Settling, Wanted
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
 from fullswarm.agent.orders.tasks import Group, Tasks
@@ -35,12 +36,14 @@ class DesiredMotion:
 
     def __init__(
         self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
-        neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
-        controller: RobotController,
+        neighbours: Neighbours, obstacle_map: ObstacleMap, settling: Settling, deadlocks: Deadlocks,
+        safety: SafetyFilter, controller: RobotController,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
-        self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
+        self._settling, self._deadlocks = settling, deadlocks
+        self._filter, self._controller = safety, controller
+        self._wanted = Wanted(tasks.goal_m, tasks.reach_m)
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
         self._sees_obstacles = senses_obstacles
@@ -80,12 +83,17 @@ class DesiredMotion:
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
         if not planar and not tasks.any_filtered:
             return
-        if tasks.any_filtered:
-            # A stick's twist is not turned: its operator sees the robot.
-            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
+        if tasks.any_filtered:
+            speed_limit = self._controller.speed_limit
+            self._settling.hold(
+                now_s, self._planar, tasks.lasting, self._wanted, pose, reading.twist, speed_limit, tasks.margin_m,
+                near, obstacles,
+            )  # fmt: skip
+            # A stick's twist is not turned: its operator sees the robot.
+            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, speed_limit)
         measured = Measured(pose, reading.twist, reading.stamp_s)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 

@@ -1,0 +1,394 @@
+"""Lets robots settle that cannot get nearer to their goals: they stand, report so, and go on when there is room.
+
+A goal with room for one robot and a request to ten leaves nine that press against each other, and sidestep, for ever.
+A robot settles when it is slow and
+
+- something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
+- every place in its goal's disc is taken, or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`; or
+- it has come no nearer for `GIVE_UP_S`, and there is no room ahead nor to its sides: between walls, or in a jam.
+
+The first two are judged where the goal is at most `WINDOW_M` away, so that all robots around it are sensed. While there
+is a free place in the goal's disc that can be reached they do not hold, also for a robot at its rim.
+
+A settled robot goes on when its goal changes, or when for `ROOM_S` it could have driven a way of its radius towards the
+goal, to a place that the rule by which it settled takes for free. Each time that it settles again without having come
+nearer, that time is doubled, so that noise does not have it start and stop.
+
+The desired velocity of a settled robot is zero. All robots' desired velocities still pass through the filter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.safety.barrier import Arena, box_gap
+from fullswarm.kernels import Array, Flags, Index, kernel, views
+
+CHECK_S = 0.5
+"""How often a slow robot looks for places: they cost more than a control period has."""
+SLOW_SHARE = 0.1
+"""A robot below this share of its speed limit is slow."""
+STANDSTILL_M_S = 0.02
+NEARER_RADII = 0.5
+"""A robot has come nearer, and a place is nearer, by at least so many of its radii."""
+FIT_M = 0.03
+"""Beyond the filter's margin: the last of a gap is used up ever more slowly."""
+WINDOW_M = 2.0
+WAIT_S = 10.0
+GIVE_UP_S = 20.0
+ROOM_S = 1.0
+LONGEST_ROOM_S = 64.0
+TILTS = (0.0, 0.5, -0.5, 1.0, -1.0, 1.6, -1.6, 2.1, -2.1)
+"""Directions in which there may be room, rad from that of the desired velocity."""
+AHEAD = 5
+"""So many of them lead nearer to the goal."""
+NOT_SETTLED, NO_NEARER_PLACE, GOAL_TAKEN, SHUT_IN = range(4)
+ROUNDING_M = 1e-6
+
+
+class Settled(NamedTuple):
+    """State of :func:`settle`, rows of n robots.
+
+    `goal`: (n, 2) of the last call. `least_m`, `nearer_s`: (n,) least distance to it so far, and when it was reached.
+    `check_s`: (n,) when to check next. `rule`: (n,) by which it has settled. `room_s`, `free_s`: (n,) how long there
+    must be room, and since when there is.
+    """
+
+    goal: Array
+    least_m: Array
+    nearer_s: Array
+    check_s: Array
+    rule: Index
+    room_s: Array
+    free_s: Array
+
+
+class Wanted(NamedTuple):
+    """Goals of the robots: (n, 2), NaN for none; (n,) within how much of them they have arrived."""
+
+    goal: Array
+    reach_m: Array
+
+
+@kernel
+def is_free(
+    i: int, x: float, y: float, clearance_m: float, standing: bool, start: Index, other: Index, places: Array,
+    states: Array, obstacles: Array, bounds_m: Array,
+) -> bool:  # fmt: skip
+    """Tell whether robot `i` could stand at (x, y) among the robots near it, or only those at standstill (`standing`)."""
+    for pair in range(start[i], start[i + 1]):
+        row = other[pair]
+        if standing and math.fabs(states[row, 3]) > STANDSTILL_M_S:
+            continue
+        dx = places[row, 0] - x
+        dy = places[row, 1] - y
+        apart_m = clearance_m + states[row, 5] - ROUNDING_M
+        if dx * dx + dy * dy < apart_m * apart_m:
+            return False
+    for row in range(obstacles.shape[0]):
+        gap, _, _ = box_gap(x, y, obstacles, row)
+        if gap < clearance_m:
+            return False
+    return min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y) >= clearance_m
+
+
+@kernel
+def is_enclosed(
+    i: int, x: float, y: float, from_x: float, from_y: float, clearance_m: float, start: Index, other: Index,
+    places: Array, states: Array,
+) -> bool:  # fmt: skip
+    """Tell whether robots at standstill near robot `i` close every way from (from_x, from_y) to (x, y).
+
+    Two of them that leave no gap between them close the line between their centres. They enclose the place if such
+    lines make a closed path that crosses the straight way an odd number of times: each robot gets a label, another one
+    across a crossing, and on such a path the labels contradict each other.
+    """
+    count = start[i + 1] - start[i]
+    label = np.full(count, -1, np.int64)
+    queue = np.empty(count, np.int64)
+    for first in range(count):
+        row = other[start[i] + first]
+        if label[first] >= 0 or math.fabs(states[row, 3]) > STANDSTILL_M_S:
+            continue
+        label[first] = 0
+        queue[0] = first
+        done = 0
+        queued = 1
+        while done < queued:
+            one = queue[done]
+            done += 1
+            row = other[start[i] + one]
+            ax = places[row, 0]
+            ay = places[row, 1]
+            radius = 2.0 * clearance_m + states[row, 5]
+            for two in range(count):
+                row = other[start[i] + two]
+                if two == one or math.fabs(states[row, 3]) > STANDSTILL_M_S:
+                    continue
+                bx = places[row, 0]
+                by = places[row, 1]
+                apart = radius + states[row, 5]
+                if (bx - ax) * (bx - ax) + (by - ay) * (by - ay) >= apart * apart:
+                    continue
+                # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other.
+                side_a = (x - from_x) * (ay - from_y) - (y - from_y) * (ax - from_x)
+                side_b = (x - from_x) * (by - from_y) - (y - from_y) * (bx - from_x)
+                side_from = (bx - ax) * (from_y - ay) - (by - ay) * (from_x - ax)
+                side_to = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+                crosses = 1 if side_a * side_b < 0.0 and side_from * side_to < 0.0 else 0
+                if label[two] < 0:
+                    label[two] = label[one] ^ crosses
+                    queue[queued] = two
+                    queued += 1
+                elif label[two] != label[one] ^ crosses:
+                    return True
+    return False
+
+
+@kernel
+def is_open(
+    i: int, x: float, y: float, way: bool, from_x: float, from_y: float, clearance_m: float, start: Index,
+    other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+) -> bool:  # fmt: skip
+    """Tell whether (x, y) is free of robots at standstill and, if `way` counts, whether they leave a way to it."""
+    return is_free(i, x, y, clearance_m, True, start, other, places, states, obstacles, bounds_m) and not (
+        way and is_enclosed(i, x, y, from_x, from_y, clearance_m, start, other, places, states)
+    )
+
+
+@kernel
+def place_left(
+    i: int, way: bool, from_x: float, from_y: float, goal_x: float, goal_y: float, within_m: float, clearance_m: float,
+    start: Index, other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+) -> bool:  # fmt: skip
+    """Tell whether a place within `within_m` of the goal is open to robot `i` at (from_x, from_y): see `is_open`.
+
+    Of a region bounded by circles the nearest point to the goal is the goal, the nearest point of a circle, or where
+    two circles meet: no other places are tried.
+    """
+    if is_open(i, goal_x, goal_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m):
+        return True
+    for pair in range(start[i], start[i + 1]):
+        row = other[pair]
+        if math.fabs(states[row, 3]) > STANDSTILL_M_S:
+            continue
+        x = places[row, 0]
+        y = places[row, 1]
+        radius = clearance_m + states[row, 5]
+        to_goal = math.hypot(goal_x - x, goal_y - y)
+        if to_goal > within_m + radius:
+            continue
+        if to_goal > ROUNDING_M and math.fabs(to_goal - radius) <= within_m:
+            at_x = x + radius / to_goal * (goal_x - x)
+            at_y = y + radius / to_goal * (goal_y - y)
+            if is_open(
+                i, at_x, at_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m
+            ):
+                return True
+        for later in range(pair + 1, start[i + 1]):
+            row = other[later]
+            if math.fabs(states[row, 3]) > STANDSTILL_M_S:
+                continue
+            dx = places[row, 0] - x
+            dy = places[row, 1] - y
+            second = clearance_m + states[row, 5]
+            squared = dx * dx + dy * dy
+            if squared >= (radius + second) * (radius + second) or squared < ROUNDING_M:
+                continue
+            along = 0.5 * (squared + radius * radius - second * second) / squared
+            rest = radius * radius / squared - along * along
+            if rest <= 0.0:
+                continue
+            across = math.sqrt(rest)
+            for side in range(2):
+                sign = 1.0 if side == 0 else -1.0
+                at_x = x + along * dx - sign * across * dy
+                at_y = y + along * dy + sign * across * dx
+                if math.hypot(goal_x - at_x, goal_y - at_y) <= within_m and is_open(
+                    i, at_x, at_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m
+                ):
+                    return True
+    return False
+
+
+@kernel
+def has_room(
+    i: int, x: float, y: float, ux: float, uy: float, way_m: float, clearance_m: float, tilts: int, start: Index,
+    other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+) -> bool:  # fmt: skip
+    """Tell whether robot `i` could go `way_m` in one of the first `tilts` directions of `TILTS`, 0 is (ux, uy)."""
+    for k in range(tilts):
+        c = math.cos(TILTS[k])
+        s = math.sin(TILTS[k])
+        way_x = way_m * (c * ux - s * uy)
+        way_y = way_m * (s * ux + c * uy)
+        if is_free(
+            i, x + way_x, y + way_y, clearance_m, False, start, other, places, states, obstacles, bounds_m
+        ) and is_free(
+            i, x + 0.5 * way_x, y + 0.5 * way_y, clearance_m, False, start, other, places, states, obstacles, bounds_m
+        ):
+            return True
+    return False
+
+
+@kernel
+def settle(
+    now_s: float, desired: Array, lasting: Flags, wanted: Wanted, pose: Array, twist: Array, speed_limit: Array,
+    radius: Array, margin_m: Array, near: Nearby, arena: Arena, state: Settled,
+) -> None:  # fmt: skip
+    """Set the desired velocities (n, 2) of settled robots to zero; see the module."""
+    goals, reach_m = wanted
+    goal, least_m, nearer_s, check_s, rule, room_s, free_s = state
+    start, other, places, states, _, _, _ = near
+    obstacles, bounds_m = arena
+    for i in range(desired.shape[0]):
+        goal_x = goals[i, 0]
+        goal_y = goals[i, 1]
+        if not lasting[i] or math.isnan(goal_x):
+            goal[i, 0] = math.nan
+            rule[i] = NOT_SETTLED
+            continue
+        x = pose[i, 0]
+        y = pose[i, 1]
+        left_m = math.hypot(goal_x - x, goal_y - y)
+        if not math.isfinite(left_m):
+            continue
+        nearer_m = NEARER_RADII * radius[i]
+        if goal_x != goal[i, 0] or goal_y != goal[i, 1]:
+            goal[i, 0] = goal_x
+            goal[i, 1] = goal_y
+            least_m[i] = math.inf
+            room_s[i] = ROOM_S
+        ux = desired[i, 0]
+        uy = desired[i, 1]
+        size = math.hypot(ux, uy)
+        if left_m < least_m[i] - nearer_m or left_m <= reach_m[i] or not size > 0.0:
+            least_m[i] = min(left_m, least_m[i])
+            nearer_s[i] = now_s
+            check_s[i] = now_s + CHECK_S
+            rule[i] = NOT_SETTLED
+            continue
+        if now_s < check_s[i]:
+            if rule[i] != NOT_SETTLED:
+                desired[i, 0] = 0.0
+                desired[i, 1] = 0.0
+            continue
+        check_s[i] = now_s + CHECK_S
+        ux /= size
+        uy /= size
+        clearance_m = radius[i] + margin_m[i]
+        fit_m = clearance_m + FIT_M
+        if rule[i] != NOT_SETTLED:
+            within_m = max(reach_m[i], 0.0) if rule[i] == GOAL_TAKEN else left_m - nearer_m
+            if not has_room(
+                i, x, y, ux, uy, radius[i], clearance_m, AHEAD, start, other, places, states, obstacles, bounds_m
+            ) or (
+                rule[i] != SHUT_IN
+                and not place_left(
+                    i, True, x, y, goal_x, goal_y, within_m, fit_m, start, other, places, states, obstacles, bounds_m
+                )
+            ):
+                free_s[i] = math.inf
+            elif free_s[i] == math.inf:
+                free_s[i] = now_s
+            if now_s - free_s[i] >= room_s[i]:
+                rule[i] = NOT_SETTLED
+                nearer_s[i] = now_s
+                room_s[i] = min(2.0 * room_s[i], LONGEST_ROOM_S)
+            else:
+                desired[i, 0] = 0.0
+                desired[i, 1] = 0.0
+            continue
+        if math.fabs(twist[i, 0]) > SLOW_SHARE * speed_limit[i]:
+            continue
+        waited_s = now_s - nearer_s[i]
+        by = NOT_SETTLED
+        if left_m <= WINDOW_M:
+            if not has_room(
+                i, x, y, ux, uy, 0.5 * radius[i], clearance_m, 1, start, other, places, states, obstacles, bounds_m
+            ) and not place_left(
+                i,
+                False,
+                x,
+                y,
+                goal_x,
+                goal_y,
+                left_m - nearer_m,
+                fit_m,
+                start,
+                other,
+                places,
+                states,
+                obstacles,
+                bounds_m,
+            ):
+                by = NO_NEARER_PLACE
+            elif waited_s >= WAIT_S and not place_left(
+                i, True, x, y, goal_x, goal_y, reach_m[i], fit_m, start, other, places, states, obstacles, bounds_m
+            ):
+                by = GOAL_TAKEN
+        if (
+            by == NOT_SETTLED
+            and waited_s >= GIVE_UP_S
+            and not has_room(
+                i, x, y, ux, uy, radius[i], clearance_m, len(TILTS), start, other, places, states, obstacles, bounds_m
+            )
+        ):
+            by = SHUT_IN
+        if by != NOT_SETTLED:
+            rule[i] = by
+            free_s[i] = math.inf
+            desired[i, 0] = 0.0
+            desired[i, 1] = 0.0
+
+
+class Settling:
+    """Finds which of n robots are as near to their goals as they can get.
+
+    Attributes
+    ----------
+    rule : (n,) by which the robot has settled; `NOT_SETTLED`
+    """
+
+    def __init__(self, radius_m: Array, bounds_m: Array) -> None:
+        count = len(radius_m)
+        self._radius_m, self._bounds_m = radius_m, bounds_m
+        self._state = state = Settled(
+            goal=np.full((count, 2), math.nan),
+            least_m=np.full(count, math.inf),
+            nearer_s=np.zeros(count),
+            check_s=np.zeros(count),
+            rule=np.zeros(count, np.int64),
+            room_s=np.full(count, ROOM_S),
+            free_s=np.full(count, math.inf),
+        )
+        self.rule = state.rule
+
+    @property
+    def settled(self) -> Flags:
+        """Which robots stand because they cannot get nearer, (n,)."""
+        return self.rule != NOT_SETTLED
+
+    def hold(
+        self, now_s: float, desired: Array, lasting: Flags, wanted: Wanted, pose: Array, twist: Array,
+        speed_limit: Array, margin_m: Array, near: Nearby, obstacles: Array,
+    ) -> None:  # fmt: skip
+        """Set the desired velocities (n, 2) of the settled robots to zero.
+
+        Parameters
+        ----------
+        lasting : (n,) whose requests are filtered and no intents of a stick
+        pose, twist : (n, 3), (n, 2) estimated and measured
+        speed_limit, margin_m : (n,) m/s, and the gap that the filter keeps
+        """
+        arena = Arena(obstacles, self._bounds_m)
+        if settle.run is settle.plain:
+            near = views(near)
+        settle.run(
+            now_s, desired, lasting, wanted, pose, twist, speed_limit, self._radius_m, margin_m, near, arena,
+            self._state,
+        )  # fmt: skip
