@@ -12,6 +12,8 @@ key                                                     message                w
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
+``<swarm>/reception/<host>``                            Reception              agent → core
+``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
@@ -97,6 +99,14 @@ class Keys:
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
         return f"{self.swarm}/state/{cell}/{host}"
+
+    def reception(self, host: str = ANY) -> str:
+        """Whose states a host receives."""
+        return f"{self.swarm}/reception/{host}"
+
+    def relay(self, host: str = ANY) -> str:
+        """States of others that a host does not receive directly."""
+        return f"{self.swarm}/relay/{host}"
 
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""

@@ -38,6 +38,7 @@ class Code(enum.StrEnum):
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
+    SETTLED = "settled"
     STOPPED = "stopped"  # by
     ESTOP_ENGAGED = "estop_engaged"  # by
     ESTOP_RELEASED = "estop_released"  # by
@@ -86,6 +87,8 @@ TEXTS: dict[Code, str] = {
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.SETTLED: "arrived as near as possible: the places nearer to its goal are taken, or there is no way to them; "
+    "it goes on when there is room",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",

@@ -14,9 +14,10 @@ from fullswarm import __version__
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
-from fullswarm.agent.motion.settling import Settling
+from fullswarm.agent.motion.settling import Settling, Wanted
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
+from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -91,10 +92,18 @@ class AgentNode:
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self.reception = ReceptionReporter(
+            bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
+            alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
+        )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
-        self.settling = Settling(state.radius, np.array(config.bounds_m))
+        tasks = self.tasks
+        wanted = Wanted(
+            tasks.goal_m, tasks.reach_m, tasks.lasting, state.radius, tasks.margin_m, self.controller.speed_limit
+        )
+        self.settling = Settling(wanted, np.array(config.bounds_m))
         self.desired = DesiredMotion(
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller,
@@ -124,8 +133,13 @@ class AgentNode:
         )
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
-            law_error=self.desired.law_error, ended=self.inbox.ended,
+            law_error=self.desired.law_error, ended=self.inbox.ended, settled_by=self.settling.rule,
+            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
+        self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
+        self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
+        self._sensed: Sensed | None = None
+        self._doubt = _doubt(self.reflexes, self.pose_conflicts)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
@@ -225,28 +239,43 @@ class AgentNode:
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
-        tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
-            now_s, dt_s,
-            Task(tasks.active, tasks.survives_core, tasks.expires_at_s),
-            Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
-            Sensed(read_since_s, reading.stamp_s, reading.hazards),
-            Doubt(
-                battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
-                pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
-                frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
-            ),
-        )  # fmt: skip
+            now_s, dt_s, read_since_s, self._task, self._link_now(now_s), self._sensed_in(reading), self._doubt_now()
+        )
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
 
+    # The controller's tuples are kept while nothing in them changed: to make them takes longer than to decide.
+    def _link_now(self, now_s: float) -> Link:
+        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
+        ready = self._drivers.look()
+        if link.core_alive is not core_alive or link.hub_alive is not hub_alive or link.driver_ready is not ready:
+            self._link = link = Link(core_alive, hub_alive, ready)
+        return link
+
+    def _sensed_in(self, reading: FleetReading) -> Sensed:
+        sensed = self._sensed
+        if sensed is None or sensed.stamp_s is not reading.stamp_s or sensed.hazards is not reading.hazards:
+            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
+        return sensed
+
+    def _doubt_now(self) -> Doubt:
+        doubt, clock_jumped = self._doubt, self.reflexes.clock_jumped
+        frame_conflict = self.pose_conflicts.frame_conflict
+        if doubt.clock_jumped is not clock_jumped or doubt.frame_conflict is not frame_conflict:
+            self._doubt = doubt = doubt._replace(clock_jumped=clock_jumped, frame_conflict=frame_conflict)
+        return doubt
+
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
-        self.neighbours.receive(states, self._scheduler.now_s())
+        now_s = self._scheduler.now_s()
+        self.neighbours.receive(states, now_s)
+        if not self.reception.alone:
+            self.reception.note(states, now_s)
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
@@ -260,6 +289,7 @@ class AgentNode:
             return
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
+        self.reception.update()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -298,7 +328,8 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
+            settled = np.where(self.settling.settled, 1.0, math.nan)
+            counted = {"deviation_m": self.filter.deviation_m, "settled": settled, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
@@ -332,6 +363,7 @@ class AgentNode:
         self.publish_measurements()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
+        self.reception.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
@@ -348,8 +380,16 @@ def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thres
     return Reflexes(config.bounds_m, thresholds, accel, sigma_limit_m)
 
 
+def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
+    return Doubt(
+        battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
+        pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
+        frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
+    )  # fmt: skip
+
+
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
-    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
         speed_m_s=float(controller.speed_limit.max()),

@@ -6,7 +6,7 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import AgentConfig, SwarmConfig
+from fullswarm.config import AgentConfig, BodyConfig, SwarmConfig
 from fullswarm.errors import FullswarmError
+from fullswarm.evaluate.experiment.model import world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
 from fullswarm.evaluate.provenance import Provenance, provenance
+from fullswarm.evaluate.quiet import END_S, Rest, quiet_after_s
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
 from fullswarm.evaluate.trial_folder import FAILED, Measurement, Record, Trajectory, launch_text, trial_id, write_trial
@@ -30,7 +32,7 @@ from fullswarm.messages import Value
 from fullswarm.simulation.world import World
 
 TOLERANCE_S = 1e-9
-ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
+ALL_ARRIVED, ALL_SETTLED, TIME_LIMIT = "all arrived", "arrived or settled", "time limit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,7 @@ def drive(
         reason = _run(swarm, request, witness, stopped)
         outcome = _outcome(swarm, request, witness)
         track.end()
+        trajectory = track.trajectory()
         evidence = witness.evidence()
     finally:
         swarm.stop()
@@ -128,6 +131,7 @@ def drive(
     return Measurement(
         outcome=msgspec.structs.replace(
             outcome,
+            quiet_s=quiet_after_s(trajectory),
             deadlocks=report.deadlocks,
             deadlock_s=report.deadlock_s,
             **_per_second(report.onboard, outcome.simulated_s),
@@ -136,7 +140,7 @@ def drive(
         onboard=report.onboard,
         truth=witness.values(),
         per_robot=joined(report.per_robot, witness.per_robot()),
-        trajectory=track.trajectory(),
+        trajectory=trajectory,
         contacts=evidence,
         coverage=report.coverage,
     )
@@ -144,13 +148,17 @@ def drive(
 
 def _run(swarm: Swarm, request: TrialRequest, witness: Witness, stopped: Callable[[], bool]) -> str:
     """Let time pass until the trial is over; return why."""
+    rest = Rest()
     while swarm.passed_s < request.limit_s - TOLERANCE_S:
         if swarm.advance(stopped):
             raise TrialStopped("it was stopped")
         if reason := swarm.end_reason():
             return reason
-        if _arrived(witness, request).all():
+        arrived = _arrived(witness, request)
+        if arrived.all():
             return ALL_ARRIVED
+        if rest.lasts_s(swarm.passed_s, witness.pose) >= END_S and (arrived | swarm.settled()).all():
+            return ALL_SETTLED
     return request.limit_reason
 
 
@@ -161,10 +169,11 @@ def _arrived(witness: Witness, request: TrialRequest) -> NDArray[np.bool_]:
 
 def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
     """Return how it is now, at the end."""
-    counted = witness.tally()
+    counted, arrived = witness.tally(), _arrived(witness, request)
     return Outcome(
         robots=len(swarm.config.robots),
-        arrived=int(_arrived(witness, request).sum()),
+        arrived=int(arrived.sum()),
+        settled=int((swarm.settled() & ~arrived).sum()),
         robot_events=int(counted.robot_events.sum()),
         obstacle_events=int(counted.obstacle_events.sum()),
         safe_start=request.safe_start,
@@ -258,9 +267,12 @@ def attempt(trial: Trial, run: Measure) -> Measurement | str:
 def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
     """Return the fleet of a trial, and the goals (n, 2) of its robots."""
     world = world_config(scenario, trial.seed, world_of(trial))
-    poses = spawn(scenario, trial.cell.robots, trial.seed, world.radius_m)
     # The seed is part of the names, and what a blocked robot draws depends on its name.
-    robots = [{"id": f"r{row}s{trial.seed}", "pose": pose} for row, pose in enumerate(poses.tolist())]
+    ids = [f"r{row}s{trial.seed}" for row in range(trial.cell.robots)]
+    if trial.bodies:
+        world = world.model_copy(update={"bodies": _bodies(trial, ids)})
+    poses = spawn(scenario, len(ids), trial.seed, np.array([world.of_body(robot).radius_m for robot in ids]))
+    robots = [{"id": robot, "pose": pose} for robot, pose in zip(ids, poses.tolist(), strict=True)]
     config = SwarmConfig.model_validate(
         {
             "world": world.model_dump(),
@@ -271,6 +283,16 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
         }
     )
     return config, goals_for(scenario, poses)
+
+
+def _bodies(trial: Trial, ids: Sequence[str]) -> dict[str, BodyConfig]:
+    """Return the bodies that differ, robot by robot: none takes from the world what is not its own."""
+    found = []
+    for each in trial.bodies:
+        settings = dict(each)
+        whole = {"declared_radius_m": settings["radius_m"], "drivetrain": {}, **world_settings(settings)}
+        found.append(BodyConfig.model_validate(whole))
+    return {robot: found[row % len(found)] for row, robot in enumerate(ids)}
 
 
 def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:

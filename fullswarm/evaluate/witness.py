@@ -8,7 +8,7 @@ nearest robot.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -122,7 +122,7 @@ class Referee:
     Parameters
     ----------
     world : its bodies are watched
-    limits : what the robots' drivers report as their limits
+    limits : what the driver of each robot reports as its limits
 
     Attributes
     ----------
@@ -130,10 +130,10 @@ class Referee:
     touched : (n,) which robots have touched anything
     """
 
-    def __init__(self, world: World, limits: Limits) -> None:
+    def __init__(self, world: World, limits: Sequence[Limits]) -> None:
         count = len(world.ids)
         self._world = world
-        self._most = np.array([limits.speed_m_s, limits.turn_rad_s]) * (1.0 + TOLERANCE)
+        self._most = np.array([(each.speed_m_s, each.turn_rad_s) for each in limits]) * (1.0 + TOLERANCE)
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
@@ -264,7 +264,7 @@ class WorldWitness:
 
     def __init__(self, world: World, goals: Array, goal_radius_m: float, cell_m: float, emulated: bool = False) -> None:
         self._world, self._steps = world, 0
-        self._limits = ENDLESS if emulated else world.description.limits
+        self._limits = [ENDLESS if emulated else each.limits for each in world.descriptions]
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.

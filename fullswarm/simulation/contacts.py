@@ -12,6 +12,7 @@ obstacle k, whose columns are those of :func:`fullswarm.simulation.obstacles.wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,11 @@ def touch_m(config: WorldConfig, radius_m: Array | None = None) -> float:
     if math.isinf(both_m):
         return TOUCH_M
     return max(TOUCH_M, 1e-4 + math.hypot(both_m, 2.0 * config.speed_limit_m_s * substep_s) - both_m)
+
+
+def radii_of(bodies: Sequence[WorldConfig]) -> Array:
+    """Return the radii of bodies, (n,) m."""
+    return np.array([body.radius_m for body in bodies], np.float64)
 
 
 class ContactReferee:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Protocol
-
-import numpy as np
 
 from fullswarm.config import EngineName, WorldConfig
 from fullswarm.errors import ConfigError, MissingExtra
@@ -35,6 +34,7 @@ ENGINES: dict[EngineName, tuple[str, str]] = {
     "kinematic": ("kinematic", "KinematicEngine"),
     "pybullet": ("pybullet_engine", "PyBulletEngine"),
     "pybullet-wheels": ("pybullet_wheels", "WheelsEngine"),
+    "drivetrain": ("drivetrain", "DrivetrainEngine"),
 }
 """Module and class of each engine; imported on use, because PyBullet is an extra."""
 
@@ -42,9 +42,10 @@ ENGINES: dict[EngineName, tuple[str, str]] = {
 def check_config(config: WorldConfig) -> None:
     """Refuse a world without room: raise `ConfigError` for empty bounds or a box without area."""
     x_min, y_min, x_max, y_max = config.bounds_m
-    if x_max - x_min <= 2 * config.radius_m or y_max - y_min <= 2 * config.radius_m:
+    radius_m = max([config.radius_m, *(body.radius_m or 0.0 for body in config.bodies.values())])
+    if x_max - x_min <= 2 * radius_m or y_max - y_min <= 2 * radius_m:
         raise ConfigError(
-            f"bounds {config.bounds_m} leave no room for a robot of {config.radius_m} m radius",
+            f"bounds {config.bounds_m} leave no room for a robot of {radius_m} m radius",
             where="world.bounds_m",
             hint="give x_min, y_min, x_max, y_max in metres",
         )
@@ -55,12 +56,12 @@ def check_config(config: WorldConfig) -> None:
             )
 
 
-def make_engine(config: WorldConfig, starts: Array, radius_m: Array | None = None) -> Engine:
+def make_engine(config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig] | None = None) -> Engine:
     """Return the engine that `config` names, its bodies at `starts` (n, 3).
 
     Parameters
     ----------
-    radius_m : (n,) of the bodies; None: all have the world's
+    bodies : n settings, of each body, as `WorldConfig.of_body` returns them; None: all are the world's
 
     Raises
     ------
@@ -69,9 +70,11 @@ def make_engine(config: WorldConfig, starts: Array, radius_m: Array | None = Non
     """
     check_config(config)
     module, name = ENGINES[config.engine]
-    radius_m = np.full(len(starts), config.radius_m) if radius_m is None else np.asarray(radius_m, np.float64)
+    bodies = (config,) * len(starts) if bodies is None else bodies
+    fastest_m_s = max((body.speed_limit_m_s for body in bodies), default=config.speed_limit_m_s)
+    config = config.model_copy(update={"speed_limit_m_s": fastest_m_s})
     try:
-        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts, radius_m)
+        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts, bodies)
         return engine
     except ModuleNotFoundError as error:
         if error.name != "pybullet":

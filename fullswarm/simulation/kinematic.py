@@ -11,6 +11,7 @@ other row or -1-k for obstacle k, unused, scratch). Bodies are of equal mass: bo
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 import fullswarm
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Index, kernel
-from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, sweep
+from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, radii_of, sweep
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SCRATCH_COLUMNS = 8
@@ -38,7 +39,7 @@ class Moving(NamedTuple):
 class KinematicEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` over arrays."""
 
-    def __init__(self, config: WorldConfig, starts: Array, radius_m: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.firmware = f"kinematic {fullswarm.__version__}"
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
@@ -48,7 +49,7 @@ class KinematicEngine:
         self._dt_s = 1.0 / config.rate_hz
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
-        self.referee = ContactReferee(config, obstacles, radius_m, part_s)
+        self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s)
         self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))
 
     def step(self, twists: Array) -> None:

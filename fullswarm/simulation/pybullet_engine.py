@@ -20,7 +20,7 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
-from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.contacts import ContactReferee, radii_of
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 
 HEIGHT_M = 0.2
@@ -132,19 +132,19 @@ class BulletClient:
 class PyBulletEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` on Bullet's rigid bodies."""
 
-    def __init__(self, config: WorldConfig, starts: Array, radius_m: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
         obstacles = static_obstacles(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), radius_m, self._client.part_s)
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
         self.firmware = self._client.firmware
         self._client.add_obstacles(obstacles, -HEIGHT_M)
         self._bodies = [
-            self._add_body(config.mass_kg, each_m, pose)
-            for each_m, pose in zip(radius_m.tolist(), self.pose.tolist(), strict=True)
+            self._add_body(body.mass_kg, body.radius_m, pose)
+            for body, pose in zip(bodies, self.pose.tolist(), strict=True)
         ]
         self._velocity = np.zeros((n, 3))
         self._spin = np.zeros((n, 3))

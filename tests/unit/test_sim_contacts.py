@@ -186,9 +186,9 @@ def test_more_neighbours_than_room_are_all_listed() -> None:
 @pytest.mark.parametrize("name", ["kinematic", "pybullet", "pybullet-wheels"])
 def test_bodies_of_different_sizes_meet_where_their_own_rims_do(name: str) -> None:
     """A large robot drives at a small one that stands before a box: they touch when their own two radii say so."""
-    radius = np.array([0.34, 0.1])
     config = config_of(name, boxes=((2.0, 0.0, 0.5, 2.0, 0.0),))
-    engine = make_engine(config, np.array([(0.0, 0.0, 0.0), (1.4, 0.0, 0.0)]), radius)
+    bodies = [config.model_copy(update={"radius_m": radius_m}) for radius_m in (0.34, 0.1)]
+    engine = make_engine(config, np.array([(0.0, 0.0, 0.0), (1.4, 0.0, 0.0)]), bodies)
     first: dict[tuple[int, ...], float] = {}
     for _ in range(150):
         engine.step(np.array([[0.5, 0.0], [0.0, 0.0]]))

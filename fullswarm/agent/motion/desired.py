@@ -9,7 +9,7 @@ import numpy as np
 import structlog
 
 from fullswarm.agent.motion.robot_controller import RobotController
-from fullswarm.agent.motion.settling import Settling, Wanted
+from fullswarm.agent.motion.settling import Settling
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
 from fullswarm.agent.orders.tasks import Group, Tasks
@@ -43,13 +43,13 @@ class DesiredMotion:
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
         self._settling, self._deadlocks = settling, deadlocks
         self._filter, self._controller = safety, controller
-        self._wanted = Wanted(tasks.goal_m, tasks.reach_m)
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
         self._sees_obstacles = senses_obstacles
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
+        self._measured = Measured(state.pose, state.twist, np.zeros(count))  # kept while its arrays are the same
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
@@ -87,14 +87,12 @@ class DesiredMotion:
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         if tasks.any_filtered:
-            speed_limit = self._controller.speed_limit
-            self._settling.hold(
-                now_s, self._planar, tasks.lasting, self._wanted, pose, reading.twist, speed_limit, tasks.margin_m,
-                near, obstacles,
-            )  # fmt: skip
+            self._settling.hold(now_s, self._planar, pose, reading.twist, near, obstacles)
             # A stick's twist is not turned: its operator sees the robot.
-            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, speed_limit)
-        measured = Measured(pose, reading.twist, reading.stamp_s)
+            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
+        measured = self._measured
+        if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

@@ -4,7 +4,7 @@ A goal with room for one robot and a request to ten leaves nine that press again
 A robot settles when it is slow and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
-- every place in its goal's disc is taken, or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`; or
+- every place in its goal's disc is taken or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`;
 - it has come no nearer for `GIVE_UP_S`, and there is no room ahead nor to its sides: between walls, or in a jam.
 
 The first two are judged where the goal is at most `WINDOW_M` away, so that all robots around it are sensed. While there
@@ -20,13 +20,16 @@ The desired velocity of a settled robot is zero. All robots' desired velocities 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.safety.barrier import Arena, box_gap
-from fullswarm.kernels import Array, Flags, Index, kernel, views
+from fullswarm.drivers.base import NO_OBSTACLES
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 
 CHECK_S = 0.5
 """How often a slow robot looks for places: they cost more than a control period has."""
@@ -68,10 +71,18 @@ class Settled(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """Goals of the robots: (n, 2), NaN for none; (n,) within how much of them they have arrived."""
+    """What :func:`settle` knows of the robots and their requests.
 
-    goal: Array
+    `goal_m`, `reach_m`: (n, 2), (n,) as in ``Tasks``. `lasting`: (n,) the request is filtered and no intent of a stick.
+    `radius_m`, `margin_m`, `speed_limit`: (n,) footprint, gap that the filter keeps, m/s.
+    """
+
+    goal_m: Array
     reach_m: Array
+    lasting: Flags
+    radius_m: Array
+    margin_m: Array
+    speed_limit: Array
 
 
 @kernel
@@ -79,7 +90,7 @@ def is_free(
     i: int, x: float, y: float, clearance_m: float, standing: bool, start: Index, other: Index, places: Array,
     states: Array, obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
-    """Tell whether robot `i` could stand at (x, y) among the robots near it, or only those at standstill (`standing`)."""
+    """Tell whether robot `i` could stand at (x, y) among the robots near it, or among those at standstill only."""
     for pair in range(start[i], start[i + 1]):
         row = other[pair]
         if standing and math.fabs(states[row, 3]) > STANDSTILL_M_S:
@@ -93,7 +104,8 @@ def is_free(
         gap, _, _ = box_gap(x, y, obstacles, row)
         if gap < clearance_m:
             return False
-    return min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y) >= clearance_m
+    nearest_m: float = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
+    return nearest_m >= clearance_m
 
 
 @kernel
@@ -236,112 +248,103 @@ def has_room(
 
 
 @kernel
+def rule_for(
+    i: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float, waited_s: float,
+    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, obstacles: Array,
+    bounds_m: Array,
+) -> int:  # fmt: skip
+    """Return by which rule robot `i`, slow and without progress for `waited_s`, settles now; see the module."""
+    left_m = math.hypot(goal_x - x, goal_y - y)
+    fit_m = clearance_m + FIT_M
+    if left_m <= WINDOW_M:
+        nearer_m = left_m - NEARER_RADII * radius
+        if not has_room(
+            i, x, y, ux, uy, 0.5 * radius, clearance_m, 1, start, other, places, states, obstacles, bounds_m
+        ) and not place_left(
+            i, False, x, y, goal_x, goal_y, nearer_m, fit_m, start, other, places, states, obstacles, bounds_m
+        ):
+            return NO_NEARER_PLACE
+        if waited_s >= WAIT_S and not place_left(
+            i, True, x, y, goal_x, goal_y, reach_m, fit_m, start, other, places, states, obstacles, bounds_m
+        ):
+            return GOAL_TAKEN
+    if waited_s >= GIVE_UP_S and not has_room(
+        i, x, y, ux, uy, radius, clearance_m, len(TILTS), start, other, places, states, obstacles, bounds_m
+    ):
+        return SHUT_IN
+    return NOT_SETTLED
+
+
+@kernel
+def may_go_on(
+    i: int, rule: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float,
+    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, obstacles: Array,
+    bounds_m: Array,
+) -> bool:  # fmt: skip
+    """Tell whether robot `i`, which has settled by `rule`, could come nearer to its goal now."""
+    if not has_room(i, x, y, ux, uy, radius, clearance_m, AHEAD, start, other, places, states, obstacles, bounds_m):
+        return False
+    if rule == SHUT_IN:
+        return True
+    within_m = reach_m if rule == GOAL_TAKEN else math.hypot(goal_x - x, goal_y - y) - NEARER_RADII * radius
+    return place_left(
+        i, True, x, y, goal_x, goal_y, within_m, clearance_m + FIT_M, start, other, places, states, obstacles, bounds_m
+    )
+
+
+@kernel
 def settle(
-    now_s: float, desired: Array, lasting: Flags, wanted: Wanted, pose: Array, twist: Array, speed_limit: Array,
-    radius: Array, margin_m: Array, near: Nearby, arena: Arena, state: Settled,
-) -> None:  # fmt: skip
+    state: Settled, wanted: Wanted, near: Nearby, arena: Arena, now_s: float, desired: Array, pose: Array, twist: Array
+) -> None:
     """Set the desired velocities (n, 2) of settled robots to zero; see the module."""
-    goals, reach_m = wanted
     goal, least_m, nearer_s, check_s, rule, room_s, free_s = state
+    goals, reach_m, lasting, radius, margin_m, speed_limit = wanted
     start, other, places, states, _, _, _ = near
     obstacles, bounds_m = arena
     for i in range(desired.shape[0]):
         goal_x = goals[i, 0]
         goal_y = goals[i, 1]
-        if not lasting[i] or math.isnan(goal_x):
-            goal[i, 0] = math.nan
-            rule[i] = NOT_SETTLED
+        left_m = math.hypot(goal_x - pose[i, 0], goal_y - pose[i, 1])
+        if not lasting[i] or math.isnan(left_m):
+            if math.isnan(goal_x):
+                goal[i, 0] = math.nan
+                rule[i] = NOT_SETTLED
             continue
-        x = pose[i, 0]
-        y = pose[i, 1]
-        left_m = math.hypot(goal_x - x, goal_y - y)
-        if not math.isfinite(left_m):
-            continue
-        nearer_m = NEARER_RADII * radius[i]
         if goal_x != goal[i, 0] or goal_y != goal[i, 1]:
             goal[i, 0] = goal_x
             goal[i, 1] = goal_y
             least_m[i] = math.inf
             room_s[i] = ROOM_S
-        ux = desired[i, 0]
-        uy = desired[i, 1]
-        size = math.hypot(ux, uy)
-        if left_m < least_m[i] - nearer_m or left_m <= reach_m[i] or not size > 0.0:
+        size = math.hypot(desired[i, 0], desired[i, 1])
+        if left_m < least_m[i] - NEARER_RADII * radius[i] or left_m <= reach_m[i] or not size > 0.0:
             least_m[i] = min(left_m, least_m[i])
             nearer_s[i] = now_s
             check_s[i] = now_s + CHECK_S
             rule[i] = NOT_SETTLED
             continue
-        if now_s < check_s[i]:
+        if now_s >= check_s[i]:
+            check_s[i] = now_s + CHECK_S
+            ux = desired[i, 0] / size
+            uy = desired[i, 1] / size
             if rule[i] != NOT_SETTLED:
-                desired[i, 0] = 0.0
-                desired[i, 1] = 0.0
-            continue
-        check_s[i] = now_s + CHECK_S
-        ux /= size
-        uy /= size
-        clearance_m = radius[i] + margin_m[i]
-        fit_m = clearance_m + FIT_M
-        if rule[i] != NOT_SETTLED:
-            within_m = max(reach_m[i], 0.0) if rule[i] == GOAL_TAKEN else left_m - nearer_m
-            if not has_room(
-                i, x, y, ux, uy, radius[i], clearance_m, AHEAD, start, other, places, states, obstacles, bounds_m
-            ) or (
-                rule[i] != SHUT_IN
-                and not place_left(
-                    i, True, x, y, goal_x, goal_y, within_m, fit_m, start, other, places, states, obstacles, bounds_m
-                )
-            ):
+                if not may_go_on(
+                    i, rule[i], pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], radius[i],
+                    radius[i] + margin_m[i], start, other, places, states, obstacles, bounds_m,
+                ):  # fmt: skip
+                    free_s[i] = math.inf
+                elif free_s[i] == math.inf:
+                    free_s[i] = now_s
+                if now_s - free_s[i] >= room_s[i]:
+                    rule[i] = NOT_SETTLED
+                    nearer_s[i] = now_s
+                    room_s[i] = min(2.0 * room_s[i], LONGEST_ROOM_S)
+            elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i]:
+                rule[i] = rule_for(
+                    i, pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], now_s - nearer_s[i], radius[i],
+                    radius[i] + margin_m[i], start, other, places, states, obstacles, bounds_m,
+                )  # fmt: skip
                 free_s[i] = math.inf
-            elif free_s[i] == math.inf:
-                free_s[i] = now_s
-            if now_s - free_s[i] >= room_s[i]:
-                rule[i] = NOT_SETTLED
-                nearer_s[i] = now_s
-                room_s[i] = min(2.0 * room_s[i], LONGEST_ROOM_S)
-            else:
-                desired[i, 0] = 0.0
-                desired[i, 1] = 0.0
-            continue
-        if math.fabs(twist[i, 0]) > SLOW_SHARE * speed_limit[i]:
-            continue
-        waited_s = now_s - nearer_s[i]
-        by = NOT_SETTLED
-        if left_m <= WINDOW_M:
-            if not has_room(
-                i, x, y, ux, uy, 0.5 * radius[i], clearance_m, 1, start, other, places, states, obstacles, bounds_m
-            ) and not place_left(
-                i,
-                False,
-                x,
-                y,
-                goal_x,
-                goal_y,
-                left_m - nearer_m,
-                fit_m,
-                start,
-                other,
-                places,
-                states,
-                obstacles,
-                bounds_m,
-            ):
-                by = NO_NEARER_PLACE
-            elif waited_s >= WAIT_S and not place_left(
-                i, True, x, y, goal_x, goal_y, reach_m[i], fit_m, start, other, places, states, obstacles, bounds_m
-            ):
-                by = GOAL_TAKEN
-        if (
-            by == NOT_SETTLED
-            and waited_s >= GIVE_UP_S
-            and not has_room(
-                i, x, y, ux, uy, radius[i], clearance_m, len(TILTS), start, other, places, states, obstacles, bounds_m
-            )
-        ):
-            by = SHUT_IN
-        if by != NOT_SETTLED:
-            rule[i] = by
-            free_s[i] = math.inf
+        if rule[i] != NOT_SETTLED:
             desired[i, 0] = 0.0
             desired[i, 1] = 0.0
 
@@ -349,15 +352,20 @@ def settle(
 class Settling:
     """Finds which of n robots are as near to their goals as they can get.
 
+    Parameters
+    ----------
+    wanted : goals and sizes of the robots; the arrays are kept, their values may change
+    bounds_m : (4,) the arena
+
     Attributes
     ----------
     rule : (n,) by which the robot has settled; `NOT_SETTLED`
     """
 
-    def __init__(self, radius_m: Array, bounds_m: Array) -> None:
-        count = len(radius_m)
-        self._radius_m, self._bounds_m = radius_m, bounds_m
-        self._state = state = Settled(
+    def __init__(self, wanted: Wanted, bounds_m: Array) -> None:
+        count = len(wanted.radius_m)
+        self._wanted, self._bounds_m = wanted, bounds_m
+        self._state = Settled(
             goal=np.full((count, 2), math.nan),
             least_m=np.full(count, math.inf),
             nearer_s=np.zeros(count),
@@ -366,29 +374,31 @@ class Settling:
             room_s=np.full(count, ROOM_S),
             free_s=np.full(count, math.inf),
         )
-        self.rule = state.rule
+        self.rule = self._state.rule
+        self._near: Nearby | None = None
+        self._obstacles = NO_OBSTACLES
+        self._settle: Callable[[float, Array, Array, Array], None]
 
     @property
     def settled(self) -> Flags:
         """Which robots stand because they cannot get nearer, (n,)."""
-        return self.rule != NOT_SETTLED
+        settled: Flags = self.rule != NOT_SETTLED
+        return settled
 
-    def hold(
-        self, now_s: float, desired: Array, lasting: Flags, wanted: Wanted, pose: Array, twist: Array,
-        speed_limit: Array, margin_m: Array, near: Nearby, obstacles: Array,
-    ) -> None:  # fmt: skip
+    def hold(self, now_s: float, desired: Array, pose: Array, twist: Array, near: Nearby, obstacles: Array) -> None:
         """Set the desired velocities (n, 2) of the settled robots to zero.
 
         Parameters
         ----------
-        lasting : (n,) whose requests are filtered and no intents of a stick
         pose, twist : (n, 3), (n, 2) estimated and measured
-        speed_limit, margin_m : (n,) m/s, and the gap that the filter keeps
+        near : which robots are near each
+        obstacles : (k, 6), see ``Reading.obstacles``
         """
-        arena = Arena(obstacles, self._bounds_m)
-        if settle.run is settle.plain:
-            near = views(near)
-        settle.run(
-            now_s, desired, lasting, wanted, pose, twist, speed_limit, self._radius_m, margin_m, near, arena,
-            self._state,
-        )  # fmt: skip
+        if near is not self._near or obstacles is not self._obstacles:
+            self._near, self._obstacles = near, obstacles
+            arena = Arena(obstacles, self._bounds_m)
+            given = self._state, self._wanted, near, arena
+            if settle.run is settle.plain:
+                given = views(self._state), views(self._wanted), views(near), views(arena)
+            self._settle = bound(partial(settle.run, *given))
+        self._settle(now_s, desired, pose, twist)

@@ -57,9 +57,10 @@ def _number(value: Value | None, otherwise: float) -> float:
 def goal_of(request: ControlRequest) -> tuple[float, float]:
     """Return the point that a request sends a robot to, its `goal` or `target`; NaN when there is none."""
     point = request.parameters.get("goal", request.parameters.get("target"))
-    if isinstance(point, list) and len(point) == 2 and all(isinstance(each, int | float) for each in point):
-        return float(point[0]), float(point[1])
-    return math.nan, math.nan
+    if not isinstance(point, list) or len(point) != 2:
+        return math.nan, math.nan
+    x, y = (float(each) if isinstance(each, int | float) else math.nan for each in point)
+    return x, y
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_pla
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import Array, Flags, Index, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 
 log = structlog.get_logger()
 
@@ -135,16 +136,31 @@ def robot_params(
 
 
 @kernel
+def steer(
+    allowed_x: float, allowed_y: float, desired_x: float, desired_y: float, heading: float, held: bool,
+    speed_gain: float, turn_gain_per_s: float,
+) -> tuple[float, float, bool]:  # fmt: skip
+    """Map a projected velocity to speed and turn rate; `held`: whether the robot was held before, and is; see above."""
+    allowed = allowed_x * allowed_x + allowed_y * allowed_y
+    share = RELEASED_SHARE if held else HELD_SHARE
+    speed, turn = unicycle(allowed_x, allowed_y, heading, speed_gain, turn_gain_per_s)
+    if allowed >= share * share * (desired_x * desired_x + desired_y * desired_y):
+        return speed, turn, False
+    _, turn = unicycle(desired_x, desired_y, heading, speed_gain, turn_gain_per_s)
+    return max(speed, 0.0), turn if math.fabs(turn) >= FACING_RAD * turn_gain_per_s else 0.0, True
+
+
+@kernel
 def guard(
-    now_s: float, dt_s: float, tuning: Tuning, measured: Measured, robots: RobotParams, requested: Requested,
-    near: Nearby, arena: Arena, out: Filtered, planes: HalfPlanes,
+    tuning: Tuning, robots: RobotParams, requested: Requested, near: Nearby, arena: Arena, out: Filtered,
+    planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
     Parameters
     ----------
-    dt_s : since the last call
     planes : room for one robot's constraints
+    dt_s : since the last call
 
     Returns
     -------
@@ -223,15 +239,9 @@ def guard(
                     off = math.hypot(ux - desired_x, uy - desired_y)
                     deviation[i, 2] = ux - desired_x
                     deviation[i, 3] = uy - desired_y
-                if off > 0.0 and math.hypot(ux, uy) < (RELEASED_SHARE if held[i] else HELD_SHARE) * min(size, top):
-                    held[i] = True
-                    speed = max(0.0, speed_gain * (ux * ahead_x + uy * ahead_y))
-                    _, turn = unicycle(desired_x, desired_y, heading, speed_gain, turn_gain_per_s)
-                    if math.fabs(turn) < FACING_RAD * turn_gain_per_s:
-                        turn = 0.0
-                else:
-                    held[i] = False
-                    speed, turn = unicycle(ux, uy, heading, speed_gain, turn_gain_per_s)
+                speed, turn, held[i] = steer(
+                    ux, uy, desired_x, desired_y, heading, held[i], speed_gain, turn_gain_per_s
+                )  # fmt: skip
                 desired_speed = speed
                 if off > 0.0:  # what the unicycle map makes of the desired velocity, without its arctangents
                     desired_speed = speed_gain * (desired_x * ahead_x + desired_y * ahead_y)
@@ -294,7 +304,7 @@ class SafetyFilter:
         self._robots_viewed, self._planes_listed = views(robots), HalfPlanes._make(scratch.tolist())
         self._deviation = deviation
         self.given: Given | None = None
-        self._viewed: Given
+        self._guard: Callable[[Measured, float, float], int]
 
     def apply(
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
@@ -307,21 +317,21 @@ class SafetyFilter:
             given is None or near is not given.near or obstacles is not given.arena.obstacles
             or requested is not given.requested or twist is not given.out.twist
         ):  # fmt: skip
-            given = self._take(requested, near, obstacles, twist)
+            self._take(requested, near, obstacles, twist)
         if guard.run is guard.plain:
-            given, measured = self._viewed, views(measured)
-        if guard.run(now_s, dt_s, self._tuning, measured, *given):
+            measured = views(measured)
+        if self._guard(measured, now_s, dt_s):
             self._log_braking(now_s)
 
-    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> Given:
-        """Keep these arrays and their views; they seldom are others than in the tick before, and views cost time."""
+    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
+        """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict, self._held)
         self.given = given = Given(self._robots, requested, near, arena, out, self._planes)
         if guard.run is guard.plain:
-            self._viewed = Given(
+            given = Given(
                 self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
             )
-        return given
+        self._guard = bound(partial(guard.run, self._tuning, *given))
 
     def note(self, row: int) -> str:
         """Return why the filter brakes robot `row`; empty when it does not."""

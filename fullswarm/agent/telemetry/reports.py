@@ -15,11 +15,11 @@ from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.drivers.base import Fleet
-from fullswarm.kernels import Array, kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
-from fullswarm.reasons import NONE, Reason, reason
+from fullswarm.reasons import NONE, Code, Reason, reason
 from fullswarm.runtime import LoopStats
 
 T = TypeVar("T")
@@ -48,16 +48,19 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
+    limits : (n, 3) what each can do: m/s, rad/s, m/s²
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason],
+        ended: Sequence[Reason], limits: Array, settled_by: Index,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
-        self._law_error, self._ended = law_error, ended
+        self._law_error, self._ended, self._settled_by = law_error, ended, settled_by
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
 
     def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
@@ -89,6 +92,9 @@ class Reports:
                 turn_rad_s=_pick(turn_rad_s, rows),
                 radius_m=_pick(radius_m, rows),
                 teams=_pick(teams, rows),
+                speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
+                turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
+                accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
             )
             yield keys.state(cell, host), message
@@ -114,6 +120,8 @@ class Reports:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
+        if number == StopReason.MOVING and self._settled_by[row]:
+            return reason(Code.SETTLED)
         if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
