@@ -89,7 +89,9 @@ class DesiredMotion:
         if tasks.any_filtered:
             self._settling.hold(now_s, self._planar, pose, reading.twist, near, obstacles)
             # A stick's twist is not turned: its operator sees the robot.
-            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
+            self._deadlocks.resolve(
+                now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
+            )
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
             self._measured = measured = Measured(pose, reading.twist, reading.stamp_s)
