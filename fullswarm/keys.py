@@ -17,6 +17,8 @@ key                                                     message                w
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
+``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
+``<swarm>/clock/<host>/reply``                          ClockReply             core → agent
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
@@ -119,6 +121,14 @@ class Keys:
     def heartbeat(self, node: str = ANY) -> str:
         """Signs of life of the core's processes."""
         return f"{self.swarm}/heartbeat/{node}"
+
+    def clock_probe(self, host: str = ANY) -> str:
+        """Asks the core for its time."""
+        return f"{self.swarm}/clock/{host}/probe"
+
+    def clock_reply(self, host: str = ANY) -> str:
+        """The core's time."""
+        return f"{self.swarm}/clock/{host}/reply"
 
     @property
     def lease_request(self) -> str:

@@ -43,6 +43,7 @@ Radii = Annotated[tuple[Radius, ...], Meta(max_length=MOST)]
 Angles = Annotated[tuple[Radians, ...], Meta(max_length=MOST)]
 Speeds = Annotated[tuple[Speed, ...], Meta(max_length=MOST)]
 Turns = Annotated[tuple[Turn, ...], Meta(max_length=MOST)]
+Sigmas = Annotated[tuple[Sigma, ...], Meta(max_length=MOST)]
 Accelerations = Annotated[tuple[Acceleration, ...], Meta(max_length=MOST)]
 Changes = Annotated[tuple[Finite, ...], Meta(max_length=MOST)]  # m/s
 Box = tuple[Metres, Metres, HalfSize, HalfSize, Radians, HalfSize]
@@ -272,6 +273,22 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+class ClockProbe(Message, frozen=True, kw_only=True):
+    """An agent asks for the core's time, every second."""
+
+    host: str
+    sent_s: Stamp
+
+
+class ClockReply(Message, frozen=True, kw_only=True):
+    """The core's time, at once: half the round trip ago, as nearly as `host` can tell."""
+
+    host: str
+    sent_s: Stamp  # of the probe
+    core: str  # which core process
+    core_s: Stamp
+
+
 # ---------------------------------------------------------------- agents -> all
 class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
@@ -295,6 +312,10 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     turn_limit_rad_s: Turns = ()
     accel_m_s2: Accelerations = ()
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
+    sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
+    sigma_rad: Sigmas = ()  # of the heading
+    core: str = ""  # the core process by whose clock `stamp_s` + `offset_s` is; empty: the offset is not known
+    offset_s: Stamp = 0.0
 
 
 class Reception(Message, frozen=True, kw_only=True):
@@ -486,7 +507,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and (not m.teams or len(m.teams) == len(m.robots))
+        == len(m.radius_m) and all(len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad))
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),

@@ -11,6 +11,7 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
@@ -91,6 +92,8 @@ class AgentNode:
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
+        self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
@@ -103,7 +106,7 @@ class AgentNode:
         wanted = Wanted(
             tasks.goal_m, tasks.reach_m, tasks.lasting, state.radius, tasks.margin_m, self.controller.speed_limit
         )
-        self.settling = Settling(wanted, np.array(config.bounds_m))
+        self.settling = Settling(wanted, np.array(config.bounds_m), settings.pose_confidence_sigma)
         self.desired = DesiredMotion(
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller,
@@ -117,6 +120,7 @@ class AgentNode:
             fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
         )
         self._estimator = estimator_for(config, fleet, start)
+        state.sigma = self._estimator.sigma
         self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.calculators = Calculators(
             fleet.ids,
@@ -303,7 +307,7 @@ class AgentNode:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s):
+        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s, self.core_clock):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:
@@ -328,9 +332,13 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            settled = np.where(self.settling.settled, 1.0, math.nan)
-            counted = {"deviation_m": self.filter.deviation_m, "settled": settled, **self.calculators.columns()}
-            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
+            columns = {
+                "deviation_m": self.filter.deviation_m,
+                "settled": np.where(self.settling.settled, 1.0, math.nan),
+                "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
+                **self.calculators.columns(),
+            }
+            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, columns)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
@@ -361,6 +369,7 @@ class AgentNode:
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
+        self.core_clock.close()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()
@@ -396,6 +405,7 @@ def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController
         turn_rad_s=float(controller.turn_limit.max()),
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         halt_s=settings.core_silence_s + settings.command_ttl_s,
+        confidence=settings.pose_confidence_sigma,
     )
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 
@@ -407,6 +417,7 @@ def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> S
         reach_m=settings.sensing_radius_m,
         speed_gain=settings.speed_gain,
         turn_gain_per_s=settings.turn_gain_per_s,
+        confidence=settings.pose_confidence_sigma,
     )
     robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
     return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))

@@ -113,6 +113,7 @@ class AgentConfig(Section):
     state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    state_delay_s: float = Field(0.05, ge=0.0, le=2.0)  # of a neighbour's state on the network, where none is measured
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
@@ -131,7 +132,9 @@ class AgentConfig(Section):
     # γ: share of the gap that may be closed per second
     barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
     bounds_m: Bounds | None = None  # arena for real robots; None: the world's, or none
-    estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
+    # auto: ekf (fuse odometry with noisy poses or with fixes) unless the driver senses a pose that is filtered already
+    estimator: Literal["auto", "direct", "ekf"] = "auto"
+    pose_confidence_sigma: float = Field(3.0, ge=0.0, le=10.0)  # standard deviations of a pose that the filter counts
     # no usable pose fix for so long: odometry alone, and another source may follow
     fix_timeout_s: float = Field(0.5, gt=0.0, le=60.0)
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused

@@ -8,6 +8,7 @@ from typing import Protocol
 from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.core.behaviours import PREFIX, Library
+from fullswarm.core.clock import ClockServer
 from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
 from fullswarm.core.leases import Authority
@@ -90,7 +91,7 @@ class CoreNode:
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (
             controller, authority, self.handler, board, self.remapper, latches, self.relay, roster, params,
-            *reversed(self.extra),
+            ClockServer(bus, keys, scheduler, process), *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

@@ -60,6 +60,7 @@ COLUMNS = {
     "reversals": Column("", "how often a wheel's commanded speed changed its sign, mean of both wheels", "add"),
     "speed_variation_m_s": Column("m/s", "total variation of the commanded speed", "add"),
     "turn_variation_rad_s": Column("rad/s", "total variation of the commanded turn rate", "add"),
+    "delay_s": Column("s", "longest delay of the states that it receives from others, from measurement to arrival"),
     "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
     "late": Column("", "of them later than 1 ms", "add", per_host=True),
@@ -133,6 +134,11 @@ METRICS = {
             "turn_variation_rad_s": ("mean", "turn_variation_rad_s"),
         },
         "reversals",
+    ),
+    "network": Metric(
+        "How late the states of other robots arrive",
+        {"delay_mean_s": ("mean", "delay_s"), "delay_max_s": ("max", "delay_s")},
+        "delay_s",
     ),
     "energy": Metric(
         "What driving cost",

@@ -105,7 +105,7 @@ LIMIT = np.array([0.5])
 def turned(deadlocks: Deadlocks, now_s: float, pose: np.ndarray, wished: np.ndarray = FORWARD) -> float:
     """Return by how much the wish is turned to the right, rad."""
     answer = wished.copy()
-    deadlocks.resolve(now_s, answer, np.ones(1, bool), pose, LIMIT)
+    deadlocks.resolve(now_s, answer, np.ones(1, bool), pose, np.zeros((1, 2)), LIMIT)
     assert np.hypot(*answer[0]) == pytest.approx(np.hypot(*wished[0]))
     return -math.atan2(answer[0, 1], answer[0, 0])
 

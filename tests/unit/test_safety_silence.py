@@ -63,7 +63,9 @@ def go(
     others.set_time(now_s)
     near = others.around(HERE, 3.0)
     requested = Requested(np.array([wish]), np.ones(1, bool), np.array([2.0]), np.array([0.03]))
-    measured = Measured(np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]))
+    measured = Measured(
+        np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]), np.zeros((1, 2))
+    )
     made.apply(now_s, requested, measured, near, NO_OBSTACLES, twists)
     return float(twists[0, 0])
 
@@ -220,7 +222,9 @@ def test_the_deviation_is_told_and_added_up() -> None:
 
 def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     """The disc never jumps to a smaller one with age while nothing is heard."""
-    received = Received(np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1), np.full((1, 3), np.nan))
+    received = Received(
+        np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1), np.full((1, 3), np.nan), np.zeros((1, 2)), np.zeros(1)
+    )
     out = Predicted(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1))
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():

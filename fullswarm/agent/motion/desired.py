@@ -49,7 +49,7 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
-        self._measured = Measured(state.pose, state.twist, np.zeros(count))  # kept while its arrays are the same
+        self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         self.law_error = [NONE] * count
 
@@ -64,6 +64,8 @@ class DesiredMotion:
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
+        if self._filter.commands.any:
+            self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return
@@ -87,14 +89,14 @@ class DesiredMotion:
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         if tasks.any_filtered:
-            self._settling.hold(now_s, self._planar, pose, reading.twist, near, obstacles)
+            self._settling.hold(now_s, self._planar, pose, reading.twist, self._state.sigma, near, obstacles)
             # A stick's twist is not turned: its operator sees the robot.
             self._deadlocks.resolve(
                 now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
             )
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
-            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s)
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

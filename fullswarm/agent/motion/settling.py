@@ -88,7 +88,7 @@ class Wanted(NamedTuple):
 @kernel
 def is_free(
     i: int, x: float, y: float, clearance_m: float, standing: bool, start: Index, other: Index, places: Array,
-    states: Array, obstacles: Array, bounds_m: Array,
+    states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether robot `i` could stand at (x, y) among the robots near it, or among those at standstill only."""
     for pair in range(start[i], start[i + 1]):
@@ -97,7 +97,7 @@ def is_free(
             continue
         dx = places[row, 0] - x
         dy = places[row, 1] - y
-        apart_m = clearance_m + states[row, 5] - ROUNDING_M
+        apart_m = clearance_m + states[row, 5] + spread_m[row] - ROUNDING_M
         if dx * dx + dy * dy < apart_m * apart_m:
             return False
     for row in range(obstacles.shape[0]):
@@ -111,7 +111,7 @@ def is_free(
 @kernel
 def is_enclosed(
     i: int, x: float, y: float, from_x: float, from_y: float, clearance_m: float, start: Index, other: Index,
-    places: Array, states: Array,
+    places: Array, states: Array, spread_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether robots at standstill near robot `i` close every way from (from_x, from_y) to (x, y).
 
@@ -136,14 +136,14 @@ def is_enclosed(
             row = other[start[i] + one]
             ax = places[row, 0]
             ay = places[row, 1]
-            radius = 2.0 * clearance_m + states[row, 5]
+            radius = 2.0 * clearance_m + states[row, 5] + spread_m[row]
             for two in range(count):
                 row = other[start[i] + two]
                 if two == one or math.fabs(states[row, 3]) > STANDSTILL_M_S:
                     continue
                 bx = places[row, 0]
                 by = places[row, 1]
-                apart = radius + states[row, 5]
+                apart = radius + states[row, 5] + spread_m[row]
                 if (bx - ax) * (bx - ax) + (by - ay) * (by - ay) >= apart * apart:
                     continue
                 # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other.
@@ -164,25 +164,27 @@ def is_enclosed(
 @kernel
 def is_open(
     i: int, x: float, y: float, way: bool, from_x: float, from_y: float, clearance_m: float, start: Index,
-    other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+    other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether (x, y) is free of robots at standstill and, if `way` counts, whether they leave a way to it."""
-    return is_free(i, x, y, clearance_m, True, start, other, places, states, obstacles, bounds_m) and not (
-        way and is_enclosed(i, x, y, from_x, from_y, clearance_m, start, other, places, states)
+    return is_free(i, x, y, clearance_m, True, start, other, places, states, spread_m, obstacles, bounds_m) and not (
+        way and is_enclosed(i, x, y, from_x, from_y, clearance_m, start, other, places, states, spread_m)
     )
 
 
 @kernel
 def place_left(
     i: int, way: bool, from_x: float, from_y: float, goal_x: float, goal_y: float, within_m: float, clearance_m: float,
-    start: Index, other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+    start: Index, other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether a place within `within_m` of the goal is open to robot `i` at (from_x, from_y): see `is_open`.
 
     Of a region bounded by circles the nearest point to the goal is the goal, the nearest point of a circle, or where
     two circles meet: no other places are tried.
     """
-    if is_open(i, goal_x, goal_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m):
+    if is_open(
+        i, goal_x, goal_y, way, from_x, from_y, clearance_m, start, other, places, states, spread_m, obstacles, bounds_m
+    ):
         return True
     for pair in range(start[i], start[i + 1]):
         row = other[pair]
@@ -190,7 +192,7 @@ def place_left(
             continue
         x = places[row, 0]
         y = places[row, 1]
-        radius = clearance_m + states[row, 5]
+        radius = clearance_m + states[row, 5] + spread_m[row]
         to_goal = math.hypot(goal_x - x, goal_y - y)
         if to_goal > within_m + radius:
             continue
@@ -198,7 +200,20 @@ def place_left(
             at_x = x + radius / to_goal * (goal_x - x)
             at_y = y + radius / to_goal * (goal_y - y)
             if is_open(
-                i, at_x, at_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m
+                i,
+                at_x,
+                at_y,
+                way,
+                from_x,
+                from_y,
+                clearance_m,
+                start,
+                other,
+                places,
+                states,
+                spread_m,
+                obstacles,
+                bounds_m,
             ):
                 return True
         for later in range(pair + 1, start[i + 1]):
@@ -207,7 +222,7 @@ def place_left(
                 continue
             dx = places[row, 0] - x
             dy = places[row, 1] - y
-            second = clearance_m + states[row, 5]
+            second = clearance_m + states[row, 5] + spread_m[row]
             squared = dx * dx + dy * dy
             if squared >= (radius + second) * (radius + second) or squared < ROUNDING_M:
                 continue
@@ -221,7 +236,20 @@ def place_left(
                 at_x = x + along * dx - sign * across * dy
                 at_y = y + along * dy + sign * across * dx
                 if math.hypot(goal_x - at_x, goal_y - at_y) <= within_m and is_open(
-                    i, at_x, at_y, way, from_x, from_y, clearance_m, start, other, places, states, obstacles, bounds_m
+                    i,
+                    at_x,
+                    at_y,
+                    way,
+                    from_x,
+                    from_y,
+                    clearance_m,
+                    start,
+                    other,
+                    places,
+                    states,
+                    spread_m,
+                    obstacles,
+                    bounds_m,
                 ):
                     return True
     return False
@@ -230,7 +258,7 @@ def place_left(
 @kernel
 def has_room(
     i: int, x: float, y: float, ux: float, uy: float, way_m: float, clearance_m: float, tilts: int, start: Index,
-    other: Index, places: Array, states: Array, obstacles: Array, bounds_m: Array,
+    other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether robot `i` could go `way_m` in one of the first `tilts` directions of `TILTS`, 0 is (ux, uy)."""
     for k in range(tilts):
@@ -239,9 +267,20 @@ def has_room(
         way_x = way_m * (c * ux - s * uy)
         way_y = way_m * (s * ux + c * uy)
         if is_free(
-            i, x + way_x, y + way_y, clearance_m, False, start, other, places, states, obstacles, bounds_m
+            i, x + way_x, y + way_y, clearance_m, False, start, other, places, states, spread_m, obstacles, bounds_m
         ) and is_free(
-            i, x + 0.5 * way_x, y + 0.5 * way_y, clearance_m, False, start, other, places, states, obstacles, bounds_m
+            i,
+            x + 0.5 * way_x,
+            y + 0.5 * way_y,
+            clearance_m,
+            False,
+            start,
+            other,
+            places,
+            states,
+            spread_m,
+            obstacles,
+            bounds_m,
         ):
             return True
     return False
@@ -250,8 +289,8 @@ def has_room(
 @kernel
 def rule_for(
     i: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float, waited_s: float,
-    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, obstacles: Array,
-    bounds_m: Array,
+    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, spread_m: Array,
+    obstacles: Array, bounds_m: Array,
 ) -> int:  # fmt: skip
     """Return by which rule robot `i`, slow and without progress for `waited_s`, settles now; see the module."""
     left_m = math.hypot(goal_x - x, goal_y - y)
@@ -259,17 +298,17 @@ def rule_for(
     if left_m <= WINDOW_M:
         nearer_m = left_m - NEARER_RADII * radius
         if not has_room(
-            i, x, y, ux, uy, 0.5 * radius, clearance_m, 1, start, other, places, states, obstacles, bounds_m
+            i, x, y, ux, uy, 0.5 * radius, clearance_m, 1, start, other, places, states, spread_m, obstacles, bounds_m
         ) and not place_left(
-            i, False, x, y, goal_x, goal_y, nearer_m, fit_m, start, other, places, states, obstacles, bounds_m
+            i, False, x, y, goal_x, goal_y, nearer_m, fit_m, start, other, places, states, spread_m, obstacles, bounds_m
         ):
             return NO_NEARER_PLACE
         if waited_s >= WAIT_S and not place_left(
-            i, True, x, y, goal_x, goal_y, reach_m, fit_m, start, other, places, states, obstacles, bounds_m
+            i, True, x, y, goal_x, goal_y, reach_m, fit_m, start, other, places, states, spread_m, obstacles, bounds_m
         ):
             return GOAL_TAKEN
     if waited_s >= GIVE_UP_S and not has_room(
-        i, x, y, ux, uy, radius, clearance_m, len(TILTS), start, other, places, states, obstacles, bounds_m
+        i, x, y, ux, uy, radius, clearance_m, len(TILTS), start, other, places, states, spread_m, obstacles, bounds_m
     ):
         return SHUT_IN
     return NOT_SETTLED
@@ -278,28 +317,45 @@ def rule_for(
 @kernel
 def may_go_on(
     i: int, rule: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float,
-    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, obstacles: Array,
-    bounds_m: Array,
+    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, spread_m: Array,
+    obstacles: Array, bounds_m: Array,
 ) -> bool:  # fmt: skip
     """Tell whether robot `i`, which has settled by `rule`, could come nearer to its goal now."""
-    if not has_room(i, x, y, ux, uy, radius, clearance_m, AHEAD, start, other, places, states, obstacles, bounds_m):
+    if not has_room(
+        i, x, y, ux, uy, radius, clearance_m, AHEAD, start, other, places, states, spread_m, obstacles, bounds_m
+    ):
         return False
     if rule == SHUT_IN:
         return True
     within_m = reach_m if rule == GOAL_TAKEN else math.hypot(goal_x - x, goal_y - y) - NEARER_RADII * radius
     return place_left(
-        i, True, x, y, goal_x, goal_y, within_m, clearance_m + FIT_M, start, other, places, states, obstacles, bounds_m
+        i,
+        True,
+        x,
+        y,
+        goal_x,
+        goal_y,
+        within_m,
+        clearance_m + FIT_M,
+        start,
+        other,
+        places,
+        states,
+        spread_m,
+        obstacles,
+        bounds_m,
     )
 
 
 @kernel
 def settle(
-    state: Settled, wanted: Wanted, near: Nearby, arena: Arena, now_s: float, desired: Array, pose: Array, twist: Array
-) -> None:
+    state: Settled, wanted: Wanted, near: Nearby, arena: Arena, confidence: float, now_s: float, desired: Array,
+    pose: Array, twist: Array, sigma: Array,
+) -> None:  # fmt: skip
     """Set the desired velocities (n, 2) of settled robots to zero; see the module."""
     goal, least_m, nearer_s, check_s, rule, room_s, free_s = state
     goals, reach_m, lasting, radius, margin_m, speed_limit = wanted
-    start, other, places, states, _, _, _ = near
+    start, other, places, states, spread_m, _, _ = near
     obstacles, bounds_m = arena
     for i in range(desired.shape[0]):
         goal_x = goals[i, 0]
@@ -326,10 +382,11 @@ def settle(
             check_s[i] = now_s + CHECK_S
             ux = desired[i, 0] / size
             uy = desired[i, 1] / size
+            clearance_m = radius[i] + margin_m[i] + confidence * sigma[i, 0]
             if rule[i] != NOT_SETTLED:
                 if not may_go_on(
                     i, rule[i], pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], radius[i],
-                    radius[i] + margin_m[i], start, other, places, states, obstacles, bounds_m,
+                    clearance_m, start, other, places, states, spread_m, obstacles, bounds_m,
                 ):  # fmt: skip
                     free_s[i] = math.inf
                 elif free_s[i] == math.inf:
@@ -341,7 +398,7 @@ def settle(
             elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i]:
                 rule[i] = rule_for(
                     i, pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], now_s - nearer_s[i], radius[i],
-                    radius[i] + margin_m[i], start, other, places, states, obstacles, bounds_m,
+                    clearance_m, start, other, places, states, spread_m, obstacles, bounds_m,
                 )  # fmt: skip
                 free_s[i] = math.inf
         if rule[i] != NOT_SETTLED:
@@ -356,15 +413,16 @@ class Settling:
     ----------
     wanted : goals and sizes of the robots; the arrays are kept, their values may change
     bounds_m : (4,) the arena
+    confidence : so many standard deviations of its position the filter adds to a robot's margin
 
     Attributes
     ----------
     rule : (n,) by which the robot has settled; `NOT_SETTLED`
     """
 
-    def __init__(self, wanted: Wanted, bounds_m: Array) -> None:
+    def __init__(self, wanted: Wanted, bounds_m: Array, confidence: float) -> None:
         count = len(wanted.radius_m)
-        self._wanted, self._bounds_m = wanted, bounds_m
+        self._wanted, self._bounds_m, self._confidence = wanted, bounds_m, confidence
         self._state = Settled(
             goal=np.full((count, 2), math.nan),
             least_m=np.full(count, math.inf),
@@ -377,7 +435,7 @@ class Settling:
         self.rule = self._state.rule
         self._near: Nearby | None = None
         self._obstacles = NO_OBSTACLES
-        self._settle: Callable[[float, Array, Array, Array], None]
+        self._settle: Callable[[float, Array, Array, Array, Array], None]
 
     @property
     def settled(self) -> Flags:
@@ -385,12 +443,14 @@ class Settling:
         settled: Flags = self.rule != NOT_SETTLED
         return settled
 
-    def hold(self, now_s: float, desired: Array, pose: Array, twist: Array, near: Nearby, obstacles: Array) -> None:
+    def hold(
+        self, now_s: float, desired: Array, pose: Array, twist: Array, sigma: Array, near: Nearby, obstacles: Array
+    ) -> None:
         """Set the desired velocities (n, 2) of the settled robots to zero.
 
         Parameters
         ----------
-        pose, twist : (n, 3), (n, 2) estimated and measured
+        pose, twist, sigma : (n, 3), (n, 2), (n, 2) estimated, measured, and standard deviations of the pose
         near : which robots are near each
         obstacles : (k, 6), see ``Reading.obstacles``
         """
@@ -400,5 +460,5 @@ class Settling:
             given = self._state, self._wanted, near, arena
             if settle.run is settle.plain:
                 given = views(self._state), views(self._wanted), views(near), views(arena)
-            self._settle = bound(partial(settle.run, *given))
-        self._settle(now_s, desired, pose, twist)
+            self._settle = bound(partial(settle.run, *given, self._confidence))
+        self._settle(now_s, desired, pose, twist, sigma)

@@ -44,21 +44,28 @@ class Received(NamedTuple):
     """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
 
     `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
-    that each states; NaN: it states none.
+    that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
+    `delay_s`: (m,) how old each was on its arrival.
     """
 
     states: Array
     arrival_s: Array
     limits: Array
+    sigma: Array
+    delay_s: Array
 
 
 class Assumed(NamedTuple):
-    """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest."""
+    """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest.
+
+    `confidence`: so many standard deviations of a reported pose count.
+    """
 
     accel_m_s2: float
     speed_m_s: float
     turn_rad_s: float
     halt_s: float
+    confidence: float = 0.0
 
 
 UNMOVED = Assumed(0.0, 0.0, 0.0, 0.0)
@@ -88,6 +95,9 @@ class Neighbours:
     limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
+    sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
+    delay_s : (m,) how old each state was on its arrival
+    delay_of : returns that of states at their arrival, s; see ``CoreClock.delay_s``
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
@@ -112,6 +122,9 @@ class Neighbours:
         self.limits = np.zeros((0, 3))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
+        self.sigma = np.zeros((0, 2))
+        self.delay_s = np.zeros(0)
+        self.delay_of: Callable[[RobotStates, float], float] = no_delay
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
@@ -149,13 +162,21 @@ class Neighbours:
         limits = np.full((3, len(rows)), math.nan)
         if states.accel_m_s2:
             limits[:] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
+        sigma = np.zeros((2, len(rows)))
+        if states.sigma_m:
+            sigma[0] = states.sigma_m
+        if states.sigma_rad:
+            sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
-            rows, table, teams, limits = rows[finite], table[:, finite], teams[finite], limits[:, finite]
+            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
         self.limits[rows] = limits.T
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
+        self.sigma[rows] = sigma.T
+        self.delay_s[rows] = self.delay_of(states, now_s)
 
     def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
         """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
@@ -192,6 +213,9 @@ class Neighbours:
             limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
+        self.delay_s[row] = self.delay_of(states, now_s)
+        self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
+        self.sigma[row, 1] = states.sigma_rad[0] if states.sigma_rad else 0.0
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
@@ -273,6 +297,12 @@ class Neighbours:
         self._lists[key] = (start, other)
         return start, other
 
+    def longest_delay_s(self, now_s: float) -> float:
+        """Return the greatest delay of the states that still count, s; NaN when there are none of other robots."""
+        fresh = now_s - self.arrival_s[: self.count] <= self._timeout_s
+        fresh[self.own_row[self.own_row >= 0]] = False
+        return float(self.delay_s[: self.count][fresh].max()) if fresh.any() else math.nan
+
     def oldest_age_s(self, now_s: float) -> float:
         """Return the age of the stalest state that still counts; 0 when none is received."""
         ages = now_s - self.arrival_s[: self.count]
@@ -302,15 +332,22 @@ class Neighbours:
             self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
+            self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            received = Received(self.states, self.arrival_s, self.limits)
+            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
             out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
             self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def no_delay(_states: RobotStates, _now_s: float) -> float:
+    """Return 0: states count from their arrival."""
+    return 0.0
 
 
 def _fits(states: RobotStates) -> bool:
@@ -318,8 +355,9 @@ def _fits(states: RobotStates) -> bool:
     x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
-    if states.teams and len(states.teams) != count:
-        return False
+    for optional in (states.teams, states.sigma_m, states.sigma_rad):
+        if optional and len(optional) != count:
+            return False
     accel_m_s2 = states.accel_m_s2
     if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
         return False
@@ -379,15 +417,18 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
     robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever.
+    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever. The
+    error of the reported position widens the disc, but not the direction in which it lies: the distance of two points
+    is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
+    predicted path.
     """
-    states, arrival_s, limits = received
-    assumed_accel, assumed_speed, assumed_turn, halt_s = assumed
+    states, arrival_s, limits, sigma, delay_s = received
+    assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
     for row in range(count):
-        age_s = max(now_s - arrival_s[row], 0.0)
+        age_s = max(now_s - arrival_s[row], 0.0) + delay_s[row]
         if math.isinf(age_s):
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
@@ -410,7 +451,8 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
-        near_prediction_m = 0.5 * moved_s * moved_s * strongest
+        swing = confidence * sigma[row, 1]
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest + min(swing, 2.0) * math.fabs(speed) * moved_s
         near_state_m = fastest * moved_s
         middle = states[row, 2] + 0.5 * age_s * rate
         x = states[row, 0] + speed * age_s * math.cos(middle)
@@ -433,6 +475,7 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
             places[row, 1] = states[row, 1]
             spread_m[row] = near_state_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
+        spread_m[row] += confidence * sigma[row, 0]
     return silent
 
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.robot_controller import CODES, StopReason, explain_hazards
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -62,7 +63,9 @@ class Reports:
         self._law_error, self._ended, self._settled_by = law_error, ended, settled_by
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
 
-    def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
+    def states(
+        self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
+    ) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
         state, ids, host = self._state, self._fleet.ids, self._identity.host
         if state.reading is None:
@@ -78,6 +81,10 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
+        sigma_m: list[float] = []
+        sigma_rad: list[float] = []
+        if state.sigma.any():
+            sigma_m, sigma_rad = state.sigma.T.tolist()
         radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
         for cell, rows in cells.items():
             message = RobotStates(
@@ -96,6 +103,10 @@ class Reports:
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
                 accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
+                sigma_m=_pick(sigma_m, rows) if sigma_m else (),
+                sigma_rad=_pick(sigma_rad, rows) if sigma_rad else (),
+                core=clock.core,
+                offset_s=clock.offset_s,
             )
             yield keys.state(cell, host), message
 
