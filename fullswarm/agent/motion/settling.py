@@ -14,6 +14,9 @@ A settled robot goes on when its goal changes, or when for `ROOM_S` it could hav
 goal, to a place that the rule by which it settled takes for free. Each time that it settles again without having come
 nearer, that time is doubled, so that noise does not have it start and stop.
 
+A robot in its goal's disc whose pose is not good enough to tell it from the goal stops, too: what is left of the
+desired velocity there has the direction of the noise.
+
 The desired velocity of a settled robot is zero. All robots' desired velocities still pass through the filter.
 """
 
@@ -41,7 +44,7 @@ NEARER_RADII = 0.5
 FIT_M = 0.03
 """Beyond the filter's margin: the last of a gap is used up ever more slowly."""
 WINDOW_M = 2.0
-WAIT_S = 10.0
+WAIT_S = 6.0
 GIVE_UP_S = 20.0
 ROOM_S = 1.0
 LONGEST_ROOM_S = 64.0
@@ -50,6 +53,8 @@ TILTS = (0.0, 0.5, -0.5, 1.0, -1.0, 1.6, -1.6, 2.1, -2.1)
 AHEAD = 5
 """So many of them lead nearer to the goal."""
 NOT_SETTLED, NO_NEARER_PLACE, GOAL_TAKEN, SHUT_IN = range(4)
+RELEASED = 2.0
+"""So many times the distance at which a robot stops at its goal it must be away from it to go there again."""
 ROUNDING_M = 1e-6
 
 
@@ -58,7 +63,7 @@ class Settled(NamedTuple):
 
     `goal`: (n, 2) of the last call. `least_m`, `nearer_s`: (n,) least distance to it so far, and when it was reached.
     `check_s`: (n,) when to check next. `rule`: (n,) by which it has settled. `room_s`, `free_s`: (n,) how long there
-    must be room, and since when there is.
+    must be room, and since when there is. `at_goal`: (n,) it stands where its goal is, as far as it can know.
     """
 
     goal: Array
@@ -68,6 +73,7 @@ class Settled(NamedTuple):
     rule: Index
     room_s: Array
     free_s: Array
+    at_goal: Flags
 
 
 class Wanted(NamedTuple):
@@ -353,7 +359,7 @@ def settle(
     pose: Array, twist: Array, sigma: Array,
 ) -> None:  # fmt: skip
     """Set the desired velocities (n, 2) of settled robots to zero; see the module."""
-    goal, least_m, nearer_s, check_s, rule, room_s, free_s = state
+    goal, least_m, nearer_s, check_s, rule, room_s, free_s, at_goal = state
     goals, reach_m, lasting, radius, margin_m, speed_limit = wanted
     start, other, places, states, spread_m, _, _ = near
     obstacles, bounds_m = arena
@@ -377,7 +383,13 @@ def settle(
             nearer_s[i] = now_s
             check_s[i] = now_s + CHECK_S
             rule[i] = NOT_SETTLED
+            known_m = (RELEASED if at_goal[i] else 1.0) * confidence * sigma[i, 0]
+            at_goal[i] = left_m <= min(reach_m[i], known_m)
+            if at_goal[i]:
+                desired[i, 0] = 0.0
+                desired[i, 1] = 0.0
             continue
+        at_goal[i] = False
         if now_s >= check_s[i]:
             check_s[i] = now_s + CHECK_S
             ux = desired[i, 0] / size
@@ -431,6 +443,7 @@ class Settling:
             rule=np.zeros(count, np.int64),
             room_s=np.full(count, ROOM_S),
             free_s=np.full(count, math.inf),
+            at_goal=np.zeros(count, bool),
         )
         self.rule = self._state.rule
         self._near: Nearby | None = None

@@ -36,7 +36,7 @@ QUIET_S = 10.0
 FEW = 5
 
 
-HELD_SHARE, RELEASED_SHARE = 0.05, 0.1
+HELD_SHARE, RELEASED_SHARE = 0.1, 0.2
 """A robot is held while the projection leaves less than this of its desired speed: where the half-planes meet in a
 corner, the direction of what little is left jumps from one border to the other with each millimetre. A held robot turns
 to where it wants to go, and does not reverse. It is released by the greater share."""
