@@ -263,6 +263,17 @@ class PoseFix(Message, frozen=True, kw_only=True):
     contacts: Count = 0  # bodies and obstacles that the source sees the robot touch now
 
 
+class ObjectFix(Message, frozen=True, kw_only=True):
+    """Where a source outside sees something that is no robot of the fleet and may move: a person, a cart."""
+
+    object: str
+    x_m: Metres
+    y_m: Metres
+    radius_m: Radius  # of a disc that holds it
+    source: str = ""
+    stamp_s: Stamp = 0.0
+
+
 class Heartbeat(Message, frozen=True, kw_only=True):
     """A process of the core or a centralised node is alive; with its active requests."""
 
@@ -359,6 +370,22 @@ class Interventions(Message, frozen=True, kw_only=True):
     x_m_s: Changes = ()
     y_m_s: Changes = ()
     reasons: Names = ()
+    stamp_s: Stamp = 0.0
+
+
+Disc = tuple[Count, Metres, Metres, HalfSize]
+
+
+class SearchedDiscs(Message, frozen=True, kw_only=True):
+    """Where silent robots can still be, as far as the robots of one host have looked; 2 Hz while there are any.
+
+    Rows: index of the robot in `robots`, x, y, radius (m) of a disc. A robot's centre is in one of its discs; one
+    without a disc is nowhere within the place in which it fell silent.
+    """
+
+    host: str
+    robots: Names
+    discs: Annotated[tuple[Disc, ...], Meta(max_length=MOST)] = ()
     stamp_s: Stamp = 0.0
 
 

@@ -62,6 +62,7 @@ class Code(enum.StrEnum):
     CAME_FIRST = "came_first"  # by: the id of the newer request
     OTHER_CORE = "other_core"
     NOT_REPEATED = "lapsed"  # after_s
+    SIMULATED_ONLY = "simulated_only"  # law
     PARAMETERS = "parameters"  # problems; the hint after them lists all parameters
 
 
@@ -99,6 +100,8 @@ TEXTS: dict[Code, str] = {
     Code.SUPERSEDED: "superseded by {by}",
     Code.CAME_FIRST: "superseded by {by}, which came first",
     Code.OTHER_CORE: "another core commands this robot",
+    Code.SIMULATED_ONLY: "the law '{law}' lets robots collide: it runs on simulated robots only; ask for another "
+    "behaviour, for example move_to_goal_bc",
     Code.NOT_REPEATED: "the intent expired after {after_s} s without a repetition",
 }
 """The texts of this package; all others come with their codes from outside."""

@@ -49,6 +49,7 @@ LAWS = MappingProxyType(
             "voronoi_coverage",
             "move",
             "drive",
+            "paper_bc",
             "stop",
         )
     }

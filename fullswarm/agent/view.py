@@ -79,6 +79,7 @@ class View:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     bounds_m : x_min, y_min, x_max, y_max of the arena
     known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
+    speed_limit : (n,) m/s; None: there is none
     """
 
     def __init__(
@@ -91,7 +92,9 @@ class View:
         states: Array,
         bounds_m: tuple[float, float, float, float],
         known: Callable[[int, str], Array] = nothing_known,
+        speed_limit: Array | None = None,
     ) -> None:
+        self.speed_limit = np.full(len(position), math.inf) if speed_limit is None else speed_limit
         self.position, self.heading, self.radius = position, heading, radius
         self.bounds_m = bounds_m
         self.known = known
@@ -147,6 +150,12 @@ class View:
         return self._pairs()[3]
 
     @property
+    def neighbour_radius(self) -> Array:
+        """Footprint of the neighbour, (e,) m."""
+        radius: Array = self._states[self.other, 5]
+        return radius
+
+    @property
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
@@ -174,6 +183,7 @@ class View:
             self._states,
             self.bounds_m,
             lambda row, source: self.known(int(rows[row]), source),
+            self.speed_limit[rows],
         )
 
 

@@ -27,7 +27,7 @@ def test_the_file_holds_what_the_paper_names_each_with_its_filtered_twin() -> No
     plain |= {"voronoi_centralised", "teleop_centroid"} | {
         f"move_{way}" for way in ("forward", "backward", "left", "right")
     }
-    assert set(RECORDS) == plain | {f"{name}_bc" for name in plain} | {"stop"}
+    assert set(RECORDS) == plain | {f"{name}_bc" for name in plain} | {"stop", "paper_bc"}
     for name in plain:
         base, filtered = RECORDS[name], RECORDS[f"{name}_bc"]
         assert filtered.filtered

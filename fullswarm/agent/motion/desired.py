@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.motion.settling import Settling
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
@@ -19,6 +20,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.kernels import sum_of
 from fullswarm.reasons import NONE, Code, reason
 
 log = structlog.get_logger()
@@ -32,20 +34,21 @@ class DesiredMotion:
     Attributes
     ----------
     law_error : the last failure of each robot's control law, false if it never failed
+    sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     """
 
     def __init__(
         self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
         neighbours: Neighbours, obstacle_map: ObstacleMap, settling: Settling, deadlocks: Deadlocks,
-        safety: SafetyFilter, controller: RobotController,
+        safety: SafetyFilter, controller: RobotController, evasion: Evasion,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
-        self._settling, self._deadlocks = settling, deadlocks
+        self._settling, self._deadlocks, self._evasion = settling, deadlocks, evasion
         self._filter, self._controller = safety, controller
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
-        self._sees_obstacles = senses_obstacles
+        self.sees_obstacles = senses_obstacles
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
@@ -80,6 +83,7 @@ class DesiredMotion:
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
                 neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+                self._controller.speed_limit,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -87,13 +91,15 @@ class DesiredMotion:
             return
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
+        obstacles = reading.obstacles if self.sees_obstacles else self._obstacle_map.given
         if tasks.any_filtered:
             self._settling.hold(now_s, self._planar, pose, reading.twist, self._state.sigma, near, obstacles)
             # A stick's twist is not turned: its operator sees the robot.
             self._deadlocks.resolve(
                 now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
             )
+        if tasks.any_filtered and settings.evade:
+            self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
             self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
@@ -109,8 +115,7 @@ class DesiredMotion:
         """
         try:
             desired = group.call(view, group.params)
-            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
+            if not math.isfinite(sum_of(desired)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)

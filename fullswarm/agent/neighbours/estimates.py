@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, bound, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -45,7 +45,9 @@ class Received(NamedTuple):
 
     `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
     that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
-    `delay_s`: (m,) how old each was on its arrival.
+    `delay_s`: (m,) how old each was on its arrival. `confined` (m, 4): a disc (x, y, radius in m) that holds a silent
+    robot's centre, and the arrival of its last state; NaN for x: it is nowhere near. It counts while no newer state
+    arrives.
     """
 
     states: Array
@@ -53,6 +55,7 @@ class Received(NamedTuple):
     limits: Array
     sigma: Array
     delay_s: Array
+    confined: Array
 
 
 class Assumed(NamedTuple):
@@ -112,6 +115,8 @@ class Neighbours:
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
+        self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
+        self._kept: object = None  # what seldom changes, while the batch's rows hold it
         self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
         self._now_s, self._stale = 0.0, True
         self.count = 0
@@ -120,6 +125,7 @@ class Neighbours:
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
         self.limits = np.zeros((0, 3))
+        self._confined = np.zeros((0, 4))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
         self.sigma = np.zeros((0, 2))
@@ -157,7 +163,16 @@ class Neighbours:
             return
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        kept = (
+            states.teams, states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2, states.sigma_m,
+            states.sigma_rad,
+        )  # fmt: skip
         table = np.array(columns)
+        if kept == self._kept and math.isfinite(sum(map(sum, columns))):
+            self.states[self._place] = table.T
+            self.arrival_s[self._place] = now_s
+            return
+        self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
         limits = np.full((3, len(rows)), math.nan)
         if states.accel_m_s2:
@@ -168,7 +183,9 @@ class Neighbours:
         if states.sigma_rad:
             sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
-        if not finite.all():
+        if finite.all():
+            self._kept = kept
+        else:
             rows, table, teams = rows[finite], table[:, finite], teams[finite]
             limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
@@ -197,6 +214,7 @@ class Neighbours:
         row = self._row_of.get(states.robots[0])
         if row is None:
             row = int(self._rows(states.robots)[0])
+        self._kept = None
         received = self.states
         received[row, 0] = x_m
         received[row, 1] = y_m
@@ -220,6 +238,12 @@ class Neighbours:
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
         self._now_s, self._stale = now_s, True
+
+    def refresh(self, now_s: float) -> None:
+        """Predict to `now_s` now, unless that has been done."""
+        if self._stale or self._now_s != now_s:
+            self._now_s = now_s
+            self._predict()
 
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
@@ -258,6 +282,27 @@ class Neighbours:
             fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
             if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
                 self.arrival_s[row] = -math.inf
+
+    def at_rest(self, now_s: float) -> Flags:
+        """Tell which robots are silent and at standstill by now, (m,): their discs grow no more."""
+        count = self.count
+        speed, accel = self.limits[:count, 0], self.limits[:count, 2]
+        stated = np.isfinite(speed + accel)
+        speed = np.maximum(np.where(stated, speed, self._assumed.speed_m_s), np.abs(self.states[:count, 3]))
+        stop_s = speed / np.maximum(np.where(stated, accel, self._assumed.accel_m_s2), 1e-9)
+        ages_s = self.ages_s(now_s)
+        silent: Flags = np.isfinite(ages_s) & (ages_s > max(self._assumed.halt_s, self._timeout_s) + stop_s)
+        return silent
+
+    def heard(self, now_s: float) -> Flags:
+        """Tell which robots are not silent, own ones left out, (m,)."""
+        found: Flags = self.ages_s(now_s) <= self._timeout_s
+        found[self.own_row[self.own_row >= 0]] = False
+        return found
+
+    def confine(self, row: int, x_m: float, y_m: float, radius_m: float) -> None:
+        """Hold the disc of a silent robot to (x, y) and a radius; NaN: it is nowhere near. A new state ends that."""
+        self._confined[row] = x_m, y_m, radius_m, self.arrival_s[row]
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
         """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
@@ -322,7 +367,8 @@ class Neighbours:
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
-            self._batch = (robots, rows)
+            self._batch, self._kept = (robots, rows), None
+            self._place = slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
         return rows
 
     def _grow(self, count: int) -> None:
@@ -330,6 +376,7 @@ class Neighbours:
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
             self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
+            self._confined = np.vstack([self._confined, np.full((more, 4), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
@@ -338,7 +385,9 @@ class Neighbours:
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
+            received = Received(
+                self.states, self.arrival_s, self.limits, self.sigma, self.delay_s, self._confined
+            )  # fmt: skip
             out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
@@ -412,17 +461,46 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
+def distance_m(speed: float, accel: float, fastest: float, time_s: float) -> float:
+    """Return how far a body goes in a time that gains `accel` from `speed` >= 0 until it is at `fastest`."""
+    if accel <= 0.0:
+        return fastest * time_s
+    gaining_s = min((fastest - speed) / accel, time_s)
+    return (speed + 0.5 * accel * gaining_s) * gaining_s + fastest * (time_s - gaining_s)
+
+
+@kernel
+def reachable(speed: float, accel: float, fastest: float, turn: float, time_s: float) -> tuple[float, float]:
+    """Return a disc that holds all places a unicycle can reach: its centre's distance ahead, and its radius, m.
+
+    While its heading has changed by less than a quarter turn, it is in a rectangle: ahead as far as it can go forwards,
+    behind as far as it can reverse after it has braked, and to the side as far as at full speed in a full turn. After
+    that every direction is possible at the greatest speed.
+    """
+    if accel <= 0.0:
+        return 0.0, fastest * time_s
+    straight_s = min(time_s, 0.5 * math.pi / turn) if turn > 0.0 else time_s
+    aside_m = fastest * (1.0 - math.cos(turn * straight_s)) / turn if turn > 0.0 else 0.0
+    braking_s = min(math.fabs(speed) / accel, straight_s)
+    on_m = distance_m(math.fabs(speed), accel, fastest, straight_s)
+    back_m = distance_m(0.0, accel, fastest, straight_s - braking_s)
+    ahead_m = 0.5 * (on_m - back_m) if speed >= 0.0 else 0.5 * (back_m - on_m)
+    return ahead_m, math.hypot(0.5 * (on_m + back_m), aside_m) + fastest * (time_s - straight_s)
+
+
+@kernel
 def predict(received: Received, out: Predicted, assumed: Assumed, count: int, now_s: float, timeout_s: float) -> int:
     """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
-    robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever. The
+    robot is never farther from its last position than its acceleration and speed allow, nor outside of what a unicycle
+    can reach from its last motion (`reachable`): the smallest disc counts. A silent robot is at standstill or about to
+    be: its disc grows until the assumed `halt_s` and then stays, for ever, unless the robot is confined by sight. The
     error of the reported position widens the disc, but not the direction in which it lies: the distance of two points
     is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
     predicted path.
     """
-    states, arrival_s, limits, sigma, delay_s = received
+    states, arrival_s, limits, sigma, delay_s, confined = received
     assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
@@ -451,9 +529,9 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
-        swing = confidence * sigma[row, 1]
-        near_prediction_m = 0.5 * moved_s * moved_s * strongest + min(swing, 2.0) * math.fabs(speed) * moved_s
-        near_state_m = fastest * moved_s
+        swing = min(confidence * sigma[row, 1], 2.0)
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest + swing * math.fabs(speed) * moved_s
+        near_state_m = distance_m(math.fabs(speed), accel_m_s2, fastest, moved_s)
         middle = states[row, 2] + 0.5 * age_s * rate
         x = states[row, 0] + speed * age_s * math.cos(middle)
         y = states[row, 1] + speed * age_s * math.sin(middle)
@@ -464,18 +542,30 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
             silent += 1
-        if age_s <= timeout_s and near_prediction_m < near_state_m:
+        ahead_m = 0.0
+        near_ahead_m = near_state_m
+        if age_s > timeout_s or near_prediction_m > 0.5 * near_state_m:  # what is reachable is no smaller than that
+            ahead_m, near_ahead_m = reachable(speed, accel_m_s2, fastest, max(turn_rad_s, math.fabs(rate)), moved_s)
+            near_ahead_m += swing * near_state_m
+            if near_ahead_m >= near_state_m:
+                ahead_m = 0.0
+                near_ahead_m = near_state_m
+        if age_s <= timeout_s and near_prediction_m < near_ahead_m:
             places[row, 0] = x
             places[row, 1] = y
             spread_m[row] = near_prediction_m
         else:
             if age_s > halt_s and accel_m_s2 > 0.0:
-                near_state_m += 0.5 * fastest * fastest / accel_m_s2
-            places[row, 0] = states[row, 0]
-            places[row, 1] = states[row, 1]
-            spread_m[row] = near_state_m
+                near_ahead_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = states[row, 0] + ahead_m * math.cos(states[row, 2])
+            places[row, 1] = states[row, 1] + ahead_m * math.sin(states[row, 2])
+            spread_m[row] = near_ahead_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
         spread_m[row] += confidence * sigma[row, 0]
+        if age_s > halt_s and confined[row, 3] == arrival_s[row]:
+            places[row, 0] = confined[row, 0]
+            places[row, 1] = confined[row, 1]
+            spread_m[row] = confined[row, 2]
     return silent
 
 

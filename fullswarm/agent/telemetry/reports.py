@@ -61,7 +61,8 @@ class Reports:
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._ended, self._settled_by = law_error, ended, settled_by
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
+        self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
     def states(
         self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
@@ -81,11 +82,10 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
-        sigma_m: list[float] = []
-        sigma_rad: list[float] = []
-        if state.sigma.any():
-            sigma_m, sigma_rad = state.sigma.T.tolist()
-        radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
+        sigma_m, sigma_rad = state.sigma.T.tolist()
+        if not any(sigma_m) and not any(sigma_rad):
+            sigma_m, sigma_rad = [], []
+        teams = self._tasks.team.tolist()
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -97,7 +97,7 @@ class Reports:
                 heading_rad=_pick(heading_rad, rows),
                 speed_m_s=_pick(speed_m_s, rows),
                 turn_rad_s=_pick(turn_rad_s, rows),
-                radius_m=_pick(radius_m, rows),
+                radius_m=_pick(self._radius_m, rows),
                 teams=_pick(teams, rows),
                 speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
