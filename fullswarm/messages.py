@@ -327,6 +327,8 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     sigma_rad: Sigmas = ()  # of the heading
     core: str = ""  # the core process by whose clock `stamp_s` + `offset_s` is; empty: the offset is not known
     offset_s: Stamp = 0.0
+    aim_x_m: Places = ()  # where each is driving to next, its own place: nowhere; empty: not stated
+    aim_y_m: Places = ()
 
 
 class Reception(Message, frozen=True, kw_only=True):
@@ -534,7 +536,10 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and all(len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad))
+        == len(m.radius_m) and all(
+            len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
+        )
+        and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),

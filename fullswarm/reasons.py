@@ -39,6 +39,8 @@ class Code(enum.StrEnum):
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
     SETTLED = "settled"
+    NO_WAY = "no_way"  # goal, needed_m, widest_m
+    GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
     ESTOP_ENGAGED = "estop_engaged"  # by
     ESTOP_RELEASED = "estop_released"  # by
@@ -90,6 +92,9 @@ TEXTS: dict[Code, str] = {
     "it continues once that is back",
     Code.SETTLED: "arrived as near as possible: the places nearer to its goal are taken, or there is no way to them; "
     "it goes on when there is room",
+    Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
+    "continues when it knows a wider one",
+    Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",

@@ -43,6 +43,7 @@ LAWS = MappingProxyType(
         for name in (
             "move_to_goal",
             "navigate",
+            "navigate_each",
             "flocking",
             "rendezvous",
             "formation",

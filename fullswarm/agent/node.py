@@ -152,7 +152,8 @@ class AgentNode:
         )
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
-            law_error=self.desired.law_error, ended=self.inbox.ended, settled_by=self.settling.rule,
+            law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
+            settled_by=self.settling.rule,
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
@@ -276,6 +277,8 @@ class AgentNode:
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.news:
+            self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)

@@ -26,7 +26,7 @@ from fullswarm.keys import Keys
 from fullswarm.messages import HealthReport, PoseFix, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
-from fullswarm.simulation.approaches import Approaches
+from fullswarm.simulation.approaches import SPAN, Approaches
 from fullswarm.simulation.contacts import ContactReferee
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 from fullswarm.simulation.world import World
@@ -43,7 +43,6 @@ REPORTED_HZ = 20.0
 """How often poses of real robots are judged: as often as they report them."""
 FAR_M = 1e6
 NOWHERE = 2e9  # grains, of a pose that is not known
-CHUNK = 256  # steps that are kept as they are before they are rounded
 WALLS = ("west wall", "east wall", "south wall", "north wall")
 
 
@@ -98,7 +97,6 @@ class Referee:
     ----------
     pairs : which pairs of robots have touched, as (row, higher row)
     touched : (n,) which robots have touched anything
-    approaches : how near they came
     """
 
     def __init__(self, bodies: Bodies, standard: Standard) -> None:
@@ -108,25 +106,38 @@ class Referee:
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
-        self._counts = np.zeros((2, count), np.int64)
+        self._counts, self._touching = np.zeros((2, count), np.int64), False
         self._steps = 0
-        self.approaches = Approaches(bodies.pose, bodies.referee.solids)
-        self._new: list[tuple[Array, Array]] = [(bodies.pose.copy(), bodies.target.copy())]
-        self._motion: list[NDArray[np.int32]] = []  # (t, n, 5) x, y, heading, command in grains
+        self._approaches = Approaches(bodies.referee.solids, bodies.referee.touch_m, bodies.dt_s)
+        # The steps of the present span: row 0 is where it began.
+        self._row = 0
+        self._pose, self._command = np.zeros((SPAN + 1, count, 3)), np.zeros((SPAN + 1, count, 2))
+        self._pose[0], self._command[0] = bodies.pose, bodies.target
+        self._near: list[tuple[int, Index, Array]] = []
+        self._motion = [_grains(self._pose[:1], self._command[:1])]  # (t, n, 5) x, y, heading, command
         self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
         self._above: list[Array] = []
 
     def sample(self) -> None:
         """Take in the last step."""
-        bodies, counts, found = self._bodies, self._counts, self._bodies.referee
+        bodies, found = self._bodies, self._bodies.referee
         self._steps += 1
         time_s = self._steps * bodies.dt_s
-        self._new.append((bodies.pose.copy(), bodies.target.copy()))
-        if len(self._new) > CHUNK:
-            self._round()
-        self.approaches.sample(time_s, bodies.dt_s, bodies.pose, found)
+        self._row += 1
+        self._pose[self._row], self._command[self._row] = bodies.pose, bodies.target
+        if len(found.near):
+            self._near.append((self._row, found.near.copy(), found.near_gap_m.copy()))
+        if len(found.pairs) or self._touching:
+            self._count(time_s)
+        if self._row == SPAN:
+            self._end_span()
+
+    def _count(self, time_s: float) -> None:
+        """Take in the contacts of the last step, or that there is none any more."""
+        counts, found = self._counts, self._bodies.referee
         counts[:] = 0
-        if len(found.pairs):
+        self._touching = len(found.pairs) > 0
+        if self._touching:
             for first, second in found.pairs.tolist():
                 if second >= 0:
                     counts[0, first] += 1
@@ -140,29 +151,41 @@ class Referee:
         self.robots.update(time_s, counts[0])
         self.obstacles.update(time_s, counts[1])
 
-    def _round(self) -> None:
-        """Round the newest rows to grains, and list the commands above the limits among them."""
-        if not self._new:
+    def _end_span(self) -> None:
+        """Take in the steps of the present span, and begin a new one."""
+        steps, pose, command = self._row, self._pose[: self._row + 1], self._command[: self._row + 1]
+        if not steps:
             return
-        first = self._steps + 1 - len(self._new)
-        pose, command = (np.array(each) for each in zip(*self._new, strict=True))
-        self._new.clear()
-        grains = np.concatenate([np.round(pose / GRAIN), np.trunc(command / GRAIN)], axis=2)
-        self._motion.append(np.nan_to_num(grains, nan=NOWHERE).astype(np.int32))
-        steps, rows = np.nonzero((np.abs(command) > self._most).any(axis=2))
-        steps, rows = (each[steps + first > 0] for each in (steps, rows))  # what was asked before does not count
-        self._above.append(np.column_stack([steps + first, rows, command[steps, rows]]))
+        first = self._steps - steps
+        entries = [np.column_stack([np.full(len(near), row), near]) for row, near, _ in self._near]
+        gaps = [each for _, _, each in self._near]
+        if entries:
+            self._approaches.take(first, pose, np.concatenate(entries), np.concatenate(gaps))
+        else:
+            self._approaches.take(first, pose, np.zeros((0, 3), np.int64), np.zeros(0))
+        self._motion.append(_grains(pose[1:], command[1:]))
+        above = np.abs(command[1:]) > self._most
+        if above.any():
+            rows, robots = np.nonzero(above.any(axis=2))
+            self._above.append(np.column_stack([rows + first + 1, robots, command[rows + 1, robots]]))
+        self._pose[0], self._row = pose[-1], 0
+        self._near.clear()
 
     @property
     def above_limits(self) -> int:
         """How many commands were above the limits so far."""
-        self._round()
+        self._end_span()
         return sum(map(len, self._above))
+
+    @property
+    def approaches(self) -> Approaches:
+        """How near they came so far."""
+        self._end_span()
+        return self._approaches
 
     def evidence(self) -> Evidence:
         """Return what is needed to count everything again."""
         bodies, found, standard, nearest = self._bodies, self._bodies.referee, self._standard, self.approaches.nearest
-        self._round()
         motion = np.concatenate(self._motion)
         bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
         steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))
@@ -189,7 +212,7 @@ class Referee:
             xy=motion[:, :, :2],
             heading=motion[:, :, 2],
             command=motion[:, :, 3:],
-            above=np.concatenate(self._above),
+            above=np.concatenate([np.zeros((0, 4)), *self._above]),
             bend_step=steps,
             bend_robot=rows,
             bend=np.diff(ways, axis=1, prepend=starts),
@@ -235,6 +258,13 @@ class Referee:
     def _obstacle(self, k: int) -> str:
         boxes = len(self._bodies.obstacles) - len(WALLS) * self._standard.walls
         return WALLS[k - boxes] if k >= boxes else f"box {k}"
+
+
+def _grains(pose: Array, command: Array) -> NDArray[np.int32]:
+    """Return poses (t, n, 3) and commands (t, n, 2) in whole grains, commands rounded towards zero, (t, n, 5)."""
+    grains = np.concatenate([np.round(pose / GRAIN), np.trunc(command / GRAIN)], axis=2)
+    grains[np.isnan(grains)] = NOWHERE
+    return grains.astype(np.int32)
 
 
 class ContactTally(NamedTuple):

@@ -1,5 +1,6 @@
 """Follows how near bodies come: closest approach of each pair and of each body and obstacle, least time to contact.
 
+Steps are taken in by the dozen: a pair that cannot come nearer than ever within a span of steps is left out at once.
 For pairs that the referee has followed through a step (`ContactReferee.near`) its gaps count, which look into the
 step; for all others bodies move straight from the start of a step to its end.
 
@@ -14,25 +15,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fullswarm.kernels import Array, Flags, Index, kernel
-from fullswarm.simulation.contacts import ContactReferee, Solids, closest_on_way
+from fullswarm.kernels import Array, Index, kernel
+from fullswarm.simulation.contacts import Solids, closest_on_way
 from fullswarm.simulation.obstacles import obstacle_gap
+
+SPAN = 60
+"""So many steps are taken in at a time, at most: a bit of an integer for each."""
 
 
 class Nearest(NamedTuple):
-    """What came how near to what so far, and what is needed to go on."""
+    """What came how near to what so far."""
 
     gap: Array  # (n (n - 1) / 2,) m, least of the pairs (0, 1), (0, 2), …, (1, 2), …
     at: Array  # (n (n - 1) / 2,) s, the end of the step in which it was
     wall_gap: Array  # (n, k) m, the same for bodies and obstacles
     wall_at: Array  # (n, k) s
-    room: Array  # (n, k) way of the body (`way`) at which its gap to the obstacle may be less again
-    way: Array  # (n,) m that each body has moved
     soonest: Array  # (2,) s, least time to contact, and the end of the step after which it was
     who: Index  # (2,) row and other row, or -1-k: of that
-    followed: Flags  # (n (n - 1) / 2,) scratch
-    wall_followed: Flags  # (n, k) scratch
-    before: Array  # (n, 2) where the bodies were
+    followed: Index  # (n (n - 1) / 2,) bit s is set: the referee has followed the pair through step s of the span
+    wall_followed: Index  # (n, k)
+
+
+class Span(NamedTuple):
+    """Steps that follow each other."""
+
+    path: Array  # (s + 1, n, 3) poses: at the start, then at the end of each step
+    away: Array  # (n,) m, how far each body got from where it was at the start
+    longest: Array  # (n,) m, its longest step
+    entries: Index  # (m, 3) what the referee has followed: step of the span (from 1), row, other row or -1-k
+    gaps: Array  # (m,) m, its smallest gaps
 
 
 @kernel
@@ -50,19 +61,20 @@ def book_time(nearest: Nearest, time_s: float, seconds: float, i: int, j: int) -
 
 
 @kernel
-def take_followed(nearest: Nearest, time_s: float, near: Index, gaps: Array, touch: float) -> None:
-    """Take in the gaps of the pairs that the referee has followed, and mark these pairs."""
-    n = nearest.before.shape[0]
-    for m in range(near.shape[0]):
-        i, j, gap = near[m, 0], near[m, 1], gaps[m]
+def take_followed(nearest: Nearest, span: Span, first: int, dt: float, touch: float) -> None:
+    """Take in what the referee has followed, and mark these pairs and steps."""
+    n = span.path.shape[1]
+    for m in range(span.entries.shape[0]):
+        s, i, j, gap = span.entries[m, 0], span.entries[m, 1], span.entries[m, 2], span.gaps[m]
+        time_s = (first + s) * dt
         if j >= 0:
             pair = pair_index(min(i, j), max(i, j), n)
-            nearest.followed[pair] = True
+            nearest.followed[pair] |= 1 << s
             if gap < nearest.gap[pair]:
                 nearest.gap[pair], nearest.at[pair] = gap, time_s
         else:
             k = -1 - j
-            nearest.wall_followed[i, k] = True
+            nearest.wall_followed[i, k] |= 1 << s
             if gap < nearest.wall_gap[i, k]:
                 nearest.wall_gap[i, k], nearest.wall_at[i, k] = gap, time_s
         if gap <= touch:
@@ -70,128 +82,123 @@ def take_followed(nearest: Nearest, time_s: float, near: Index, gaps: Array, tou
 
 
 @kernel
-def take_pairs(nearest: Nearest, time_s: float, dt: float, pose: Array, radius: Array, furthest: float) -> None:
-    """Take in one step of all pairs of bodies, none of which moved more than `furthest`."""
-    n = pose.shape[0]
-    slack = 2.0 * furthest
-    soon = nearest.soonest[0] * slack / dt if slack > 0.0 else 0.0
+def take_pairs(nearest: Nearest, span: Span, first: int, dt: float, radius: Array) -> None:
+    """Take in the steps of all pairs of bodies."""
+    path, last = span.path, span.path.shape[0] - 1
+    n = path.shape[1]
     pair = -1
     for i in range(n):
         for j in range(i + 1, n):
             pair += 1
             followed = nearest.followed[pair]
-            nearest.followed[pair] = False
+            nearest.followed[pair] = 0
             both = radius[i] + radius[j]
-            x, y = pose[j, 0] - pose[i, 0], pose[j, 1] - pose[i, 1]
-            apart = x * x + y * y
-            # Neither nearer than ever within the step, nor so near that at the greatest rate it is the soonest.
-            far = max(nearest.gap[pair] + slack, soon) + both
-            if apart >= far * far:
+            x, y = path[0, j, 0] - path[0, i, 0], path[0, j, 1] - path[0, i, 1]
+            apart = math.sqrt(x * x + y * y)
+            room = apart - both - span.away[i] - span.away[j]
+            step = span.longest[i] + span.longest[j]
+            # Neither nearer than ever, nor so near that at the greatest rate it is the soonest.
+            if room > nearest.gap[pair] and (step <= 0.0 or room > nearest.soonest[0] * step / dt):
                 continue
-            old_x = nearest.before[j, 0] - nearest.before[i, 0]
-            old_y = nearest.before[j, 1] - nearest.before[i, 1]
-            after = math.sqrt(apart)
-            closed = math.sqrt(old_x * old_x + old_y * old_y) - after
-            if closed > 0.0:
-                book_time(nearest, time_s, max(0.0, after - both) * dt / closed, i, j)
-            if followed:
-                continue
-            along_x, along_y = x - old_x, y - old_y
-            length = along_x * along_x + along_y * along_y
-            if length > 0.0:
-                part = min(1.0, max(0.0, -(old_x * along_x + old_y * along_y) / length))
-                old_x += part * along_x
-                old_y += part * along_y
-            gap = math.sqrt(old_x * old_x + old_y * old_y) - both
-            if gap < nearest.gap[pair]:
-                nearest.gap[pair], nearest.at[pair] = gap, time_s
+            for s in range(1, last + 1):
+                next_x, next_y = path[s, j, 0] - path[s, i, 0], path[s, j, 1] - path[s, i, 1]
+                after = math.sqrt(next_x * next_x + next_y * next_y)
+                least = min(apart, after)
+                if after < apart and (after - both) * dt < nearest.soonest[0] * (apart - after):
+                    book_time(nearest, (first + s) * dt, max(0.0, after - both) * dt / (apart - after), i, j)
+                if (followed >> s) & 1 == 0:
+                    along_x, along_y = next_x - x, next_y - y
+                    if x * along_x + y * along_y < 0.0 < next_x * along_x + next_y * along_y:  # it went by
+                        length = math.sqrt(along_x * along_x + along_y * along_y)
+                        least = math.fabs(x * along_y - y * along_x) / length
+                    if least - both < nearest.gap[pair]:
+                        nearest.gap[pair], nearest.at[pair] = least - both, (first + s) * dt
+                x, y, apart = next_x, next_y, after
 
 
 @kernel
-def take_obstacles(nearest: Nearest, time_s: float, dt: float, pose: Array, solids: Solids) -> None:
-    """Take in one step of all bodies and obstacles."""
-    obstacles = solids.obstacles
-    for i in range(pose.shape[0]):
-        x, y = nearest.before[i, 0], nearest.before[i, 1]
-        along_x, along_y = pose[i, 0] - x, pose[i, 1] - y
-        length = math.sqrt(along_x * along_x + along_y * along_y)
-        soon = 0.0
-        if length > 0.0:
-            nearest.way[i] += length
-            soon = nearest.soonest[0] * length / dt
-        for k in range(obstacles.shape[0]):
-            followed = nearest.wall_followed[i, k]
-            nearest.wall_followed[i, k] = False
-            spare = nearest.room[i, k] - nearest.way[i]
-            # The gap is at least what it was when `room` was set, less the way since then.
-            if spare > 0.0 and nearest.wall_gap[i, k] + spare > soon:
-                continue
-            first, first_x, first_y = obstacle_gap(x, y, obstacles, k)
-            last, last_x, last_y = obstacle_gap(x + along_x, y + along_y, obstacles, k)
-            if last < first:
-                book_time(nearest, time_s, max(0.0, last - solids.radius[i]) * dt / (first - last), i, -1 - k)
-            least = min(first, last)
-            if first_x * along_x + first_y * along_y < 0.0 < last_x * along_x + last_y * along_y:
-                least = closest_on_way(x, y, along_x, along_y, obstacles, k)  # it went by within the step
-            if not followed and least - solids.radius[i] < nearest.wall_gap[i, k]:
-                nearest.wall_gap[i, k], nearest.wall_at[i, k] = least - solids.radius[i], time_s
-            nearest.room[i, k] = nearest.way[i] + last - solids.radius[i] - nearest.wall_gap[i, k]
+def take_obstacle(nearest: Nearest, span: Span, first: int, dt: float, solids: Solids, i: int, k: int) -> None:
+    """Take in the steps of a body and an obstacle."""
+    path, radius, obstacles = span.path, solids.radius[i], solids.obstacles
+    followed = nearest.wall_followed[i, k]
+    nearest.wall_followed[i, k] = 0
+    x, y = path[0, i, 0], path[0, i, 1]
+    apart, normal_x, normal_y = obstacle_gap(x, y, obstacles, k)
+    room, step = apart - radius - span.away[i], span.longest[i]
+    if room > nearest.wall_gap[i, k] and (step <= 0.0 or room > nearest.soonest[0] * step / dt):
+        return
+    for s in range(1, path.shape[0]):
+        along_x, along_y = path[s, i, 0] - x, path[s, i, 1] - y
+        after, next_x, next_y = obstacle_gap(path[s, i, 0], path[s, i, 1], obstacles, k)
+        least = min(apart, after)
+        if after < apart:
+            book_time(nearest, (first + s) * dt, max(0.0, after - radius) * dt / (apart - after), i, -1 - k)
+        if (followed >> s) & 1 == 0:
+            if normal_x * along_x + normal_y * along_y < 0.0 < next_x * along_x + next_y * along_y:  # it went by
+                least = closest_on_way(x, y, along_x, along_y, obstacles, k)
+            if least - radius < nearest.wall_gap[i, k]:
+                nearest.wall_gap[i, k], nearest.wall_at[i, k] = least - radius, (first + s) * dt
+        x, y, apart, normal_x, normal_y = path[s, i, 0], path[s, i, 1], after, next_x, next_y
 
 
 @kernel
-def approach(
-    nearest: Nearest, time_s: float, dt: float, pose: Array, solids: Solids, near: Index, gaps: Array, touch: float
-) -> None:
-    """Take in one step from where the bodies were to `pose`; the pairs `near` came as close as `gaps` in it."""
-    furthest = 0.0
-    for i in range(pose.shape[0]):
-        dx, dy = pose[i, 0] - nearest.before[i, 0], pose[i, 1] - nearest.before[i, 1]
-        moved = dx * dx + dy * dy
-        if moved > furthest:  # false for a body that is nowhere
-            furthest = moved
-    take_followed(nearest, time_s, near, gaps, touch)
-    take_pairs(nearest, time_s, dt, pose, solids.radius, math.sqrt(furthest))
-    take_obstacles(nearest, time_s, dt, pose, solids)
-    for i in range(pose.shape[0]):
-        nearest.before[i, 0], nearest.before[i, 1] = pose[i, 0], pose[i, 1]
+def approach(nearest: Nearest, span: Span, solids: Solids, first: int, dt: float, touch: float) -> None:
+    """Take in a span, before which there were `first` steps of `dt` seconds."""
+    path = span.path
+    for i in range(path.shape[1]):
+        span.away[i] = span.longest[i] = 0.0
+        for s in range(1, path.shape[0]):
+            dx, dy = path[s, i, 0] - path[0, i, 0], path[s, i, 1] - path[0, i, 1]
+            along_x, along_y = path[s, i, 0] - path[s - 1, i, 0], path[s, i, 1] - path[s - 1, i, 1]
+            span.away[i] = max(span.away[i], dx * dx + dy * dy)
+            span.longest[i] = max(span.longest[i], along_x * along_x + along_y * along_y)
+        span.away[i], span.longest[i] = math.sqrt(span.away[i]), math.sqrt(span.longest[i])
+    take_followed(nearest, span, first, dt, touch)
+    take_pairs(nearest, span, first, dt, solids.radius)
+    for i in range(path.shape[1]):
+        for k in range(solids.obstacles.shape[0]):
+            take_obstacle(nearest, span, first, dt, solids, i, k)
 
 
 class Approaches:
-    """How near n bodies came to each other and to obstacles, from `pose` (n, 3) on.
+    """How near n bodies came to each other and to obstacles.
 
     Attributes
     ----------
     nearest : all gaps and times
     """
 
-    def __init__(self, pose: Array, solids: Solids) -> None:
-        n, k = len(pose), len(solids.obstacles)
+    def __init__(self, solids: Solids, touch_m: float, dt_s: float) -> None:
+        n, k = len(solids.radius), len(solids.obstacles)
         pairs = n * (n - 1) // 2
-        self._solids = solids
+        self._solids, self._touch_m, self._dt_s = solids, touch_m, dt_s
+        self._away, self._longest = np.zeros(n), np.zeros(n)
         self.nearest = Nearest(
             gap=np.full(pairs, math.inf),
             at=np.zeros(pairs),
             wall_gap=np.full((n, k), math.inf),
             wall_at=np.zeros((n, k)),
-            room=np.full((n, k), -math.inf),
-            way=np.zeros(n),
             soonest=np.array([math.inf, 0.0]),
             who=np.zeros(2, np.int64),
-            followed=np.zeros(pairs, np.bool_),
-            wall_followed=np.zeros((n, k), np.bool_),
-            before=np.array(pose[:, :2]),
+            followed=np.zeros(pairs, np.int64),
+            wall_followed=np.zeros((n, k), np.int64),
         )
 
-    def sample(self, time_s: float, dt_s: float, pose: Array, referee: ContactReferee) -> None:
-        """Take in one step of `dt_s` that ended at `time_s` with the bodies at `pose` (n, 3), as the referee saw it."""
-        approach.run(
-            self.nearest, time_s, dt_s, pose, self._solids, referee.near, referee.near_gap_m, referee.touch_m
-        )  # fmt: skip
+    def take(self, first: int, path: Array, entries: Index, gaps_m: Array) -> None:
+        """Take in a span of `SPAN` steps at most, before which there were `first`.
+
+        Parameters
+        ----------
+        path : (s + 1, n, 3) true poses
+        entries, gaps_m : (m, 3), (m,) as in `Span`
+        """
+        span = Span(path, self._away, self._longest, entries, gaps_m)
+        approach.run(self.nearest, span, self._solids, first, self._dt_s, self._touch_m)
 
     @property
     def apart_m(self) -> Array:
         """The least gap of each body to another one, (n,); inf: there is none."""
-        n = len(self.nearest.before)
+        n = len(self._solids.radius)
         least = np.full((n, n), math.inf)
         least[np.triu_indices(n, 1)] = self.nearest.gap
         found: Array = np.minimum(least, least.T).min(axis=1, initial=math.inf)

@@ -97,6 +97,7 @@ class Neighbours:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
+    aims : (m, 2) m, where each says that it is driving to next, its own place: nowhere; NaN: it does not say
     arrival_s : (m,) when, on this machine's clock
     sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
     delay_s : (m,) how old each state was on its arrival
@@ -106,19 +107,22 @@ class Neighbours:
         fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
     names : (m,) ids of the robots
+    now_s : time of the last `set_time`
+    ids : (n,) ids of the own robots
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED) -> None:
-        self._own, self._assumed = ids, assumed
+        self.ids, self._assumed = ids, assumed
         self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
         self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
+        self._aimed = False  # some of the batch's rows hold an aim
         self._kept: object = None  # what seldom changes, while the batch's rows hold it
         self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
-        self._now_s, self._stale = 0.0, True
+        self.now_s, self._stale = 0.0, True
         self.count = 0
         self.names: list[str] = []
         self.own_row = np.full(len(ids), -1, np.int64)
@@ -127,6 +131,7 @@ class Neighbours:
         self.limits = np.zeros((0, 3))
         self._confined = np.zeros((0, 4))
         self.teams = np.zeros(0, np.int64)
+        self.aims = np.zeros((0, 2))
         self.arrival_s = np.zeros(0)
         self.sigma = np.zeros((0, 2))
         self.delay_s = np.zeros(0)
@@ -171,6 +176,9 @@ class Neighbours:
         if kept == self._kept and math.isfinite(sum(map(sum, columns))):
             self.states[self._place] = table.T
             self.arrival_s[self._place] = now_s
+            if states.aim_x_m or self._aimed:
+                self.aims[self._place] = _aims(states).T
+                self._aimed = bool(states.aim_x_m)
             return
         self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
@@ -183,14 +191,16 @@ class Neighbours:
         if states.sigma_rad:
             sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
+        aims, self._aimed = _aims(states), bool(states.aim_x_m)
         if finite.all():
             self._kept = kept
         else:
-            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            rows, table, teams, aims = rows[finite], table[:, finite], teams[finite], aims[:, finite]
             limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
         self.limits[rows] = limits.T
         self.teams[rows] = teams
+        self.aims[rows] = aims.T
         self.arrival_s[rows] = now_s
         self.sigma[rows] = sigma.T
         self.delay_s[rows] = self.delay_of(states, now_s)
@@ -230,6 +240,9 @@ class Neighbours:
             limits[row, 1] = states.turn_limit_rad_s[0]
             limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
+        aims = self.aims
+        aims[row, 0] = states.aim_x_m[0] if states.aim_x_m else math.nan
+        aims[row, 1] = states.aim_y_m[0] if states.aim_y_m else math.nan
         self.arrival_s[row] = now_s
         self.delay_s[row] = self.delay_of(states, now_s)
         self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
@@ -237,17 +250,17 @@ class Neighbours:
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
-        self._now_s, self._stale = now_s, True
+        self.now_s, self._stale = now_s, True
 
     def refresh(self, now_s: float) -> None:
         """Predict to `now_s` now, unless that has been done."""
-        if self._stale or self._now_s != now_s:
-            self._now_s = now_s
+        if self._stale or self.now_s != now_s:
+            self.now_s = now_s
             self._predict()
 
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
-        self._stale, now_s = False, self._now_s
+        self._stale, now_s = False, self.now_s
         self.silent = self._run_predict(self.count, now_s, self._timeout_s)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
@@ -362,8 +375,8 @@ class Neighbours:
                 self._row_of[robot] = self.count
                 self.names.append(robot)
                 self.count += 1
-                if robot in self._own:
-                    self.own_row[self._own.index(robot)] = self._row_of[robot]
+                if robot in self.ids:
+                    self.own_row[self.ids.index(robot)] = self._row_of[robot]
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
@@ -378,6 +391,7 @@ class Neighbours:
             self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
             self._confined = np.vstack([self._confined, np.full((more, 4), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
+            self.aims = np.vstack([self.aims, np.full((more, 2), math.nan)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
             self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
@@ -392,6 +406,13 @@ class Neighbours:
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
             self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def _aims(states: RobotStates) -> Array:
+    """Return where the robots say that they are driving to, (2, n) m; NaN: they do not say."""
+    if states.aim_x_m:
+        return np.array((states.aim_x_m, states.aim_y_m))
+    return np.full((2, len(states.robots)), math.nan)
 
 
 def no_delay(_states: RobotStates, _now_s: float) -> float:
@@ -409,6 +430,8 @@ def _fits(states: RobotStates) -> bool:
             return False
     accel_m_s2 = states.accel_m_s2
     if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
+        return False
+    if len(states.aim_x_m) != len(states.aim_y_m) or (states.aim_x_m and len(states.aim_x_m) != count):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
