@@ -35,6 +35,7 @@ from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PER
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
+from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
@@ -153,6 +154,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
             settled_by=self.settling.rule,
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
