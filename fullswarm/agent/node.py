@@ -225,7 +225,8 @@ class AgentNode:
         self.reflexes.update(reading, state.pose)
         if self.fixes.any_unsettled:
             self.reflexes.pose_uncertain |= self.fixes.unsettled
-        self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
+        if reading.bodies is not None or self.objects.any:
+            self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz

@@ -28,6 +28,8 @@ T = TypeVar("T")
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
+LARGEST_LIMITS = 1e4, 1e4, 1e5
+"""m/s, rad/s, m/s²: what :class:`RobotStates` can state. A driver may have no limits, and its states must arrive."""
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
 
@@ -65,7 +67,8 @@ class Reports:
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
         self._settled_by = settled_by
         self._waiting, self._now_s = waiting, -math.inf
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
+        stated = np.minimum(limits, LARGEST_LIMITS)
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated.T.tolist())
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
     def states(
