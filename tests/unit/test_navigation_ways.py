@@ -103,7 +103,7 @@ def test_a_door_is_found_wherever_it_lies_and_driven_through_with_the_clearance_
     shapes = [shape(row) for row in rows]
     gates = set()
     for _ in range(400):
-        to_x, to_y, gate, length_m = follow(float(place[0]), float(place[1]), field.ways, lattice(field), TRAIL)
+        to_x, to_y, gate, _, length_m = follow(float(place[0]), float(place[1]), field.ways, lattice(field), TRAIL)
         assert math.isfinite(length_m)
         gates.add(gate)
         towards = np.array([to_x, to_y]) - place
@@ -119,7 +119,7 @@ def test_a_door_is_found_wherever_it_lies_and_driven_through_with_the_clearance_
 def test_a_door_narrower_than_the_robot_and_its_margin_is_no_way_and_the_reason_says_how_wide_it_is() -> None:
     rows = wall(0.4, 5.03, 5.07, 0.3)
     field = build_field(build_roadmap(rows, BOUNDS, CLEARANCE), (8.0, 5.0))
-    assert follow(2.0, 5.0, field.ways, lattice(field), TRAIL)[3] == math.inf
+    assert follow(2.0, 5.0, field.ways, lattice(field), TRAIL)[4] == math.inf
     why = planner.no_way(2.0, 5.0, (8.0, 5.0), rows, BOUNDS, CLEARANCE.least_m)
     assert why.code == Code.NO_WAY
     assert why.parameters["needed_m"] == "0.41"
@@ -147,7 +147,7 @@ def test_a_goal_in_an_obstacle_is_replaced_by_the_nearest_free_place() -> None:
 def test_in_the_open_the_way_is_straight(start: tuple[float, float], away_m: float, bearing: float) -> None:
     roadmap = planner.roadmap_of(FREE, BOUNDS, CLEARANCE)
     goal = start[0] + away_m * math.cos(bearing), start[1] + away_m * math.sin(bearing)
-    to_x, to_y, gate, length_m = follow(*start, (field := build_field(roadmap, goal)).ways, lattice(field), TRAIL)
+    to_x, to_y, gate, _, length_m = follow(*start, (field := build_field(roadmap, goal)).ways, lattice(field), TRAIL)
     assert (to_x, to_y) == pytest.approx(goal)
     assert gate == 0
     assert length_m >= math.dist(start, goal) - 1e-9
@@ -160,7 +160,7 @@ def test_a_straight_way_to_the_next_point_is_as_clear_as_allowed_or_as_the_robot
 ) -> None:
     field = build_field(build_roadmap(rows, BOUNDS, CLEARANCE), goal)
     assume(gap_to(*start, with_edges(rows, BOUNDS), 3.0) > CLEARANCE.least_m)
-    to_x, to_y, _, length_m = follow(*start, field.ways, lattice(field), TRAIL)
+    to_x, to_y, _, _, length_m = follow(*start, field.ways, lattice(field), TRAIL)
     assume(math.isfinite(length_m) and math.dist(start, (to_x, to_y)) > 0.3)
     way = LineString([start, (to_x, to_y)])
     assert min(shape(row).distance(way) for row in rows) > CLEARANCE.least_m - 0.004

@@ -33,6 +33,10 @@ DETOUR = 1.6
 PUSH = 0.5
 """How much a way at an obstacle's edge is bent off it: along the filter's border a robot crawls for ever."""
 
+TIGHT_M_S, TIGHT_PER_S = 0.5, 4.0
+"""In a narrow passage a robot desires this speed, and so much more per metre of room that the filter's margin leaves:
+the filter allows no more there, and a robot that is far slower than desired counts as blocked."""
+
 _trail = np.zeros(256, np.int64)
 
 
@@ -49,18 +53,18 @@ def drive(view: View, params: Params, goals: Array) -> Array:
     traffic = Traffic(view.other, view.predicted, view.states, view.aims)
     start = view.start.tolist()
     view.aim = aim = np.full_like(view.position, math.nan)
-    source = str(params.map)
-    for row in range(len(desired)):
-        x, y = view.position[row].tolist()
-        goal_x, goal_y = goals[row].tolist()
-        left_m = math.hypot(goal_x - x, goal_y - y)
-        arrive_m = float(params.arrive_radius_m[row, 0])
+    source, goal_of = str(params.map), goals.tolist()
+    arrive_of, gain_of = params.arrive_radius_m[:, 0].tolist(), params.gain[:, 0].tolist()
+    radius_of, margin_of = view.radius.tolist(), view.margin_m.tolist()
+    for row, (x, y) in enumerate(view.position.tolist()):
+        goal_x, goal_y = goal_of[row]
+        left_m, arrive_m = math.hypot(goal_x - x, goal_y - y), arrive_of[row]
         if not left_m > arrive_m:
             continue
-        field, known = _lane(view, row, (goal_x, goal_y), source, crowd[row])
-        radius_m, margin_m, ways = float(view.radius[row]), float(view.margin_m[row]), field.ways
-        lattice = Lattice(*field.grid, field.preferred_m, LOOK_M, PASSAGE_M)
-        to_x, to_y, gate, length_m = follow.run(x, y, ways, lattice, _trail)
+        radius_m, margin_m = radius_of[row], margin_of[row]
+        field, known = _lane(view, row, (goal_x, goal_y), source, crowd[row], radius_m, margin_m)
+        ways, lattice = field.ways, Lattice(*field.grid, field.preferred_m, LOOK_M, PASSAGE_M)
+        to_x, to_y, gate, clear_m, length_m = follow.run(x, y, ways, lattice, _trail)
         if not math.isfinite(length_m):
             least_m = radius_m + margin_m + LEAST_SLACK_M
             view.blocked[row] = planner.no_way(x, y, (goal_x, goal_y), known, view.bounds_m, least_m)
@@ -70,7 +74,10 @@ def drive(view: View, params: Params, goals: Array) -> Array:
         ahead_m = math.hypot(to_x - x, to_y - y)
         if ahead_m < 1e-9:
             continue
-        speed = float(params.gain[row, 0]) * left_m / ahead_m
+        speed = gain_of[row] * left_m
+        if gate and clear_m < field.preferred_m:
+            speed = min(speed, TIGHT_M_S + TIGHT_PER_S * max(clear_m - radius_m - margin_m, 0.0))
+        speed /= ahead_m
         vx, vy = bend.run(x, y, speed * (to_x - x), speed * (to_y - y), radius_m, ways.obstacles)
         aim[row] = to_x, to_y
         if gate:
@@ -111,15 +118,18 @@ def bend(x: float, y: float, vx: float, vy: float, radius_m: float, obstacles: A
     return bent_x * size / bent, bent_y * size / bent
 
 
-def _lane(view: View, row: int, goal: tuple[float, float], source: str, crowd: int) -> tuple[Field, Array]:
+def _lane(
+    view: View, row: int, goal: tuple[float, float], source: str, crowd: int, radius_m: float, margin_m: float
+) -> tuple[Field, Array]:
     """Return the ways for a robot; in a crowd they keep farther off the obstacles, or all would queue at one corner."""
-    radius_m, margin_m = float(view.radius[row]), float(view.margin_m[row])
-    x, y = view.position[row].tolist()
     least_m = radius_m + margin_m + LEAST_SLACK_M
     clearance = Clearance(least_m, max(radius_m + SLACK_M, least_m))
     known = _with_standing(view, row, goal, view.known(row, source), clearance)
     shortest = planner.field_of(goal, known, view.bounds_m, clearance)
-    longest_m = DETOUR * shortest.way_m(x, y) + CROWD_M if crowd else 0.0
+    if not crowd:
+        return shortest, known
+    x, y = view.position[row].tolist()
+    longest_m = DETOUR * shortest.way_m(x, y) + CROWD_M
     for lane in range(min(crowd, len(LANES_M) - 1), 0, -1):
         wide_m = radius_m + LANES_M[lane]
         if wide_m > least_m and math.isfinite(longest_m):

@@ -29,6 +29,7 @@ THINNEST_M = 0.01
 _roadmaps: OrderedDict[Hashable, Roadmap] = OrderedDict()
 _fields: OrderedDict[Hashable, Field] = OrderedDict()
 _answers: OrderedDict[Hashable, float] = OrderedDict()
+_recent: dict[tuple[int, tuple[float, float], Clearance], tuple[Array, Bounds, Field]] = {}
 _standing: OrderedDict[Hashable, Array] = OrderedDict()
 
 
@@ -40,8 +41,17 @@ def roadmap_of(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Road
 
 def field_of(goal: tuple[float, float], obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Field:
     """Return the ways to a goal on a map (k, 6); the newest few are kept."""
+    # A robot asks with the same array in each period, and a thousand robots do: its content is compared once.
+    same = id(obstacles), goal, clearance
+    recent = _recent.get(same)
+    if recent is not None and recent[0] is obstacles and recent[1] == bounds_m:
+        return recent[2]
     key = goal, obstacles.tobytes(), bounds_m, clearance
-    return _kept(_fields, key, FIELDS, lambda: build_field(roadmap_of(obstacles, bounds_m, clearance), goal))
+    field = _kept(_fields, key, FIELDS, lambda: build_field(roadmap_of(obstacles, bounds_m, clearance), goal))
+    if len(_recent) >= FIELDS:
+        _recent.clear()
+    _recent[same] = obstacles, bounds_m, field
+    return field
 
 
 def _kept(shelf: OrderedDict[Hashable, T], key: Hashable, most: int, build: Callable[[], T]) -> T:

@@ -76,7 +76,7 @@ def entry(x: float, y: float, own_clear_m: float, ways: Ways, lattice: Lattice) 
 
 
 @kernel
-def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tuple[float, float, int, float]:
+def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tuple[float, float, int, float, float]:
     """Return where to drive to straight from (x, y), and the first passage on the way.
 
     Parameters
@@ -87,13 +87,14 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
     -------
     tuple
         x, y of the farthest point of the way to which a straight way is as clear as the way itself, m; which passage
-        is crossed first within `ahead_m`, as `Ways.gate`, 0 for none; the length of the way, m: infinite, with the
-        robot's own place, where none is known.
+        is crossed first within `ahead_m`, as `Ways.gate`, 0 for none; the least clearance on the way to that point,
+        the preferred one at most, m; the length of the way, m: infinite, with the robot's own place, where none is
+        known.
     """
     own_clear_m = gap_to(x, y, ways.obstacles, SPAN_M)
     node = entry(x, y, own_clear_m, ways, lattice)
     if node == NOWHERE:
-        return x, y, 0, math.inf
+        return x, y, 0, own_clear_m, math.inf
     begin = node
     total_m = math.hypot(ways.x[node] - x, ways.y[node] - y)
     length_m = total_m + ways.length_m[node]
@@ -137,4 +138,4 @@ def follow(x: float, y: float, ways: Ways, lattice: Lattice, trail: Index) -> tu
             growing = False
             step //= 2
     node = trail[seen]
-    return ways.x[node], ways.y[node], gate, length_m
+    return ways.x[node], ways.y[node], gate, seen_clear_m, length_m
