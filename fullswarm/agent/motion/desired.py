@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.coordination import Coordination, Coordinator
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
@@ -48,6 +49,9 @@ class DesiredMotion:
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
         self._logged_errors: set[str] = set()
+        import os
+        v=[float(x) for x in os.environ.get("CRD","2,0.02,0.5").split(",")]
+        self._coordinator = Coordinator(Coordination(v[0], v[1], 0.02, v[2]))
         self.law_error = [NONE] * count
 
     def near(self, now_s: float) -> Nearby:
@@ -85,6 +89,11 @@ class DesiredMotion:
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
+        if tasks.any_filtered:
+            self._coordinator.apply(
+                self._planar, tasks.lasting, pose, reading.twist, self._state.radius, tasks.margin_m,
+                self._controller.speed_limit, near,
+            )
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         measured = Measured(pose, reading.twist, reading.stamp_s)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)

@@ -129,9 +129,15 @@ def project(desired_x: float, desired_y: float, planes: HalfPlanes, count: int) 
 
 
 @kernel
+def approach_limit(room_m: float, accel: float, period_s: float) -> float:
+    """Return the speed from which a body that brakes one period later stops within `room_m`, m/s."""
+    return accel * (math.sqrt(period_s * period_s + 2.0 * room_m / accel) - period_s)
+
+
+@kernel
 def half_planes(
     i: int, x: float, y: float, clearance_m: float, unsure_m: float, gain: float, speed_limit: float, reach_m: float,
-    near: Nearby, arena: Arena, planes: HalfPlanes,
+    accel: float, period_s: float, near: Nearby, arena: Arena, planes: HalfPlanes,
 ) -> int:  # fmt: skip
     """Collect the constraints of robot `i` at (x, y); return how many there are, -1 when it must not move at all.
 
@@ -149,7 +155,7 @@ def half_planes(
     normal_x, normal_y, limits, blur, room = planes
     count = 0
     clearance_m += unsure_m
-    binding_m = speed_limit / gain
+    binding_m = speed_limit * (period_s + 0.5 * speed_limit / accel)
     twice_m = 2.0 * binding_m
     blur_share = twice_m / clearance_m
     for pair in range(start[i], start[i + 1]):
@@ -173,7 +179,7 @@ def half_planes(
             normal_x[count] = dx / distance
             normal_y[count] = dy / distance
             room[count] = left_m
-            limits[count] = gain * left_m
+            limits[count] = approach_limit(left_m, accel, period_s)
             blur[count] = far_off / distance
             count += 1
     for row in range(obstacles.shape[0]):
@@ -187,7 +193,7 @@ def half_planes(
             normal_x[count] = nx
             normal_y[count] = ny
             room[count] = max(0.0, gap - clearance_m)
-            limits[count] = gain * room[count]
+            limits[count] = approach_limit(room[count], accel, period_s)
             blur[count] = 0.0
             count += 1
     nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
@@ -203,7 +209,7 @@ def half_planes(
             normal_x[count] = sign if horizontal else 0.0
             normal_y[count] = 0.0 if horizontal else sign
             room[count] = max(0.0, to_edge)
-            limits[count] = gain * room[count]
+            limits[count] = approach_limit(room[count], accel, period_s)
             blur[count] = 0.0
             count += 1
     return count

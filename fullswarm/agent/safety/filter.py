@@ -184,7 +184,7 @@ def guard(
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
             overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
             count = half_planes(
-                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, near, arena,
+                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, accel, period_s, near, arena,
                 planes,
             )  # fmt: skip
             if count < 0:
