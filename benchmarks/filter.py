@@ -135,7 +135,9 @@ class Ours:
             np.full(count, GAIN),
             np.full(count, MARGIN_M),
         )
-        self.measured = Measured(np.array([one.pose for one in some]), np.zeros((count, 2)), np.zeros(count))
+        self.measured = Measured(
+            np.array([one.pose for one in some]), np.zeros((count, 2)), np.zeros(count), np.zeros((count, 2))
+        )
         self.twists = np.zeros((count, 2))
 
     def __call__(self) -> None:

@@ -14,6 +14,7 @@ import inspect
 import textwrap
 import types
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, get_type_hints
 
@@ -72,7 +73,11 @@ class Kernel(Generic[P, R]):
         self.compiled = numba.njit(cache=True, error_model="numpy", forceinline=bool(fields))(
             _linked(source, "compiled")
         )
-        self.run = _taking_tuples(self.compiled, self.__wrapped__, fields) if fields else self.compiled
+        self.run = self.compiled
+        if fields:
+            takes = {name: name in fields for name in inspect.signature(self.__wrapped__).parameters}
+            self.run = _taking_tuples(self.compiled, takes)
+            _TAKES[self.run] = self.compiled, takes
 
 
 def _called(source: Any) -> dict[str, Kernel[Any, Any]]:
@@ -174,13 +179,35 @@ def _parameter_fields(source: Any) -> dict[str, tuple[str, ...]]:
     return {name: fields.get(name, ()) for name in inspect.signature(source).parameters}
 
 
-def _taking_tuples(compiled: Callable[..., R], source: Any, fields: Mapping[str, tuple[str, ...]]) -> Callable[..., R]:
-    """Return a function with the parameters of `source` that hands on the members of named tuples."""
-    names = list(inspect.signature(source).parameters)
-    passed = ", ".join(f"*{name}" if name in fields else name for name in names)
-    text = f"lambda {', '.join(names)}: compiled({passed})"
+def _taking_tuples(compiled: Callable[..., R], takes: Mapping[str, bool]) -> Callable[..., R]:
+    """Return a function with the parameters `takes` that hands on the members of those that are tuples."""
+    passed = ", ".join(f"*{name}" if is_tuple else name for name, is_tuple in takes.items())
+    text = f"lambda {', '.join(takes)}: compiled({passed})"
     run: Callable[..., R] = eval(text, {"compiled": compiled})  # noqa: S307  (the names of its own parameters)
     return run
+
+
+_TAKES: dict[Callable[..., Any], tuple[Callable[..., Any], dict[str, bool]]] = {}
+"""The compiled form of each `run` that takes named tuples, and its parameters: whether each is one."""
+
+
+def bound(call: Callable[P, R]) -> Callable[P, R]:
+    """Return ``partial(kernel.run, ...)`` as a faster call: the members of the tuples given in it are looked up once.
+
+    The leading arguments must be given in it by position; arrays keep their identity, so what they hold may change.
+    """
+    run, given = (call.func, call.args) if isinstance(call, partial) else (call, ())
+    compiled, takes = _TAKES.get(run, (None, {}))
+    if compiled is None:
+        return call
+    flat = [
+        each
+        for value, is_tuple in zip(given, takes.values(), strict=False)
+        for each in (value if is_tuple else [value])
+    ]
+    rest = dict(list(takes.items())[len(given) :])
+    leading: Callable[P, R] = partial(compiled, *flat)
+    return _taking_tuples(leading, rest) if any(rest.values()) else leading
 
 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:

@@ -12,9 +12,13 @@ key                                                     message                w
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
+``<swarm>/reception/<host>``                            Reception              agent → core
+``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
+``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
+``<swarm>/clock/<host>/reply``                          ClockReply             core → agent
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
@@ -98,6 +102,14 @@ class Keys:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
         return f"{self.swarm}/state/{cell}/{host}"
 
+    def reception(self, host: str = ANY) -> str:
+        """Whose states a host receives."""
+        return f"{self.swarm}/reception/{host}"
+
+    def relay(self, host: str = ANY) -> str:
+        """States of others that a host does not receive directly."""
+        return f"{self.swarm}/relay/{host}"
+
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""
         return f"{self.swarm}/obstacles/{host}"
@@ -109,6 +121,14 @@ class Keys:
     def heartbeat(self, node: str = ANY) -> str:
         """Signs of life of the core's processes."""
         return f"{self.swarm}/heartbeat/{node}"
+
+    def clock_probe(self, host: str = ANY) -> str:
+        """Asks the core for its time."""
+        return f"{self.swarm}/clock/{host}/probe"
+
+    def clock_reply(self, host: str = ANY) -> str:
+        """The core's time."""
+        return f"{self.swarm}/clock/{host}/reply"
 
     @property
     def lease_request(self) -> str:

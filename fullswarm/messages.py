@@ -33,6 +33,7 @@ Radius = Annotated[float, Meta(gt=0.0, le=100.0)]  # m
 Radians = Annotated[float, Meta(ge=-1e7, le=1e7)]
 Speed = Annotated[float, Meta(ge=-1e4, le=1e4)]  # m/s
 Turn = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad/s
+Acceleration = Annotated[float, Meta(ge=0.0, le=1e5)]  # m/s²
 Sigma = Annotated[float, Meta(ge=0.0, le=1e7)]  # m or rad
 KnownSigma = Annotated[float, Meta(ge=-1.0, le=1e7)]  # -1: unknown
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
@@ -42,6 +43,8 @@ Radii = Annotated[tuple[Radius, ...], Meta(max_length=MOST)]
 Angles = Annotated[tuple[Radians, ...], Meta(max_length=MOST)]
 Speeds = Annotated[tuple[Speed, ...], Meta(max_length=MOST)]
 Turns = Annotated[tuple[Turn, ...], Meta(max_length=MOST)]
+Sigmas = Annotated[tuple[Sigma, ...], Meta(max_length=MOST)]
+Accelerations = Annotated[tuple[Acceleration, ...], Meta(max_length=MOST)]
 Changes = Annotated[tuple[Finite, ...], Meta(max_length=MOST)]  # m/s
 Box = tuple[Metres, Metres, HalfSize, HalfSize, Radians, HalfSize]
 
@@ -270,8 +273,24 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+class ClockProbe(Message, frozen=True, kw_only=True):
+    """An agent asks for the core's time, every second."""
+
+    host: str
+    sent_s: Stamp
+
+
+class ClockReply(Message, frozen=True, kw_only=True):
+    """The core's time, at once: half the round trip ago, as nearly as `host` can tell."""
+
+    host: str
+    sent_s: Stamp  # of the probe
+    core: str  # which core process
+    core_s: Stamp
+
+
 # ---------------------------------------------------------------- agents -> all
-class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
+class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
 
     Columns of equal length. World frame; `speed_m_s` along the heading, negative when reversing.
@@ -288,7 +307,45 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/2"):
     turn_rad_s: Turns
     radius_m: Radii
     teams: Teams = ()  # of which each is; 0: of none, and empty: none is of any
+    # What each can do; empty: unknown, receivers take the sender's robots for robots like their own.
+    speed_limit_m_s: Speeds = ()
+    turn_limit_rad_s: Turns = ()
+    accel_m_s2: Accelerations = ()
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
+    sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
+    sigma_rad: Sigmas = ()  # of the heading
+    core: str = ""  # the core process by whose clock `stamp_s` + `offset_s` is; empty: the offset is not known
+    offset_s: Stamp = 0.0
+
+
+class Reception(Message, frozen=True, kw_only=True):
+    """Whose states a host receives directly, 2 Hz and on change; the core relays what is missing.
+
+    `robots`, `x_m`, `y_m`: the host's own robots and where they are, columns of equal length.
+    """
+
+    host: str
+    robots: Names
+    x_m: Places
+    y_m: Places
+    received: Names = ()  # hosts
+    stamp_s: Stamp = 0.0
+
+
+class Relayed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """States of one host as the core received them; part of RelayedStates."""
+
+    states: RobotStates
+    age_s: Duration  # since their arrival at the core
+
+
+class RelayedStates(Message, frozen=True, kw_only=True):
+    """States that a host does not receive although its robots need them, 10 Hz, from the core."""
+
+    host: str  # the one that they are for
+    relayed: Annotated[tuple[Relayed, ...], Meta(max_length=MOST)]
+    sequence: Ordinal = 0
+    stamp_s: Stamp = 0.0
 
 
 class Interventions(Message, frozen=True, kw_only=True):
@@ -450,8 +507,11 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and (not m.teams or len(m.teams) == len(m.robots))
+        == len(m.radius_m) and all(len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad))
+        and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
+        and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),
+    Reception: lambda m: len(m.robots) == len(m.x_m) == len(m.y_m),
     Interventions: lambda m: len(m.robots) == len(m.x_m_s) == len(m.y_m_s) == len(m.reasons),
 }  # fmt: skip
 """Whether a message's columns fit together, written out because states come a thousand times per second."""

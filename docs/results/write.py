@@ -24,6 +24,7 @@ HERE = Path(__file__).parent
 HEADERS = (
     "group", "behaviour", "engine", "limits", "scenarios", "N", "trials", "collisions", "pairs", "robots touched",
     "robots arrived %", "trials arrived %", "longest s", "blocked",
+    "reversals 1/s", "speed variation m/s²", "turn variation rad/s²",
 )  # fmt: skip
 Cell = dict[str, Any]
 
@@ -48,6 +49,13 @@ def share(cells: list[Cell], name: str, robots: bool) -> float:
     weights = [counted(cell) * (cell["robots"] if robots else 1) for cell in cells]
     parts = (weight * (cell[name] or 0.0) for weight, cell in zip(weights, cells, strict=True))
     return 100.0 * sum(parts) / max(1, sum(weights))
+
+
+def mean(cells: list[Cell], name: str) -> str:
+    """Return the mean of a number per robot and second over cells, weighted by robots and trials."""
+    known = [(counted(cell) * cell["robots"], cell[name]) for cell in cells if cell.get(name) is not None]
+    weight = sum(count for count, _ in known)
+    return f"{sum(count * value for count, value in known) / weight:.2f}" if weight else "-"
 
 
 def counts(document: dict[str, Any]) -> str:
@@ -98,6 +106,7 @@ def write_safety(document: dict[str, Any]) -> None:
             f"{share(cells, 'all_arrived_fraction', robots=False):.1f}",
             f"{max(cell['longest_s'] or 0.0 for cell in cells):.1f}",
             str(total(cells, "deadlocks")),
+            *(mean(cells, name) for name in ("reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2")),
         )
         lines.append(f"| {' | '.join(entries)} |")
     path = HERE / "safety.md"

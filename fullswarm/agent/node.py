@@ -11,11 +11,13 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm import __version__
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
+from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -87,9 +89,18 @@ class AgentNode:
         )
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
+        self.tasks = Tasks(
+            len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
+            settings.coordination,
+        )  # fmt: skip
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
+        self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self.reception = ReceptionReporter(
+            bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
+            alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
+        )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
@@ -106,6 +117,7 @@ class AgentNode:
             fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
         )
         self._estimator = estimator_for(config, fleet, start)
+        state.sigma = self._estimator.sigma
         self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.calculators = Calculators(
             fleet.ids,
@@ -123,7 +135,12 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, ended=self.inbox.ended,
+            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
+        self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
+        self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
+        self._sensed: Sensed | None = None
+        self._doubt = _doubt(self.reflexes, self.pose_conflicts)
         self._patience_s = max(settings.command_ttl_s, 3.0 / settings.control_rate_hz)
         self._last_tick_s = self._last_act_s = scheduler.now_s() - 1.0 / settings.control_rate_hz
         self._cell_m, self._sequence, self._dirty = config.state_cell_m, 0, False
@@ -190,7 +207,9 @@ class AgentNode:
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
-            self.calculators.update(now_s, state.pose, contacts, period_s, reading.odometry, reading.twist)
+            self.calculators.update(
+                now_s, state.pose, contacts, period_s, reading.odometry, reading.twist, state.setpoints
+            )
         except Exception as error:
             self._measurement_failed(error)
         self.inbox.watch_estops(now_s)
@@ -221,28 +240,43 @@ class AgentNode:
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
-        tasks, reflexes, conflicts = self.tasks, self.reflexes, self.pose_conflicts
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(
-            now_s, dt_s,
-            Task(tasks.active, tasks.survives_core, tasks.expires_at_s),
-            Link(self.inbox.core_alive(now_s), self._bus.connected(), self._drivers.look()),
-            Sensed(read_since_s, reading.stamp_s, reading.hazards),
-            Doubt(
-                battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
-                pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
-                frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
-            ),
-        )  # fmt: skip
+            now_s, dt_s, read_since_s, self._task, self._link_now(now_s), self._sensed_in(reading), self._doubt_now()
+        )
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
 
+    # The controller's tuples are kept while nothing in them changed: to make them takes longer than to decide.
+    def _link_now(self, now_s: float) -> Link:
+        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
+        ready = self._drivers.look()
+        if link.core_alive is not core_alive or link.hub_alive is not hub_alive or link.driver_ready is not ready:
+            self._link = link = Link(core_alive, hub_alive, ready)
+        return link
+
+    def _sensed_in(self, reading: FleetReading) -> Sensed:
+        sensed = self._sensed
+        if sensed is None or sensed.stamp_s is not reading.stamp_s or sensed.hazards is not reading.hazards:
+            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
+        return sensed
+
+    def _doubt_now(self) -> Doubt:
+        doubt, clock_jumped = self._doubt, self.reflexes.clock_jumped
+        frame_conflict = self.pose_conflicts.frame_conflict
+        if doubt.clock_jumped is not clock_jumped or doubt.frame_conflict is not frame_conflict:
+            self._doubt = doubt = doubt._replace(clock_jumped=clock_jumped, frame_conflict=frame_conflict)
+        return doubt
+
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
-        self.neighbours.receive(states, self._scheduler.now_s())
+        now_s = self._scheduler.now_s()
+        self.neighbours.receive(states, now_s)
+        if not self.reception.alone:
+            self.reception.note(states, now_s)
 
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
@@ -256,6 +290,7 @@ class AgentNode:
             return
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
+        self.reception.update()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -269,7 +304,7 @@ class AgentNode:
             return
         self._sequence += 1
         now_s = self._scheduler.now_s()
-        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s):
+        for key, message in self._reports.states(self._keys, self._cell_m, self._sequence, now_s, self.core_clock):
             self._bus.publish(key, message)
 
     def publish_health(self) -> None:
@@ -294,7 +329,8 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            counted = {"deviation_m": self.filter.deviation_m, **self.calculators.columns()}
+            delay_s = np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s))
+            counted = {"deviation_m": self.filter.deviation_m, "delay_s": delay_s, **self.calculators.columns()}
             message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
@@ -326,8 +362,10 @@ class AgentNode:
             self.tasks.disable(row)
         self._fleet.command(np.zeros_like(self._state.setpoints), self.tasks.active)
         self.publish_measurements()
+        self.core_clock.close()
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
+        self.reception.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
@@ -344,14 +382,23 @@ def _reflexes(config: SwarmConfig, fleet: Fleet, accel: Array, thresholds: Thres
     return Reflexes(config.bounds_m, thresholds, accel, sigma_limit_m)
 
 
+def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
+    return Doubt(
+        battery_low=reflexes.battery_low, clock_jumped=reflexes.clock_jumped,
+        pose_unknown=reflexes.pose_unknown, pose_uncertain=reflexes.pose_uncertain, overlap=conflicts.overlap,
+        frame_conflict=conflicts.frame_conflict, floor=reflexes.floor, ceiling=reflexes.ceiling,
+    )  # fmt: skip
+
+
 def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
-    # The limits of other robots are not on the wire: they are taken for robots like this one.
+    # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
         speed_m_s=float(controller.speed_limit.max()),
         turn_rad_s=float(controller.turn_limit.max()),
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         halt_s=settings.core_silence_s + settings.command_ttl_s,
+        confidence=settings.pose_confidence_sigma,
     )
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 
@@ -363,6 +410,7 @@ def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> S
         reach_m=settings.sensing_radius_m,
         speed_gain=settings.speed_gain,
         turn_gain_per_s=settings.turn_gain_per_s,
+        confidence=settings.pose_confidence_sigma,
     )
     robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
     return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))

@@ -27,6 +27,7 @@ class AgentState:
     radius : (n,) m, footprints
     pose : (n, 3) m and rad, as estimated in the last tick, NaN where no pose is known; by the node
     reading : of the drivers, in the last tick, None before the first one; by the node
+    sigma : (n, 2) standard deviations of `pose`: m along the worse axis, rad; by the node
     twist : (n, 2) m/s and rad/s, measured; by the node
     setpoints : (n, 2) m/s and rad/s, applied by the drivers in the last tick; by the node
     estop : (n,) latched e-stops; by ``EStops``
@@ -44,11 +45,12 @@ class AgentState:
     at_standstill: Flags
     standstill_since_s: Array
     reading: FleetReading | None = None
+    sigma: Array = field(init=False)
     twist: Array = field(init=False)
     setpoints: Array = field(init=False)
     driver_ready: Flags = field(init=False)
 
     def __post_init__(self) -> None:
         count = len(self.pose)
-        self.twist, self.setpoints = np.zeros((count, 2)), np.zeros((count, 2))
+        self.sigma, self.twist, self.setpoints = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2))
         self.driver_ready = np.zeros(count, bool)

@@ -71,10 +71,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
 def _needed_extras(config: SwarmConfig | None) -> frozenset[str]:
     if config is None:
         return frozenset()
-    needed = {make.extra for each in config.robot for make in _makes_of(each)} - {""}
-    if config.agent.estimator == "ekf":
-        needed.add("estimation")
-    return frozenset(needed)
+    return frozenset({make.extra for each in config.robot for make in _makes_of(each)} - {""})
 
 
 def _makes_of(robot: RobotConfig) -> Iterator[Make]:

@@ -26,7 +26,6 @@ EXTRAS = {  # extra: modules it must bring
     "sim": ("numba", "pybullet"),
     "mavlink": ("pymavlink",),
     "can": ("can", "msgpack"),
-    "estimation": ("filterpy",),
     "joystick": ("sdl2",),
 }
 LEAST_DISK, LITTLE_DISK = 100e6, 1e9

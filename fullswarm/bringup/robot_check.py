@@ -17,7 +17,7 @@ from fullswarm.drivers.guardian import guarded
 from fullswarm.errors import ConfigError
 from fullswarm.output import TypedLines
 from fullswarm.runtime import Runtime
-from fullswarm.testing import Report, Rig, Wire, check_driver, serial_wire, udp_wire
+from fullswarm.testing import Report, Rig, Wire, check_driver, emulated_rig, serial_wire, udp_wire
 
 MOVES = """The check drives the robot at up to its full speed for a moment and at half of it for seconds.
 Jack it up so that no wheel touches the ground, keep hands and cables away, and one hand on its switch."""
@@ -25,6 +25,7 @@ Jack it up so that no wheel touches the ground, keep hands and cables away, and 
 
 def run(
     url: str | None,
+    model: str | None,
     rig: str | None,
     *,
     wire_baud: int | None,
@@ -34,7 +35,9 @@ def run(
     deadline_s: float,
     as_json: bool,
 ) -> int:
-    """Check the driver of `url`, or of the rig that `rig` (``module:function``) makes; return 0 if it passes, else 1.
+    """Check the driver of `url`, of an emulated `model`, or of the rig that `rig` (``module:function``) makes.
+
+    Return 0 if it passes, else 1.
 
     Parameters
     ----------
@@ -50,11 +53,12 @@ def run(
     Raises
     ------
     ConfigError
-        Neither or both of `url` and `rig`, a wrong URL, a rig that does not import, or no confirmation.
+        None or several of `url`, `model` and `rig`, a wrong URL, an unknown model, a rig that does not import, or no
+        confirmation.
     DriverError
         The port cannot be had.
     """
-    with _rig(url, rig, wire_baud) as hands:
+    with _rig(url, model, rig, wire_baud) as hands:
         if url is not None and not still and not confirmed:
             _confirm(url, hands)
         for each in (signal.SIGTERM, signal.SIGHUP):
@@ -67,9 +71,15 @@ def run(
 
 
 @contextmanager
-def _rig(url: str | None, rig: str | None, wire_baud: int | None) -> Iterator[Rig]:
-    if (url is None) == (rig is None):
-        raise ConfigError("name either a URL or --rig", where="robots check", hint="e.g. create:///dev/ttyUSB0")
+def _rig(url: str | None, model: str | None, rig: str | None, wire_baud: int | None) -> Iterator[Rig]:
+    if [url, model, rig].count(None) != 2:
+        raise ConfigError(
+            "name one of a URL, --emulated and --rig", where="robots check", hint="e.g. create:///dev/ttyUSB0"
+        )
+    if model is not None:
+        with emulated_rig(model) as emulated:
+            yield emulated
+        return
     if url is not None:
         kind = registry.driver_class(url)
         kind(url)  # a wrong URL is refused before anything is opened

@@ -34,7 +34,7 @@ def bundle(
     ] = None,
     extras: Annotated[
         list[str] | None,
-        typer.Option("--with", metavar="EXTRA", help="Extras, separated by commas: mavlink, can, estimation, core."),
+        typer.Option("--with", metavar="EXTRA", help="Extras, separated by commas: mavlink, can, core."),
     ] = None,
     packages: Annotated[
         list[Path] | None,

@@ -68,6 +68,12 @@ def check(
     url: Annotated[
         str | None, typer.Argument(metavar="[URL]", help="The driver's URL, as in a fleet file; of any package.")
     ] = None,
+    emulated: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL", help="Check the driver on this emulated robot, with all its faults; a word of `emulate =`."
+        ),
+    ] = None,
     rig: Annotated[
         str | None,
         typer.Option(metavar="MODULE:FUNCTION", help="Use this context manager, which yields a fullswarm.testing.Rig."),
@@ -96,8 +102,8 @@ def check(
     from fullswarm.bringup.robot_check import run
 
     return run(
-        url, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle, deadline_s=timeout,
-        as_json=as_json,
+        url, emulated, rig, wire_baud=baud if wire else None, still=still, confirmed=yes, settle_s=settle,
+        deadline_s=timeout, as_json=as_json,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ STEEPEST_DEG = 89.0
 # Ranges that fleet files, the core's database, requests and robots share: (least, greatest).
 SAFETY_MARGIN_M = (0.0, 1.0)
 BARRIER_GAIN_PER_S = (0.01, 20.0)
+BARRIERS = ("braking", "linear")
 SPEED_LIMIT_M_S = (0.01, 10.0)
 TURN_LIMIT_RAD_S = (0.01, 20.0)
 HEARING_M = (0.0, 1000.0)
@@ -113,6 +114,7 @@ class AgentConfig(Section):
     state_rate_hz: float = Field(20.0, ge=1.0, le=500.0)
     health_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
+    state_delay_s: float = Field(0.05, ge=0.0, le=2.0)  # of a neighbour's state on the network, where none is measured
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
@@ -128,10 +130,15 @@ class AgentConfig(Section):
     speed_gain: float = Field(1.0, gt=0.0, le=100.0)  # K_v of the paper
     turn_gain_per_s: float = Field(3.0, gt=0.0, le=100.0)  # K_w of the paper
     safety_margin_m: float = Field(0.03, ge=SAFETY_MARGIN_M[0], le=SAFETY_MARGIN_M[1])
-    # γ: share of the gap that may be closed per second
+    # γ of the linear barrier: share of the gap that may be closed per second
+    # what limits the approach: the distance in which the robot can brake, or γ of the gap per second as in the paper
+    barrier: Literal["braking", "linear"] = "braking"
+    coordination: bool = True  # robots behind the filter avoid one another in advance: half each
     barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
     bounds_m: Bounds | None = None  # arena for real robots; None: the world's, or none
-    estimator: Literal["direct", "ekf"] = "direct"  # ekf: fuse odometry with noisy poses (extra [estimation])
+    # auto: ekf (fuse odometry with noisy poses or with fixes) unless the driver senses a pose that is filtered already
+    estimator: Literal["auto", "direct", "ekf"] = "auto"
+    pose_confidence_sigma: float = Field(3.0, ge=0.0, le=10.0)  # standard deviations of a pose that the filter counts
     # no usable pose fix for so long: odometry alone, and another source may follow
     fix_timeout_s: float = Field(0.5, gt=0.0, le=60.0)
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
@@ -153,7 +160,31 @@ class NoiseConfig(Section):
     heading_rad: float = Field(0.0, ge=0.0, le=10.0)
 
 
-EngineName = Literal["pybullet", "pybullet-wheels", "kinematic"]
+class DrivetrainConfig(Section):
+    """How motors, wheels and brakes of the engine "drivetrain" differ from the ideal unicycle."""
+
+    dead_time_s: float = Field(0.1, ge=0.0, le=1.0)  # from a command to the first effect on the motors
+    lag_s: float = Field(0.05, ge=0.0, le=1.0)  # time constant of the motors, first order
+    slip: float = Field(0.03, ge=0.0, lt=1.0)  # greatest share of a wheel's speed that is lost; varies with time
+    unequal_wheels: float = Field(0.02, ge=0.0, le=0.5)  # greatest difference of the wheels' radii, as a share
+    brakes: float = Field(1.0, gt=0.0, le=1.0)  # share of `accel_limit_m_s2` with which a robot decelerates
+    declared: bool = True  # the robots' `Limits` state all this; false: they claim the ideal unicycle
+
+
+class BodyConfig(Section):
+    """What one robot's body has instead of the world's; None: as the world."""
+
+    speed_limit_m_s: float | None = Field(None, ge=SPEED_LIMIT_M_S[0], le=SPEED_LIMIT_M_S[1])
+    turn_limit_rad_s: float | None = Field(None, ge=TURN_LIMIT_RAD_S[0], le=TURN_LIMIT_RAD_S[1])
+    accel_limit_m_s2: float | None = Field(None, gt=0.0, le=1000.0)
+    turn_accel_limit_rad_s2: float | None = Field(None, gt=0.0, le=10_000.0)
+    radius_m: float | None = Field(None, ge=0.005, le=50.0)
+    declared_radius_m: float | None = Field(None, ge=0.005, le=50.0)
+    mass_kg: float | None = Field(None, gt=0.0, le=10_000.0)
+    drivetrain: DrivetrainConfig | None = None
+
+
+EngineName = Literal["pybullet", "pybullet-wheels", "kinematic", "drivetrain"]
 """The physics engines; `fullswarm.simulation.engine.ENGINES` has the class of each."""
 
 
@@ -173,10 +204,20 @@ class WorldConfig(Section):
     accel_limit_m_s2: float = Field(2.0, gt=0.0, le=1000.0)
     turn_accel_limit_rad_s2: float = Field(20.0, gt=0.0, le=10_000.0)
     radius_m: float = Field(0.17, ge=0.005, le=50.0)  # Create footprint
+    declared_radius_m: float | None = Field(None, ge=0.005, le=50.0)  # what robots state; None: `radius_m`
     mass_kg: float = Field(3.6, gt=0.0, le=10_000.0)
     watchdog_s: float = Field(0.3, gt=0.0, le=60.0)  # a body whose driver is silent stops
+    drivetrain: DrivetrainConfig = DrivetrainConfig()  # of the engine "drivetrain"
+    bodies: dict[RobotId, BodyConfig] = {}  # [world.bodies.<robot>]: what differs from the above
     noise: NoiseConfig = NoiseConfig()
     seed: int = 0
+
+    def of_body(self, robot: str) -> WorldConfig:
+        """Return the world as one robot's body has it: with the limits, sizes and drivetrain of that body."""
+        body = self.bodies.get(robot)
+        if body is None:
+            return self
+        return self.model_copy(update={name: value for name, value in body if value is not None})
 
 
 class PerformanceConfig(Section):

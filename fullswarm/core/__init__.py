@@ -13,6 +13,8 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all,
 ``desired.py``         one robot: its order, what it confirmed, the control request in flight
 ``request_status.py``  one request: its status, derived from the states of its robots and published
 ``remap.py``           keeps the node of the centralised behaviours in step with the robots' desired states
+``relay.py``           passes on states between robots that do not receive each other
+``clock.py``           tells agents the core's time
 ``roster.py``          which robots are present
 ``latches.py``         which robots are in e-stop, in addition to the latches on board
 ``settings.py``        the core's settings in its local database, and the server that shows and changes them

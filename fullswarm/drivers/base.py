@@ -77,7 +77,8 @@ class Limits:
     """What the wheels can do; a driver clips to them, which shows in what it returns.
 
     A stop from v m/s takes v² / 2 `accel_m_s2`, and beyond that `overrun_s` times v, at most `overrun_m`: the wheels
-    answer late, or brake softly at the end.
+    answer late, or brake softly at the end. A command has its first effect `dead_time_s` after it was given, and until
+    then the commands before it go on.
     """
 
     speed_m_s: float
@@ -87,6 +88,7 @@ class Limits:
     can_reverse: bool = True
     overrun_s: float = 0.0
     overrun_m: float = 0.0
+    dead_time_s: float = 0.0
 
     def clip(self, twist: Twist) -> Twist:
         """Return a twist held within speed and turn rate, each by itself."""

@@ -44,8 +44,8 @@ class Emulator(Protocol):
 class Probe(Protocol):
     """A module or object that asks ports what robot is there, without moving it.
 
-    `ask_url` is enough for `doctor` and preflight. `questions` adds to `robots find`; a make on serial ports has
-    `knows` and `ask_line` besides.
+    `ask_url` is enough; `robots find` then asks where the make's emulated robots are. `questions` replaces that by
+    places of its own; a make on serial ports has `knows` and `ask_line` besides.
     """
 
     def ask_url(self, url: str, clock: Clock) -> Asked:

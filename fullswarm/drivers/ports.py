@@ -20,10 +20,11 @@ from typing import Protocol, TypeVar
 import serial
 
 from fullswarm.clock import Clock, MonotonicClock
-from fullswarm.errors import DriverError
+from fullswarm.errors import ConfigError, DriverError
 from fullswarm.reasons import Code
 
 CONNECT_S = 1.0
+SILENT_S = 2.0
 PIECE = 512
 """Bytes of a stream handed over at once: a session takes them under a lock that must not be held long."""
 STREAM_CHUNK, DATAGRAM_CHUNK = 4096, 65536
@@ -89,6 +90,14 @@ class Port(Protocol[C]):
         return chunk
 
 
+def parse_address(text: str, where: str) -> tuple[str, int]:
+    """Return host and port of ``host:port`` (IPv4 or a name); `ConfigError` otherwise."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or ":" in host or not port.isascii() or not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"'{text}' is not an address", where=where, hint="write host:port, e.g. 192.168.7.20:7700")
+    return host, int(port)
+
+
 class SerialPort(Port[bytes]):
     """A serial device, 8N1, for this process alone. Raises as :func:`claim`."""
 
@@ -131,7 +140,7 @@ class TcpPort(Port[bytes]):
         A connection without a byte for so long counts as gone: TCP itself would not notice for minutes. None: never.
     """
 
-    def __init__(self, host: str, port: int, *, silence_s: float | None = None, clock: Clock | None = None) -> None:
+    def __init__(self, host: str, port: int, *, silence_s: float | None = SILENT_S, clock: Clock | None = None) -> None:
         self._clock, self._silence_s = clock or MonotonicClock(), silence_s
         try:
             self._socket = socket.create_connection((host, port), timeout=CONNECT_S)

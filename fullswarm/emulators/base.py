@@ -197,6 +197,11 @@ class Emulator:
 
     url: str
 
+    @property
+    def motors_on(self) -> bool:
+        """Whether its motors obey set-points now: armed, in closed loop, in Safe mode."""
+        raise NotImplementedError
+
     def start(self) -> Self:
         """Switch it on. Starting twice is fine."""
         if self._thread is None and not self._closed:

@@ -317,6 +317,8 @@ def _obstacle(trial: Trial, fleet: SwarmConfig) -> str:
         return f"it needs {cell.robots} robots, the fleet file has {have}"
     if (cell.noise_m or cell.noise_rad) and not all(each.simulated for each in fleet.robot):
         return "its noise is that of simulated sensors, and the fleet has real ones"
+    if trial.bodies:
+        return "its robots differ from each other, and the fleet has its own"
     fence = fleet.agent.bounds_m
     if fence is not None:
         left, low, right, high = scenario_of(trial).bounds_m

@@ -380,6 +380,8 @@ def with_make(config: SwarmConfig, trial: Trial, emulate: str | None) -> SwarmCo
         return config
     if emulate not in (known := emulated()):
         raise ConfigError(f"no emulated robot '{emulate}'", where="--emulate", hint=did_you_mean(emulate, known))
+    if trial.bodies:
+        raise ConfigError("robots that differ from each other are not emulated", where="--emulate")
     body, asked = dict(trial.body), dict(trial.agent)
     usual = {
         "estimator": "ekf",

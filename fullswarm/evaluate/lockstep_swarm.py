@@ -31,7 +31,7 @@ class LockstepSwarm:
         self._lockstep = lockstep = Lockstep(config)
         self.config, self.world, self._runtime = lockstep.config, lockstep.world, lockstep.runtime
         for row in range(len(self.world.ids)):
-            self.world.set_limits(row, widened(self.world.description.limits))
+            self.world.set_limits(row, widened(Limits(*self.world.limits[row].tolist())))
         self._watcher: Callable[[], None] | None = None
         self._steps = 0
         # From the start, so that it comes after each of the world's steps; a later timer might come before them.
@@ -121,7 +121,7 @@ class LockstepSwarm:
 
 
 def widened(limits: Limits) -> Limits:
-    """Return limits that a body obeys beyond those that its driver reports."""
+    """Return limits wider than those of a body, so that a command above what its driver reports is driven."""
     return Limits(
         speed_m_s=ROOM * limits.speed_m_s,
         turn_rad_s=ROOM * limits.turn_rad_s,

@@ -6,7 +6,7 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.clock import MonotonicClock, wall_time_s
-from fullswarm.config import AgentConfig, SwarmConfig
+from fullswarm.config import AgentConfig, BodyConfig, SwarmConfig
 from fullswarm.errors import FullswarmError
+from fullswarm.evaluate.experiment.model import world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
 from fullswarm.evaluate.provenance import Provenance, provenance
@@ -126,7 +127,12 @@ def drive(
     # The robots measure until they stand, and so does the truth beside it.
     report = swarm.report()
     return Measurement(
-        outcome=msgspec.structs.replace(outcome, deadlocks=report.deadlocks, deadlock_s=report.deadlock_s),
+        outcome=msgspec.structs.replace(
+            outcome,
+            deadlocks=report.deadlocks,
+            deadlock_s=report.deadlock_s,
+            **_per_second(report.onboard, outcome.simulated_s),
+        ),
         end_reason=reason,
         onboard=report.onboard,
         truth=witness.values(),
@@ -168,6 +174,19 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
     )
+
+
+RATES = {
+    "reversals_per_s": "smoothness.reversals_mean",
+    "speed_variation_m_s2": "smoothness.speed_variation_m_s",
+    "turn_variation_rad_s2": "smoothness.turn_variation_rad_s",
+}
+"""Numbers of the outcome that are sums of the robots' own measurements over the time."""
+
+
+def _per_second(onboard: Mapping[str, float], time_s: float) -> dict[str, float]:
+    """Return the outcome's rates; none that the robots did not measure."""
+    return {name: round(onboard[key] / time_s, 5) for name, key in RATES.items() if key in onboard and time_s > 0.0}
 
 
 class Track:
@@ -240,9 +259,12 @@ def attempt(trial: Trial, run: Measure) -> Measurement | str:
 def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
     """Return the fleet of a trial, and the goals (n, 2) of its robots."""
     world = world_config(scenario, trial.seed, world_of(trial))
-    poses = spawn(scenario, trial.cell.robots, trial.seed, world.radius_m)
     # The seed is part of the names, and what a blocked robot draws depends on its name.
-    robots = [{"id": f"r{row}s{trial.seed}", "pose": pose} for row, pose in enumerate(poses.tolist())]
+    ids = [f"r{row}s{trial.seed}" for row in range(trial.cell.robots)]
+    if trial.bodies:
+        world = world.model_copy(update={"bodies": _bodies(trial, ids)})
+    poses = spawn(scenario, len(ids), trial.seed, np.array([world.of_body(robot).radius_m for robot in ids]))
+    robots = [{"id": robot, "pose": pose} for robot, pose in zip(ids, poses.tolist(), strict=True)]
     config = SwarmConfig.model_validate(
         {
             "world": world.model_dump(),
@@ -253,6 +275,16 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
         }
     )
     return config, goals_for(scenario, poses)
+
+
+def _bodies(trial: Trial, ids: Sequence[str]) -> dict[str, BodyConfig]:
+    """Return the bodies that differ, robot by robot: none takes from the world what is not its own."""
+    found = []
+    for each in trial.bodies:
+        settings = dict(each)
+        whole = {"declared_radius_m": settings["radius_m"], "drivetrain": {}, **world_settings(settings)}
+        found.append(BodyConfig.model_validate(whole))
+    return {robot: found[row % len(found)] for row, robot in enumerate(ids)}
 
 
 def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:

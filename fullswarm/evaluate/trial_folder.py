@@ -166,6 +166,7 @@ class _Document(msgspec.Struct, forbid_unknown_fields=True):
     time_limit_s: float | None = None
     agent: Table = {}
     stop: Table = {}
+    bodies: list[Table] = []
 
 
 def launch_text(trial: Trial, experiment: str) -> str:
@@ -185,7 +186,8 @@ def launch_text(trial: Trial, experiment: str) -> str:
         arena = {"scenario": json.loads(trial.arena or _arena(scenario_of(trial)))}
     except ConfigError:
         arena = {"scenario": {"name": trial.cell.scenario}}  # that is why it failed
-    return HEAD + tomlkit.dumps({**head, "cell": cell, **settings, **arena})
+    bodies = {"bodies": [dict(each) for each in trial.bodies]} if trial.bodies else {}
+    return HEAD + tomlkit.dumps({**head, "cell": cell, **settings, **bodies, **arena})
 
 
 def load_trial(path: Path) -> Launch:
@@ -223,6 +225,7 @@ def parse_trial(text: str, where: str) -> Launch:
             body=tuple(document.body.items()),
             agent=tuple(document.agent.items()),
             stop=tuple(document.stop.items()),
+            bodies=tuple(tuple(each.items()) for each in document.bodies),
             arena=_arena(Scenario.model_validate_json(json.dumps(document.scenario), strict=True)),
         )
     except (msgspec.ValidationError, ValidationError, TypeError, ValueError) as error:

@@ -8,7 +8,7 @@ nearest robot.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -122,7 +122,7 @@ class Referee:
     Parameters
     ----------
     world : its bodies are watched
-    limits : what the robots' drivers report as their limits
+    limits : what the driver of each robot reports as its limits
 
     Attributes
     ----------
@@ -130,16 +130,16 @@ class Referee:
     touched : (n,) which robots have touched anything
     """
 
-    def __init__(self, world: World, limits: Limits) -> None:
+    def __init__(self, world: World, limits: Sequence[Limits]) -> None:
         count = len(world.ids)
         self._world = world
-        self._most = np.array([limits.speed_m_s, limits.turn_rad_s]) * (1.0 + TOLERANCE)
+        self._most = np.array([(each.speed_m_s, each.turn_rad_s) for each in limits]) * (1.0 + TOLERANCE)
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
         self._counts = np.zeros((2, count), np.int64)
         self._steps = 0
-        self._approaches = Approaches(world.pose, np.full(count, world.config.radius_m))
+        self._approaches = Approaches(world.pose, world.radius_m)
         self._xy = [world.pose[:, :2].copy()]
         self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
         self.above_limits = 0
@@ -182,7 +182,7 @@ class Referee:
         starts = xy[steps - 1, rows].reshape(-1, 1, 2)
         return Contacts(
             ids=world.ids,
-            radius_m=np.full(len(world.ids), world.config.radius_m),
+            radius_m=world.radius_m.copy(),
             obstacles=np.array(world.obstacles),
             touch_m=found.touch_m,
             step_s=world.dt_s,
@@ -264,7 +264,7 @@ class WorldWitness:
 
     def __init__(self, world: World, goals: Array, goal_radius_m: float, cell_m: float, emulated: bool = False) -> None:
         self._world, self._steps = world, 0
-        self._limits = ENDLESS if emulated else world.description.limits
+        self._limits = [ENDLESS if emulated else each.limits for each in world.descriptions]
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
@@ -297,8 +297,8 @@ class WorldWitness:
 
     @property
     def radius_m(self) -> Array:
-        """The world's bodies are all of one size."""
-        return np.full(len(self._world.ids), self._world.config.radius_m)
+        """The true sizes."""
+        return self._world.radius_m
 
     def tally(self) -> ContactTally:
         """Return what the referee has counted."""
@@ -414,16 +414,17 @@ class ReportedWitness:
 
 def in_safe_set(world: World, margin_m: float) -> bool:
     """Return whether every gap between bodies, boxes, walls and the arena's edge is at least the filter's margin."""
-    position, radius_m = world.pose[:, :2], world.config.radius_m
+    position, radius_m = world.pose[:, :2], world.radius_m
     apart = position[:, None] - position[None, :]
     distance = np.hypot(apart[..., 0], apart[..., 1])
     np.fill_diagonal(distance, np.inf)
-    if distance.min(initial=np.inf) < 2.0 * radius_m + margin_m:
+    if (distance < radius_m[:, None] + radius_m[None, :] + margin_m).any():
         return False
-    clearance_m = radius_m + margin_m
-    x_min, y_min, x_max, y_max = world.config.bounds_m
-    inside: NDArray[np.bool_] = (position >= (x_min + clearance_m, y_min + clearance_m)) & (
-        position <= (x_max - clearance_m, y_max - clearance_m)
+    clearance_m = (radius_m + margin_m)[:, None]
+    low, high = np.array(world.config.bounds_m).reshape(2, 2)
+    inside: NDArray[np.bool_] = (position >= low + clearance_m) & (position <= high - clearance_m)
+    return bool(inside.all()) and all(
+        box_gap.run(x, y, world.obstacles, row)[0] >= each_m + margin_m
+        for (x, y), each_m in zip(position, radius_m, strict=True)
+        for row in range(len(world.obstacles))
     )
-    gaps = (box_gap.run(x, y, world.obstacles, row)[0] for x, y in position for row in range(len(world.obstacles)))
-    return bool(inside.all()) and all(gap >= clearance_m for gap in gaps)

@@ -103,7 +103,7 @@ def on_free_ports(config: SwarmConfig, *, prefer_configured: bool = True) -> Swa
     Unreachable
         This machine has no free port.
     """
-    from fullswarm.drivers.sim.protocol import parse_address
+    from fullswarm.drivers.ports import parse_address
 
     world = config.world_or_default
     host_of(config.hub.endpoint)  # raises what is wrong with it

@@ -84,6 +84,9 @@ def start_poses(config: SwarmConfig) -> np.ndarray[tuple[int, int], np.dtype[np.
     """Return where the simulated robots stand at first, (n, 3); those the file does not place get a free place."""
     from fullswarm.simulation.starts import default_starts
 
-    world = config.world_or_default
-    free = default_starts(world, len(config.robot))
-    return np.array([each.pose or tuple(free[row]) for row, each in enumerate(config.robot)], float)
+    world, robots = config.world_or_default, config.robot
+    if all(each.pose for each in robots):
+        return np.array([each.pose for each in robots], float).reshape(-1, 3)
+    largest_m = max(world.of_body(each.id).radius_m for each in robots)
+    free = default_starts(world, len(robots), radius_m=largest_m)
+    return np.array([each.pose or tuple(free[row]) for row, each in enumerate(robots)], float)

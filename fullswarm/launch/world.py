@@ -105,7 +105,7 @@ class WorldNode:
         """
         world = self.world
         nowhere = np.full((len(world.ids), 2), np.nan)
-        radius_m = np.full(len(world.ids), world.description.radius_m)
+        radius_m = world.radius_m
         self._truth = Truth(world.ids, radius_m, nowhere, 0.0, bounds_m, cell_m)
         return SupervisorCalculator(self._bus, self._keys, self._scheduler, self._truth, self._process)
 

@@ -33,6 +33,8 @@ ROLLING = 0.02
 """Rolling resistance over weight."""
 WHEEL_RADII = 0.75
 """Where the wheels are, from the middle, in radii of the body."""
+STILL_M_S = 1e-3
+"""A wheel that is slower does not count as turning."""
 
 
 @kernel
@@ -51,6 +53,37 @@ def spend(twist: Array, radius: Array, mass: Array, energy: Array, dt_s: float) 
         wheel = WHEEL_RADII * rim
         way = 0.5 * (math.fabs(v - wheel) + math.fabs(v + wheel)) * dt_s
         energy[i, 0] += ROLLING * GRAVITY_M_S2 * mass[i] * way
+
+
+@kernel
+def smoothness(setpoints: Array, radius: Array, last: Array, sums: Array) -> None:
+    """Add one period's changes of the set-points (n, 2) to `sums` (n, 3).
+
+    Parameters
+    ----------
+    last : (n, 4) in and out: speed and turn rate, NaN before the first call, and the direction of the left and of the
+        right wheel: -1, 1, or 0 while it has not turned yet
+    sums : (n, 3) in and out: reversals, mean of both wheels; changes of the speed in m/s and of the turn rate in rad/s,
+        each counted without its sign
+    """
+    for i in range(setpoints.shape[0]):
+        v, w = float(setpoints[i, 0]), float(setpoints[i, 1])
+        if not (math.isfinite(v) and math.isfinite(w)):
+            continue
+        if not math.isnan(last[i, 0]):
+            if v == last[i, 0] and w == last[i, 1]:
+                continue
+            sums[i, 1] += math.fabs(v - last[i, 0])
+            sums[i, 2] += math.fabs(w - last[i, 1])
+        last[i, 0], last[i, 1] = v, w
+        rim = WHEEL_RADII * radius[i] * w
+        for side in range(2):
+            wheel = v - rim if side == 0 else v + rim
+            if math.fabs(wheel) > STILL_M_S:
+                direction = 1.0 if wheel > 0.0 else -1.0
+                if direction * last[i, 2 + side] < 0.0:  # a stop between the two directions changes nothing
+                    sums[i, 0] += 0.5
+                last[i, 2 + side] = direction
 
 
 Counts = NDArray[np.int64]
@@ -140,16 +173,17 @@ def cover(position: Array, radius: Array, marked: Array, grid: Grid, x0: float, 
 
 @kernel
 def measure(
-    now_s: float, dt_s: float, travelled: Array, pose: Array, contacts: Counts, twist: Array,
+    now_s: float, dt_s: float, travelled: Array, pose: Array, contacts: Counts, twist: Array, setpoints: Array,
     max_speed: Array, last: Array, moved_s: Array, distance: Array,
     touching: Grid, touched_s: Array, events: Counts,
-    mass: Array, energy: Array,
+    mass: Array, energy: Array, last_setpoints: Array, changes: Array,
     radius: Array, marked: Array, grid: Grid, x0: float, y0: float, cell: float,
 ) -> int:  # fmt: skip
-    """Run all four in one call: crossing into compiled code costs more than the work of a small swarm."""
+    """Run all five in one call: crossing into compiled code costs more than the work of a small swarm."""
     travel(now_s, dt_s, travelled, max_speed, last, moved_s, distance)
     touch(now_s, contacts, touching, touched_s, events)
     spend(twist, radius, mass, energy, dt_s)
+    smoothness(setpoints, radius, last_setpoints, changes)
     return cover(pose, radius, marked, grid, x0, y0, cell)
 
 
@@ -231,6 +265,27 @@ class EnergyCalculator:
         self.unknown = np.full((n, 2), math.nan)
 
 
+class SmoothnessCalculator:
+    """How often the wheels of each of n robots reverse and how much its set-points change, summed since the start.
+
+    Attributes
+    ----------
+    reversals : (n,) how often a wheel's commanded speed changed its sign, mean of both wheels
+    speed_variation_m_s, turn_variation_rad_s : (n,) total variation of the commanded speed and turn rate
+    """
+
+    def __init__(self, n: int) -> None:
+        self.last = np.zeros((n, 4))
+        self.last[:, :2] = math.nan
+        self.changes = np.zeros((n, 3))
+        self.reversals, self.speed_variation_m_s, self.turn_variation_rad_s = self.changes.T
+        self.unknown = np.full((n, 2), math.nan)
+
+    def update(self, setpoints: Array, radius_m: Array) -> None:
+        """Take in what the drivers applied in one period, (n, 2) m/s and rad/s; a row with NaN is skipped."""
+        smoothness(setpoints, radius_m, self.last, self.changes)
+
+
 class Calculators:
     """The calculators of the robots `ids`, updated by one kernel call and published together.
 
@@ -264,11 +319,13 @@ class Calculators:
         self.collision = CollisionCalculator(len(self.ids))
         self.coverage = CoverageCalculator(bounds_m, cell_m, radii_m)
         self.energy = EnergyCalculator(len(self.ids))
+        self.smoothness = smooth = SmoothnessCalculator(len(self.ids))
         self._with_grid = False
         work, collision, coverage, frame = self.work, self.collision, self.coverage, self.coverage.frame
         self._kept = (
             work.max_speed_m_s, work.last, work.moved_s, work.distance_m,
             collision.touching, collision.touched_s, collision.events, self.energy.mass_kg, self.energy.state,
+            smooth.last, smooth.changes,
             coverage.radii_m, coverage.marked, coverage.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m,
         )  # fmt: skip
 
@@ -295,6 +352,7 @@ class Calculators:
         dt_s: float,
         odometry: Array | None = None,
         twist: Array | None = None,
+        setpoints: Array | None = None,
     ) -> None:
         """Take in one control period.
 
@@ -311,15 +369,26 @@ class Calculators:
             to metres that no robot drove, so odometry is the better source where there is any.
         twist
             Speed and turn rate as measured, (n, 2), NaN where unknown; None: no energy is counted.
+        setpoints
+            Speed and turn rate that the drivers applied, (n, 2); None: no reversals are counted.
         """
         self.coverage.covered += measure.run(
             now_s, dt_s, pose if odometry is None else odometry, pose, contacts,
-            self.energy.unknown if twist is None else twist, *self._kept,
+            self.energy.unknown if twist is None else twist,
+            self.smoothness.unknown if setpoints is None else setpoints, *self._kept,
         )  # fmt: skip
 
     def columns(self) -> dict[str, Array]:
         """Return the numbers per robot, (n,) each, by their names in ``metrics.py``; cumulative since the start."""
-        return {"distance_m": self.distance_m, "events": self.collisions.astype(float), "energy_j": self.energy_j}
+        smooth = self.smoothness
+        return {
+            "distance_m": self.distance_m,
+            "events": self.collisions.astype(float),
+            "energy_j": self.energy_j,
+            "reversals": smooth.reversals,
+            "speed_variation_m_s": smooth.speed_variation_m_s,
+            "turn_variation_rad_s": smooth.turn_variation_rad_s,
+        }
 
     def publish(self, bus: Bus, keys: Keys, host: str, now_s: float, *, whole: bool = True) -> None:
         """Publish the grid of `host`, cumulative since the start; unless `whole` every second time only.

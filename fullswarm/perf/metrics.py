@@ -54,6 +54,10 @@ COLUMNS = {
     "deadlock_count": Column("", "how often it was found blocked and stepped aside", "add"),
     "sidestep_s": Column("s", "time spent on stepping aside", "add"),
     "deviation_m": Column("m", "distance between desired and filtered motion, added up over time", "add"),
+    "reversals": Column("", "how often a wheel's commanded speed changed its sign, mean of both wheels", "add"),
+    "speed_variation_m_s": Column("m/s", "total variation of the commanded speed", "add"),
+    "turn_variation_rad_s": Column("rad/s", "total variation of the commanded turn rate", "add"),
+    "delay_s": Column("s", "longest delay of the states that it receives from others, from measurement to arrival"),
     "energy_j": Column("J", "what driving cost, see `perf/calculators.py`", "add"),
     "ticks": Column("", "control periods and other timers run", "add", per_host=True),
     "late": Column("", "of them later than 1 ms", "add", per_host=True),
@@ -112,6 +116,21 @@ METRICS = {
         "How much the safety filter changed",
         {"total_m": ("sum", "deviation_m"), "mean_m": ("mean", "deviation_m"), "max_m": ("max", "deviation_m")},
         "deviation_m",
+    ),
+    "smoothness": Metric(
+        "How often wheels reverse, and how much the set-points change, since the start",
+        {
+            "reversals_mean": ("mean", "reversals"),
+            "reversals_max": ("max", "reversals"),
+            "speed_variation_m_s": ("mean", "speed_variation_m_s"),
+            "turn_variation_rad_s": ("mean", "turn_variation_rad_s"),
+        },
+        "reversals",
+    ),
+    "network": Metric(
+        "How late the states of other robots arrive",
+        {"delay_mean_s": ("mean", "delay_s"), "delay_max_s": ("max", "delay_s")},
+        "delay_s",
     ),
     "energy": Metric(
         "What driving cost",

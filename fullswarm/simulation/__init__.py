@@ -7,6 +7,7 @@ drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its ma
 ``engine.py``           The interface of a physics engine, and the table ``ENGINES`` that names them. A new engine is a
                         file, a line there and its name in ``EngineName`` of ``config/models.py``. The engines:
 ``kinematic.py``        Unicycles on exact arcs, no masses
+``drivetrain.py``       The kinematic bodies behind dead time, motor lag, soft brakes, unequal wheels and slip
 ``pybullet_engine.py``  PyBullet, velocity-driven cylinders: the default
 ``pybullet_wheels.py``  PyBullet, wheel-driven bodies on a floor with friction
 ``contacts.py``         Decides which bodies touched during a step, in the same way for every engine

@@ -12,6 +12,8 @@ obstacle k, whose columns are those of :func:`fullswarm.simulation.obstacles.wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,37 +31,75 @@ SKIN_RADII = 1.5  # how far apart two bodies may be, in radii, to stay on the li
 HALVINGS = 40  # of an interval in which a distance has one minimum
 
 
-def touch_m(config: WorldConfig) -> float:
-    """Return the gap at or below which two bodies of a world touch.
+class Solids(NamedTuple):
+    """What is solid in a world of n bodies."""
+
+    obstacles: Array  # (k, 8) rows of `with_trigonometry`
+    radius: Array  # (n,) m, of the bodies
+
+
+class Candidates(NamedTuple):
+    """Pairs that may meet soon: a list that is kept until bodies have moved far enough to change it."""
+
+    pairs: Index  # (m, 4) row, other row or -1-k, two columns of scratch
+    used: Index  # (1,) how many rows of it are
+    slack: Array  # (2,) m: that bodies have moved since the list was made; gap up to which pairs are on it, -1: no list
+    anchor: Array  # (n, 2) where bodies were then
+    grid: Index  # (8 n + 64,) scratch
+
+
+class Judged(NamedTuple):
+    """What the referee has found on the paths of a step."""
+
+    near: Index  # (m, 2) pairs that were so close that they might have touched
+    gaps: Array  # (m,) their smallest gaps
+    pairs: Index  # (m, 2) pairs that touch
+    contacts: Index  # (n,) of how many touching pairs each body is part
+    found: Index  # (2,) how many are near, and how many touch
+
+
+def touch_m(config: WorldConfig, radius_m: Array | None = None) -> float:
+    """Return the gap at or below which two bodies of a world touch, with radii (n,) other than the world's if given.
 
     Bullet keeps two bodies of radius r apart along the line through their centres at the start of a substep. When they
-    also move past each other by s in it, as in a graze, a gap of hypot(2 r, s) - 2 r stays.
+    also move past each other by s in it, as in a graze, a gap of hypot(2 r, s) - 2 r stays. It is the largest for the
+    smallest bodies.
     """
     substep_s = 1.0 / (config.rate_hz * config.substeps)
-    both_m = 2.0 * config.radius_m
+    both_m = 2.0 * (config.radius_m if radius_m is None else float(radius_m.min(initial=math.inf)))
+    if math.isinf(both_m):
+        return TOUCH_M
     return max(TOUCH_M, 1e-4 + math.hypot(both_m, 2.0 * config.speed_limit_m_s * substep_s) - both_m)
+
+
+def radii_of(bodies: Sequence[WorldConfig]) -> Array:
+    """Return the radii of bodies, (n,) m."""
+    return np.array([body.radius_m for body in bodies], np.float64)
 
 
 class ContactReferee:
     """Judges the paths of n bodies, step by step.
 
+    Parameters
+    ----------
+    radius_m : (n,) of the bodies
+    part_s : (p,) when the parts of a step end, since its start
+
     Attributes
     ----------
-    part_s : (p,) when the parts of a step end, since its start
+    part_s : as given
     path : (p + 1, n, 2) m, written by the engine: centres at the start of a step and after each part of it
     contacts : (n,) bodies and obstacles that each body touched during the last step; the same array at all times
     pairs : (m, 2) which touched; the second is -1-k for obstacle k
     near, near_gap_m : (m, 2), (m,) pairs that were so close that they might have touched, and their smallest gaps
     """
 
-    def __init__(self, config: WorldConfig, obstacles: Array, count: int, part_s: Array) -> None:
-        self.radius_m, self.touch_m = float(config.radius_m), touch_m(config)
-        self.obstacles = obstacles
+    def __init__(self, config: WorldConfig, obstacles: Array, radius_m: Array, part_s: Array) -> None:
+        count = len(radius_m)
+        self.radius_m, self.touch_m = np.array(radius_m, np.float64), touch_m(config, radius_m)
+        self.solids = Solids(obstacles, self.radius_m)
         self.part_s, self.path = part_s, np.zeros((len(part_s) + 1, count, 2))
         self.contacts = np.zeros(count, np.int64)
-        self.found = np.zeros(2, np.int64)
-        self._anchor, self._state = np.full((count, 2), math.inf), np.array([-1.0])
-        self._counts, self._grid = np.zeros(1, np.int64), np.zeros(8 * count + 64, np.int64)
         self._marked = np.zeros(count, np.bool_)
         self._listed = 0
         self.allocate(16 * count + 64)
@@ -67,9 +107,21 @@ class ContactReferee:
 
     def allocate(self, capacity: int) -> None:
         """Make room for so many candidates."""
-        self.candidates = np.zeros((capacity, 4), np.int64)
-        self.near_room, self.gap_room = np.zeros((capacity, 2), np.int64), np.zeros(capacity)
-        self.pair_room = np.zeros((capacity, 2), np.int64)
+        count = len(self.radius_m)
+        self.candidates = Candidates(
+            pairs=np.zeros((capacity, 4), np.int64),
+            used=np.zeros(1, np.int64),
+            slack=np.array([0.0, -1.0]),
+            anchor=np.full((count, 2), math.inf),
+            grid=np.zeros(8 * count + 64, np.int64),
+        )
+        self.judged = Judged(
+            near=np.zeros((capacity, 2), np.int64),
+            gaps=np.zeros(capacity),
+            pairs=np.zeros((capacity, 2), np.int64),
+            contacts=self.contacts,
+            found=np.zeros(2, np.int64),
+        )
 
     def reach_m(self, furthest_m: float) -> float:
         """Return the gap from which bodies can touch in a step in which the fastest one drives `furthest_m`."""
@@ -79,17 +131,15 @@ class ContactReferee:
         """Return the rows of the bodies that may touch something in the next step, in which none drives further."""
         listed = self._look(pose, furthest_m)
         while listed < 0:
-            self.allocate(2 * len(self.candidates))
+            self.allocate(2 * len(self.candidates.pairs))
             listed = self._look(pose, furthest_m)
         self._listed = listed
         rows: list[int] = np.flatnonzero(self._marked).tolist() if listed else []
         return rows
 
     def _look(self, pose: Array, furthest_m: float) -> int:
-        return may_touch.run(
-            pose, self.obstacles, self.radius_m, self.reach_m(furthest_m), self._anchor, self._state, self._counts,
-            self.candidates, self._grid, self.near_room, self._marked,
-        )  # fmt: skip
+        reach_m = self.reach_m(furthest_m)
+        return may_touch.run(pose, self.solids, reach_m, self.candidates, self.judged.near, self._marked)
 
     def judge(self) -> None:
         """Find the contacts on the paths of the bodies that `look_ahead` has listed."""
@@ -97,57 +147,62 @@ class ContactReferee:
             self._sweep()
 
     def _sweep(self) -> None:
-        sweep.run(
-            self.path, self.obstacles, self.radius_m, self.touch_m, math.inf, self.near_room, self._listed,
-            self.near_room, self.gap_room, self.pair_room, self.contacts, self.found,
-        )  # fmt: skip
+        near = self.judged.near
+        sweep.run(self.path, self.solids, self.touch_m, math.inf, near, self._listed, self.judged)
         self.publish()
 
     def publish(self) -> None:
         """Publish what the kernel has found."""
-        listed, touching = self.found.tolist()
-        self.near: NDArray[np.int64] = self.near_room[:listed]
-        self.near_gap_m: Array = self.gap_room[:listed]
-        self.pairs: NDArray[np.int64] = self.pair_room[:touching]
+        judged = self.judged
+        listed, touching = judged.found.tolist()
+        self.near: Index = judged.near[:listed]
+        self.near_gap_m: Array = judged.gaps[:listed]
+        self.pairs: Index = judged.pairs[:touching]
 
 
 @kernel
-def near_obstacles(pose: Array, obstacles: Array, reach: float, candidates: Index, count: int) -> int:
-    """Add (body, -1-k) for all that are within `reach`; return the new count, which may exceed the room."""
+def near_obstacles(pose: Array, solids: Solids, skin: float, pairs: Index, count: int) -> int:
+    """Add (body, -1-k) for all whose rims are within `skin`; return the new count, which may exceed the room."""
+    obstacles = solids.obstacles
     for i in range(pose.shape[0]):
+        reach = solids.radius[i] + skin
         for k in range(obstacles.shape[0]):
             dx, dy = pose[i, 0] - obstacles[k, 0], pose[i, 1] - obstacles[k, 1]
             far = obstacles[k, 7] + reach
             if dx * dx + dy * dy < far * far and obstacle_gap(pose[i, 0], pose[i, 1], obstacles, k)[0] < reach:
-                if count < candidates.shape[0]:
-                    candidates[count, 0], candidates[count, 1] = i, -1 - k
+                if count < pairs.shape[0]:
+                    pairs[count, 0], pairs[count, 1] = i, -1 - k
                 count += 1
     return count
 
 
 @kernel
-def near_bodies(pose: Array, reach: float, candidates: Index, count: int) -> int:
-    """Add all pairs of bodies within `reach`, each against each; return the new count."""
+def near_bodies(pose: Array, radius: Array, skin: float, pairs: Index, count: int) -> int:
+    """Add all pairs of bodies whose rims are within `skin`, each against each; return the new count."""
     n = pose.shape[0]
     for i in range(n):
-        x, y = pose[i, 0], pose[i, 1]
+        x, y, reach = pose[i, 0], pose[i, 1], radius[i] + skin
         for j in range(i + 1, n):
-            dx, dy = pose[j, 0] - x, pose[j, 1] - y
-            if dx * dx + dy * dy < reach * reach:
-                if count < candidates.shape[0]:
-                    candidates[count, 0], candidates[count, 1] = i, j
+            dx, dy, far = pose[j, 0] - x, pose[j, 1] - y, reach + radius[j]
+            if dx * dx + dy * dy < far * far:
+                if count < pairs.shape[0]:
+                    pairs[count, 0], pairs[count, 1] = i, j
                 count += 1
     return count
 
 
 @kernel
-def near_bodies_grid(pose: Array, reach: float, candidates: Index, grid: Index, count: int) -> int:
+def near_bodies_grid(pose: Array, radius: Array, skin: float, pairs: Index, grid: Index, count: int) -> int:
     """Do the same as `near_bodies` with a cell grid (counting sort); `grid` holds at least 8 n + 64 numbers."""
     n = pose.shape[0]
     x_min, x_max, y_min, y_max = pose[0, 0], pose[0, 0], pose[0, 1], pose[0, 1]
     for i in range(1, n):
         x_min, x_max = min(x_min, pose[i, 0]), max(x_max, pose[i, 0])
         y_min, y_max = min(y_min, pose[i, 1]), max(y_max, pose[i, 1])
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, radius[i])
+    reach = 2.0 * largest + skin
     most = int(math.sqrt(4.0 * n)) + 1  # per axis, so that all cells fit into `grid`
     size = max(reach, (x_max - x_min) / most, (y_max - y_min) / most)
     columns = min(most, int((x_max - x_min) / size) + 1)
@@ -174,21 +229,34 @@ def near_bodies_grid(pose: Array, reach: float, candidates: Index, grid: Index, 
             last = start[high + 1] if high < columns * rows else n
             for slot in range(first, last):
                 j = order[slot]
-                dx, dy = pose[j, 0] - x, pose[j, 1] - y
-                if j > i and dx * dx + dy * dy < reach * reach:
-                    if count < candidates.shape[0]:
-                        candidates[count, 0], candidates[count, 1] = i, j
+                dx, dy, far = pose[j, 0] - x, pose[j, 1] - y, radius[i] + skin + radius[j]
+                if j > i and dx * dx + dy * dy < far * far:
+                    if count < pairs.shape[0]:
+                        pairs[count, 0], pairs[count, 1] = i, j
                     count += 1
     return count
 
 
 @kernel
-def list_near(pose: Array, obstacles: Array, radius: float, skin: float, candidates: Index, grid: Index) -> int:
-    """List all pairs whose rims are within `skin`; return how many, which may exceed the room in `candidates`."""
-    listed = near_obstacles(pose, obstacles, radius + skin, candidates, 0)
+def list_near(pose: Array, solids: Solids, least_skin: float, listed: Candidates) -> bool:
+    """List all pairs whose rims are within a skin of at least `least_skin`; return whether there is room for them.
+
+    The skin is `SKIN_RADII` of the mean radius where that is more.
+    """
+    radius, total = solids.radius, 0.0
+    for i in range(radius.shape[0]):
+        total += radius[i]
+    skin = max(SKIN_RADII * total / max(1, radius.shape[0]), least_skin)
+    count = near_obstacles(pose, solids, skin, listed.pairs, 0)
     if pose.shape[0] > BRUTE_FORCE_BODIES:
-        return near_bodies_grid(pose, 2.0 * radius + skin, candidates, grid, listed)
-    return near_bodies(pose, 2.0 * radius + skin, candidates, listed)
+        count = near_bodies_grid(pose, radius, skin, listed.pairs, listed.grid, count)
+    else:
+        count = near_bodies(pose, radius, skin, listed.pairs, count)
+    if count > listed.pairs.shape[0]:
+        listed.slack[1] = -1.0
+        return False
+    listed.slack[0], listed.slack[1], listed.used[0] = 0.0, skin, count
+    return True
 
 
 @kernel
@@ -234,97 +302,83 @@ def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, sto
 
 @kernel
 def may_touch(
-    pose: Array, obstacles: Array, radius: float, reach: float, anchor: Array, state: Array, counts: Index,
-    candidates: Index, grid: Index, near: Index, marked: NDArray[np.bool_],
-) -> int:  # fmt: skip
+    pose: Array, solids: Solids, reach: float, listed: Candidates, near: Index, marked: NDArray[np.bool_]
+) -> int:
     """List in `near` the pairs whose rims are within `reach`, and mark their bodies.
-
-    Parameters
-    ----------
-    anchor : (n, 2) where the bodies were when `candidates` was made
-    state : (1,) how far apart rims may be to be among the candidates (m); -1: there are none yet
-    counts : (1,) number of candidates
 
     Returns
     -------
     int
-        How many; -1 if `candidates` is too small.
+        How many; -1 if there is no room for all candidates.
     """
     n = pose.shape[0]
+    obstacles, radius, pairs = solids.obstacles, solids.radius, listed.pairs
     moved = 0.0
     for i in range(n):
-        dx, dy = pose[i, 0] - anchor[i, 0], pose[i, 1] - anchor[i, 1]
+        dx, dy = pose[i, 0] - listed.anchor[i, 0], pose[i, 1] - listed.anchor[i, 1]
         moved = max(moved, dx * dx + dy * dy)
         marked[i] = False
-    if 2.0 * math.sqrt(moved) + reach > state[0]:
-        skin = max(SKIN_RADII * radius, 2.0 * reach)
-        found = list_near(pose, obstacles, radius, skin, candidates, grid)
-        if found > candidates.shape[0]:
-            state[0] = -1.0
+    if 2.0 * math.sqrt(moved) + reach > listed.slack[1]:
+        if not list_near(pose, solids, 2.0 * reach, listed):
             return -1
-        state[0], counts[0] = skin, found
         for i in range(n):
-            anchor[i, 0], anchor[i, 1] = pose[i, 0], pose[i, 1]
-    far = 2.0 * radius + reach
-    listed = 0
-    for c in range(counts[0]):
-        i, j = candidates[c, 0], candidates[c, 1]
+            listed.anchor[i, 0], listed.anchor[i, 1] = pose[i, 0], pose[i, 1]
+    count = 0
+    for c in range(listed.used[0]):
+        i, j = pairs[c, 0], pairs[c, 1]
         if j >= 0:
-            dx, dy = pose[j, 0] - pose[i, 0], pose[j, 1] - pose[i, 1]
+            dx, dy, far = pose[j, 0] - pose[i, 0], pose[j, 1] - pose[i, 1], radius[i] + radius[j] + reach
             if dx * dx + dy * dy > far * far:
                 continue
             marked[j] = True
-        elif obstacle_gap(pose[i, 0], pose[i, 1], obstacles, -1 - j)[0] > radius + reach:
+        elif obstacle_gap(pose[i, 0], pose[i, 1], obstacles, -1 - j)[0] > radius[i] + reach:
             continue
         marked[i] = True
-        near[listed, 0], near[listed, 1] = i, j
-        listed += 1
-    return listed
+        near[count, 0], near[count, 1] = i, j
+        count += 1
+    return count
 
 
 @kernel
 def sweep(
-    path: Array, obstacles: Array, radius: float, touch: float, reach: float, candidates: Index, count: int,
-    near: Index, gaps: Array, pairs: Index, contacts: Index, found: Index,
-) -> None:  # fmt: skip
+    path: Array, solids: Solids, touch: float, reach: float, candidates: Index, count: int, judged: Judged
+) -> None:
     """Find which of the first `count` candidates touch on the path: rims within `touch` of each other.
 
     Parameters
     ----------
     path : (p, n, 2)
-    near, gaps : (m, 2), (m,) filled with the pairs that were within `reach` at the start, and their smallest gaps (m)
-    pairs : (m, 2) filled with those that touch
-    contacts : (n,) set to the number of pairs that each body is part of
-    found : (2,) set to how many are near, and how many touch
+    reach : pairs whose rims were within it at the start are followed
     """
-    for i in range(contacts.shape[0]):
-        contacts[i] = 0
+    obstacles, radius = solids.obstacles, solids.radius
+    for i in range(judged.contacts.shape[0]):
+        judged.contacts[i] = 0
     last = path.shape[0] - 1
-    far = 2.0 * radius + reach
     listed, touching = 0, 0
     for c in range(count):
         i, j = candidates[c, 0], candidates[c, 1]
         if j >= 0:
-            dx, dy = path[0, j, 0] - path[0, i, 0], path[0, j, 1] - path[0, i, 1]
+            both = radius[i] + radius[j]
+            dx, dy, far = path[0, j, 0] - path[0, i, 0], path[0, j, 1] - path[0, i, 1], both + reach
             if dx * dx + dy * dy > far * far:
                 continue
             least = closest_bodies(path, 0, i, j)
             for at in range(1, last):
                 least = min(least, closest_bodies(path, at, i, j))
-            least -= 2.0 * radius
+            least -= both
         else:
-            if obstacle_gap(path[0, i, 0], path[0, i, 1], obstacles, -1 - j)[0] > radius + reach:
+            if obstacle_gap(path[0, i, 0], path[0, i, 1], obstacles, -1 - j)[0] > radius[i] + reach:
                 continue
-            least = closest_obstacle(path, 0, i, obstacles, -1 - j, radius + touch)
+            least = closest_obstacle(path, 0, i, obstacles, -1 - j, radius[i] + touch)
             for at in range(1, last):
-                least = min(least, closest_obstacle(path, at, i, obstacles, -1 - j, radius + touch))
-            least -= radius
-        near[listed, 0], near[listed, 1], gaps[listed] = i, j, least
+                least = min(least, closest_obstacle(path, at, i, obstacles, -1 - j, radius[i] + touch))
+            least -= radius[i]
+        judged.near[listed, 0], judged.near[listed, 1], judged.gaps[listed] = i, j, least
         listed += 1
         if least <= touch:
-            pairs[touching, 0], pairs[touching, 1] = i, j
+            judged.pairs[touching, 0], judged.pairs[touching, 1] = i, j
             touching += 1
-            contacts[i] += 1
+            judged.contacts[i] += 1
             if j >= 0:
-                contacts[j] += 1
-    found[0], found[1] = listed, touching
+                judged.contacts[j] += 1
+    judged.found[0], judged.found[1] = listed, touching

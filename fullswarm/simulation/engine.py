@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Protocol
 
@@ -33,6 +34,7 @@ ENGINES: dict[EngineName, tuple[str, str]] = {
     "kinematic": ("kinematic", "KinematicEngine"),
     "pybullet": ("pybullet_engine", "PyBulletEngine"),
     "pybullet-wheels": ("pybullet_wheels", "WheelsEngine"),
+    "drivetrain": ("drivetrain", "DrivetrainEngine"),
 }
 """Module and class of each engine; imported on use, because PyBullet is an extra."""
 
@@ -40,9 +42,10 @@ ENGINES: dict[EngineName, tuple[str, str]] = {
 def check_config(config: WorldConfig) -> None:
     """Refuse a world without room: raise `ConfigError` for empty bounds or a box without area."""
     x_min, y_min, x_max, y_max = config.bounds_m
-    if x_max - x_min <= 2 * config.radius_m or y_max - y_min <= 2 * config.radius_m:
+    radius_m = max([config.radius_m, *(body.radius_m or 0.0 for body in config.bodies.values())])
+    if x_max - x_min <= 2 * radius_m or y_max - y_min <= 2 * radius_m:
         raise ConfigError(
-            f"bounds {config.bounds_m} leave no room for a robot of {config.radius_m} m radius",
+            f"bounds {config.bounds_m} leave no room for a robot of {radius_m} m radius",
             where="world.bounds_m",
             hint="give x_min, y_min, x_max, y_max in metres",
         )
@@ -53,8 +56,12 @@ def check_config(config: WorldConfig) -> None:
             )
 
 
-def make_engine(config: WorldConfig, starts: Array) -> Engine:
+def make_engine(config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig] | None = None) -> Engine:
     """Return the engine that `config` names, its bodies at `starts` (n, 3).
+
+    Parameters
+    ----------
+    bodies : n settings, of each body, as `WorldConfig.of_body` returns them; None: all are the world's
 
     Raises
     ------
@@ -63,8 +70,11 @@ def make_engine(config: WorldConfig, starts: Array) -> Engine:
     """
     check_config(config)
     module, name = ENGINES[config.engine]
+    bodies = (config,) * len(starts) if bodies is None else bodies
+    fastest_m_s = max((body.speed_limit_m_s for body in bodies), default=config.speed_limit_m_s)
+    config = config.model_copy(update={"speed_limit_m_s": fastest_m_s})
     try:
-        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts)
+        engine: Engine = getattr(import_module(f"fullswarm.simulation.{module}"), name)(config, starts, bodies)
         return engine
     except ModuleNotFoundError as error:
         if error.name != "pybullet":

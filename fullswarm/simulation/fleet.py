@@ -67,7 +67,7 @@ class SimFleet:
         self.ids = world.ids[rows]
         n = len(self.ids)
         self.urls = tuple(f"sim://{robot}" for robot in self.ids)
-        self.descriptions = (world.description,) * n
+        self.descriptions = world.descriptions[rows]
         self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
         # Views: the world's arrays are the same objects for its life.
         self._pose, self._limits = world.pose[rows], world.limits[rows]

@@ -1,23 +1,25 @@
 """The kinematic engine: unicycles on exact arcs, solid discs, boxes and walls; no masses, no friction.
 
-A list of pairs that may meet soon (`candidates`) is kept until bodies have moved far enough to change it; each
+A list of pairs that may meet soon (`Candidates`) is kept until bodies have moved far enough to change it; each
 substep moves all bodies along their arcs, then pushes overlapping ones apart (see :func:`advance`).
 
 Scratch columns of a body: 0, 1 cos and sin of its heading; 2, 3 those of half a substep's turn; 4 chord of one
 substep (m); 5, 6 sum of the pushes it got in this step (m); 7 the last pass that pushed it. A candidate is (row,
-other row or -1-k for obstacle k, unused, scratch).
+other row or -1-k for obstacle k, unused, scratch). Bodies are of equal mass: both of a pair are pushed equally far.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 import fullswarm
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Index, kernel
-from fullswarm.simulation.contacts import SKIN_RADII, ContactReferee, list_near, sweep
+from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, radii_of, sweep
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
 SCRATCH_COLUMNS = 8
@@ -25,55 +27,44 @@ SETTLED_M = 1e-5  # an overlap that need not be pushed out within the same subst
 PASSES = 12.0  # of pushing per substep; a free pair needs one, a pile more
 
 
+class Moving(NamedTuple):
+    """The n bodies in motion."""
+
+    pose: Array  # (n, 3) x, y, heading
+    twist: Array  # (n, 2) measured
+    path: Array  # (2 parts + 1, n, 2) of the step
+    scratch: Array  # (n, 8)
+
+
 class KinematicEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` over arrays."""
 
-    def __init__(self, config: WorldConfig, starts: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.firmware = f"kinematic {fullswarm.__version__}"
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        self._obstacles = with_trigonometry(static_obstacles(config))
+        obstacles = with_trigonometry(static_obstacles(config))
         self._substeps = int(config.substeps)
         self._dt_s = 1.0 / config.rate_hz
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
-        self.referee = ContactReferee(config, self._obstacles, n, part_s)
-        self._scratch = np.zeros((n, SCRATCH_COLUMNS))
-        self._state = np.array([0.0, -1.0])  # metres moved since the list was made, its skin (m); -1: no list
-        self._counts = np.zeros(1, np.int64)
-        self._grid = np.zeros(8 * n + 64, np.int64)
+        self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s)
+        self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))
 
     def step(self, twists: Array) -> None:
         """Advance one world step."""
         while not self._advance(twists):
             # Nothing was changed yet: the list of candidates did not fit.
-            self.referee.allocate(2 * len(self.referee.candidates))
+            self.referee.allocate(2 * len(self.referee.candidates.pairs))
         self.referee.publish()
 
     def _advance(self, twists: Array) -> bool:
         referee = self.referee
         return advance.run(
-            self.pose,
-            twists,
-            self.twist,
-            self._obstacles,
-            self._scratch,
-            referee.candidates,
-            self._grid,
-            self._state,
-            self._counts,
-            referee.radius_m,
-            self._dt_s,
-            self._substeps,
-            referee.touch_m,
-            referee.path,
-            referee.near_room,
-            referee.gap_room,
-            referee.pair_room,
-            referee.contacts,
-            referee.found,
-        )
+            self._moving, twists, referee.solids, referee.candidates, referee.judged, referee.touch_m,
+            self._dt_s, self._substeps,
+        )  # fmt: skip
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -90,17 +81,17 @@ def shift(pose: Array, scratch: Array, i: int, dx: float, dy: float, turn: float
 
 
 @kernel
-def push(pose: Array, obstacles: Array, scratch: Array, i: int, j: int, radius: float, turn: float) -> float:
+def push(pose: Array, scratch: Array, solids: Solids, i: int, j: int, turn: float) -> float:
     """Push body `i` and body (or obstacle) `j` apart if they overlap; return the gap before (m)."""
     if j < 0:
-        gap, nx, ny = obstacle_gap(pose[i, 0], pose[i, 1], obstacles, -1 - j)
-        gap -= radius
+        gap, nx, ny = obstacle_gap(pose[i, 0], pose[i, 1], solids.obstacles, -1 - j)
+        gap -= float(solids.radius[i])
         if gap < 0.0:
             shift(pose, scratch, i, -gap * nx, -gap * ny, turn)
         return gap
     dx, dy = pose[i, 0] - pose[j, 0], pose[i, 1] - pose[j, 1]
     distance = math.sqrt(dx * dx + dy * dy)
-    gap = distance - 2.0 * radius
+    gap = distance - float(solids.radius[i] + solids.radius[j])
     if gap < 0.0:
         nx, ny = 1.0, 0.0
         if distance > 1e-12:
@@ -111,30 +102,28 @@ def push(pose: Array, obstacles: Array, scratch: Array, i: int, j: int, radius: 
 
 
 @kernel
-def first_pass(
-    pose: Array, obstacles: Array, scratch: Array, candidates: Index, count: int, radius: float, close_m: float
-) -> int:
+def first_pass(pose: Array, scratch: Array, solids: Solids, pairs: Index, count: int, close_m: float) -> int:
     """Push every overlapping candidate apart; list those nearer than `close_m`, return how many.
 
     The list is kept in the candidates' last column.
     """
-    far = 2.0 * radius + close_m
+    radius = solids.radius
     close = 0
     for c in range(count):
-        i, j = candidates[c, 0], candidates[c, 1]
+        i, j = pairs[c, 0], pairs[c, 1]
         if j >= 0:
-            dx, dy = pose[i, 0] - pose[j, 0], pose[i, 1] - pose[j, 1]
+            dx, dy, far = pose[i, 0] - pose[j, 0], pose[i, 1] - pose[j, 1], radius[i] + radius[j] + close_m
             if dx * dx + dy * dy > far * far:
                 continue
-        gap = push(pose, obstacles, scratch, i, j, radius, 1.0)
+        gap = push(pose, scratch, solids, i, j, 1.0)
         if gap < close_m:
-            candidates[close, 3] = c
+            pairs[close, 3] = c
             close += 1
     return close
 
 
 @kernel
-def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Index, close: int, radius: float) -> None:
+def relax(pose: Array, scratch: Array, solids: Solids, pairs: Index, close: int) -> None:
     """Go on pushing what the first pass pushed into each other, at most `PASSES` times."""
     turn, moved = 1.0, True
     while moved and turn < PASSES:
@@ -142,11 +131,11 @@ def relax(pose: Array, obstacles: Array, scratch: Array, candidates: Index, clos
         moved = False
         for at in range(close):
             # Back and forth, so that a push travels along a chain of bodies in either direction.
-            c = candidates[close - 1 - at if turn % 2.0 == 0.0 else at, 3]
-            i, j = candidates[c, 0], candidates[c, 1]
+            c = pairs[close - 1 - at if turn % 2.0 == 0.0 else at, 3]
+            i, j = pairs[c, 0], pairs[c, 1]
             if scratch[i, 7] < turn - 1.0 and (j < 0 or scratch[j, 7] < turn - 1.0):
                 continue
-            if push(pose, obstacles, scratch, i, j, radius, turn) < -SETTLED_M:
+            if push(pose, scratch, solids, i, j, turn) < -SETTLED_M:
                 moved = True
 
 
@@ -189,67 +178,45 @@ def note(pose: Array, path: Array, at: int) -> None:
 
 @kernel
 def advance(
-    pose: Array,
-    twists: Array,
-    measured: Array,
-    obstacles: Array,
-    scratch: Array,
-    candidates: Index,
-    grid: Index,
-    state: Array,
-    counts: Index,
-    radius: float,
-    dt: float,
+    moving: Moving, twists: Array, solids: Solids, listed: Candidates, judged: Judged, touch: float, dt: float,
     substeps: int,
-    touch: float,
-    path: Array,
-    near: Index,
-    gaps: Array,
-    pairs: Index,
-    contacts: Index,
-    found: Index,
-) -> bool:
+) -> bool:  # fmt: skip
     """Advance all bodies by `dt` seconds in `substeps` parts, and judge their paths (see `sweep`).
 
     Returns
     -------
     bool
-        False if `candidates` is too small, with nothing changed.
+        False if there is no room for all candidates, with nothing changed.
     """
+    pose, path, scratch, pairs = moving.pose, moving.path, moving.scratch, listed.pairs
     n = pose.shape[0]
     fastest = prepare(pose, twists, scratch, dt / substeps)
     # A pushed body moves no faster than the one that pushes: twice the free way covers it.
     ahead = 2.0 * fastest * dt + 1e-3
-    if 2.0 * (state[0] + ahead) > state[1]:
-        skin = max(SKIN_RADII * radius, 2.5 * ahead)
-        listed = list_near(pose, obstacles, radius, skin, candidates, grid)
-        if listed > candidates.shape[0]:
-            state[1] = -1.0
-            return False
-        counts[0] = listed
-        state[0], state[1] = 0.0, skin
-    count = counts[0]
+    if 2.0 * (listed.slack[0] + ahead) > listed.slack[1] and not list_near(pose, solids, 2.5 * ahead, listed):
+        return False
+    count = listed.used[0]
     close_m = 4.0 * fastest * dt / substeps + 1e-3
     note(pose, path, 0)
     for part in range(substeps):
         move(pose, scratch)
         note(pose, path, 2 * part + 1)
         if count > 0:
-            close = first_pass(pose, obstacles, scratch, candidates, count, radius, close_m)
+            close = first_pass(pose, scratch, solids, pairs, count, close_m)
             if close > 0:
-                relax(pose, obstacles, scratch, candidates, close, radius)
+                relax(pose, scratch, solids, pairs, close)
         note(pose, path, 2 * part + 2)
     # Twice the way that two bodies can close: pushed ones move, too.
-    sweep(path, obstacles, radius, touch, ahead + touch, candidates, count, near, gaps, pairs, contacts, found)
+    sweep(path, solids, touch, ahead + touch, pairs, count, judged)
     pushed = 0.0
     for i in range(n):
         px, py = scratch[i, 5], scratch[i, 6]
-        measured[i, 0] = twists[i, 0] + (px * scratch[i, 0] + py * scratch[i, 1]) / dt
-        measured[i, 1] = twists[i, 1]
+        moving.twist[i, 0] = twists[i, 0] + (px * scratch[i, 0] + py * scratch[i, 1]) / dt
+        moving.twist[i, 1] = twists[i, 1]
         heading = pose[i, 2] + twists[i, 1] * dt
         if heading > math.pi or heading < -math.pi:
             heading = math.atan2(math.sin(heading), math.cos(heading))
         pose[i, 2] = heading
         pushed = max(pushed, abs(px) + abs(py))
-    state[0] += fastest * dt + pushed
+    listed.slack[0] += fastest * dt + pushed
     return True

@@ -20,7 +20,7 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
-from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.contacts import ContactReferee, radii_of
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 
 HEIGHT_M = 0.2
@@ -132,28 +132,29 @@ class BulletClient:
 class PyBulletEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` on Bullet's rigid bodies."""
 
-    def __init__(self, config: WorldConfig, starts: Array) -> None:
+    def __init__(self, config: WorldConfig, starts: Array, bodies: Sequence[WorldConfig]) -> None:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
         obstacles = static_obstacles(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), n, self._client.part_s)
+        self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
         self.firmware = self._client.firmware
         self._client.add_obstacles(obstacles, -HEIGHT_M)
-        self._bodies = [self._add_body(config, pose) for pose in self.pose.tolist()]
+        self._bodies = [
+            self._add_body(body.mass_kg, body.radius_m, pose)
+            for body, pose in zip(bodies, self.pose.tolist(), strict=True)
+        ]
         self._velocity = np.zeros((n, 3))
         self._spin = np.zeros((n, 3))
 
-    def _add_body(self, config: WorldConfig, pose: list[float]) -> int:
+    def _add_body(self, mass_kg: float, radius_m: float, pose: list[float]) -> int:
         api, client = self._client.api, self._client.id
-        shape = api.createCollisionShape(
-            api.GEOM_CYLINDER, radius=config.radius_m, height=HEIGHT_M, physicsClientId=client
-        )
+        shape = api.createCollisionShape(api.GEOM_CYLINDER, radius=radius_m, height=HEIGHT_M, physicsClientId=client)
         x, y, heading = pose
         body: int = api.createMultiBody(
-            baseMass=config.mass_kg,
+            baseMass=mass_kg,
             baseCollisionShapeIndex=shape,
             basePosition=[x, y, 0.0],
             baseOrientation=[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)],
@@ -163,8 +164,8 @@ class PyBulletEngine:
         api.changeDynamics(
             body,
             -1,
-            mass=config.mass_kg,  # without it Bullet takes 0 together with a new inertia, and positions are NaN
-            localInertiaDiagonal=[0.0, 0.0, config.mass_kg * config.radius_m**2 / 2],  # 0: roll, pitch locked
+            mass=mass_kg,  # without it Bullet takes 0 together with a new inertia, and positions are NaN
+            localInertiaDiagonal=[0.0, 0.0, mass_kg * radius_m**2 / 2],  # 0: roll, pitch locked
             linearDamping=0.0,
             angularDamping=0.0,
             lateralFriction=0.0,

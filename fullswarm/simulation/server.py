@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.drivers.ports import parse_address
 from fullswarm.drivers.sim import protocol
 from fullswarm.errors import ConfigError, MessageError
 from fullswarm.simulation.world import World
@@ -204,7 +205,7 @@ class WorldServer:
 
 
 def _bind(address: str, insecure_network: bool) -> socket.socket:
-    host, port = protocol.parse_address(address, where="world.address")
+    host, port = parse_address(address, where="world.address")
     try:
         number = socket.gethostbyname(host)
     except OSError as error:

@@ -16,11 +16,19 @@ JITTER = 0.1  # of the gap between neighbours: breaks the symmetry that deadlock
 SLACK_M = 1e-6  # bodies that just touch do not overlap
 
 
-def default_starts(config: WorldConfig, n: int, taken: Sequence[Sequence[float]] = ()) -> Array:
+def default_starts(
+    config: WorldConfig, n: int, taken: Sequence[Sequence[float]] = (), taken_radius_m: Array | None = None,
+    radius_m: float | None = None,
+) -> Array:  # fmt: skip
     """Return `n` poses (n, 3) on a grid, from the lower left corner, heading 0.
 
     The lower left quarter of the arena if it holds them, else all of it. Repeats for the same seed. Poses
     overlap no obstacle and none of the poses in `taken`.
+
+    Parameters
+    ----------
+    taken_radius_m : (k,) of the robots at `taken`; None: the world's
+    radius_m : of the largest of the n robots; None: the world's
 
     Raises
     ------
@@ -28,16 +36,18 @@ def default_starts(config: WorldConfig, n: int, taken: Sequence[Sequence[float]]
         The arena is too small for them.
     """
     obstacles = with_trigonometry(static_obstacles(config))
+    radius_m = config.radius_m if radius_m is None else radius_m
+    others_m = np.full(len(taken), config.radius_m) if taken_radius_m is None else taken_radius_m
     x_min, y_min, x_max, y_max = config.bounds_m
     middle = (x_min + x_max) / 2, (y_min + y_max) / 2
     for high_x, high_y in (middle, (x_max, y_max)):
         for spacing_radii in SPACINGS_RADII:
             found: list[tuple[float, float, float]] = []
             occupied = np.array([pose[:2] for pose in taken], dtype=float).reshape(-1, 2)
-            for x, y in _grid(config, high_x, high_y, spacing_radii * config.radius_m):
+            for x, y in _grid(config, high_x, high_y, spacing_radii * radius_m, radius_m):
                 if len(found) == n:
                     break
-                if _free(x, y, config.radius_m, obstacles, occupied):
+                if _free(x, y, radius_m, obstacles, occupied, others_m):
                     found.append((x, y, 0.0))
             if len(found) == n:
                 return np.array(found, dtype=float).reshape(-1, 3)
@@ -48,10 +58,12 @@ def default_starts(config: WorldConfig, n: int, taken: Sequence[Sequence[float]]
     )
 
 
-def _grid(config: WorldConfig, high_x: float, high_y: float, spacing: float) -> Iterator[tuple[float, float]]:
+def _grid(
+    config: WorldConfig, high_x: float, high_y: float, spacing: float, radius_m: float
+) -> Iterator[tuple[float, float]]:
     rng = np.random.default_rng(config.seed)
-    jitter = JITTER * (spacing - 2 * config.radius_m)
-    margin = config.radius_m + jitter + SLACK_M
+    jitter = JITTER * (spacing - 2 * radius_m)
+    margin = radius_m + jitter + SLACK_M
     x_min, y_min = config.bounds_m[:2]
     for y in np.arange(y_min + margin, high_y - margin, spacing):
         for x in np.arange(x_min + margin, high_x - margin, spacing):
@@ -59,8 +71,8 @@ def _grid(config: WorldConfig, high_x: float, high_y: float, spacing: float) -> 
             yield float(x + dx), float(y + dy)
 
 
-def _free(x: float, y: float, radius_m: float, obstacles: Array, occupied: Array) -> bool:
-    if len(occupied) and np.min(np.hypot(occupied[:, 0] - x, occupied[:, 1] - y)) < 2 * radius_m:
+def _free(x: float, y: float, radius_m: float, obstacles: Array, occupied: Array, others_m: Array) -> bool:
+    if len(occupied) and np.min(np.hypot(occupied[:, 0] - x, occupied[:, 1] - y) - others_m) < radius_m:
         return False
     return not any(_overlap_m(x, y, radius_m, obstacles, k) > 0.0 for k in range(len(obstacles)))
 
@@ -86,12 +98,16 @@ def fill_starts(
     if len(given) != len(ids):
         raise ConfigError(f"{len(given)} start poses for {len(ids)} robots")
     taken = [one for one in given if one is not None]
-    filled = default_starts(config, len(ids) - len(taken), taken)
+    radii = np.array([config.of_body(robot).radius_m for robot in ids])
+    placed = np.array([one is not None for one in given], bool)
+    largest_m = float(radii[~placed].max(initial=0.0)) or config.radius_m
+    filled = default_starts(config, len(ids) - len(taken), taken, radii[placed], largest_m)
     rest = iter(filled.tolist())
     poses = np.array([next(rest) if one is None else one for one in given], dtype=float).reshape(-1, 3)
     wrong = [what for _, what in pose_errors(config, ids, poses)]
     if wrong:
-        raise ConfigError("; ".join(wrong), where="start poses", hint=f"robots are discs of {config.radius_m} m radius")
+        sizes = " or ".join(f"{each:g}" for each in sorted(set(radii.tolist())))
+        raise ConfigError("; ".join(wrong), where="start poses", hint=f"robots are discs of {sizes} m radius")
     return poses
 
 
@@ -99,6 +115,7 @@ def pose_errors(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterat
     """Yield (robot, what is wrong with its start pose): not finite, outside, in an obstacle or in another robot."""
     x_min, y_min, x_max, y_max = config.bounds_m
     obstacles = with_trigonometry(static_obstacles(config))
+    radius_m = np.array([config.of_body(robot).radius_m for robot in ids])
     for i, (x, y, heading) in enumerate(poses.tolist()):
         if not np.isfinite([x, y, heading]).all():
             yield ids[i], f"{ids[i]}'s pose ({x}, {y}, {heading}) is not finite"
@@ -107,11 +124,11 @@ def pose_errors(config: WorldConfig, ids: Sequence[str], poses: Array) -> Iterat
             yield ids[i], f"{ids[i]} at ({x:.2f}, {y:.2f}) is outside the walls"
             continue
         for k in range(len(obstacles)):
-            if _overlap_m(x, y, config.radius_m, obstacles, k) > 0.0:
+            if _overlap_m(x, y, radius_m[i], obstacles, k) > 0.0:
                 what = f"box {k}" if k < len(config.boxes) else "a wall"
                 yield ids[i], f"{ids[i]} at ({x:.2f}, {y:.2f}) overlaps {what}"
         apart = np.hypot(poses[i + 1 :, 0] - x, poses[i + 1 :, 1] - y)
-        for j in np.flatnonzero(apart < 2 * config.radius_m - SLACK_M):
+        for j in np.flatnonzero(apart < radius_m[i] + radius_m[i + 1 :] - SLACK_M):
             yield ids[i], f"{ids[i]} and {ids[i + 1 + int(j)]} overlap, {apart[j]:.2f} m apart"
 
 

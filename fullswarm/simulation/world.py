@@ -35,8 +35,11 @@ class World:
     twist : (n, 2) measured, m/s and rad/s
     contacts : (n,) bodies and obstacles touched during the last step, see ``contacts.ContactReferee``
     hazards : (n,) ``Hazard`` bits
+    radius_m : (n,) of the bodies
     target, drive : (n, 2) set-points as requested, and after limits and ramps
     limits : (n, 4) m/s, rad/s, m/s², rad/s²
+    radius_m : (n,) of the bodies, which their drivers may state otherwise
+    bodies, descriptions : the settings of each body, and what its driver states
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
     watchers : called after each step
 
@@ -63,19 +66,19 @@ class World:
         self.dt_s = 1.0 / config.rate_hz
         self.obstacles = static_obstacles(config)
         self.obstacles.flags.writeable = False
-        self.description = describe(config)
-        self.engine = make_engine(config, fill_starts(config, ids, starts))
+        self.bodies = tuple(config.of_body(robot) for robot in ids)
+        self.descriptions = tuple(describe(body) for body in self.bodies)
+        self.engine = make_engine(config, fill_starts(config, ids, starts), self.bodies)
         self.firmware = self.engine.firmware
         self.referee = self.engine.referee
+        self.radius_m = self.referee.radius_m
         self.pose, self.twist, self.contacts = self.engine.pose, self.engine.twist, self.referee.contacts
         self.sensed_pose = self.pose if _perfect(config) else self.pose.copy()
         self.odometry = np.zeros((n, 3))
         self.hazards = np.zeros(n, np.uint8)
         self.target, self.drive = np.zeros((n, 2)), np.zeros((n, 2))
         self.commanded_s = np.full(n, -math.inf)
-        limits = self.description.limits
-        self.limits = np.empty((n, 4))
-        self.limits[:] = limits.speed_m_s, limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2
+        self.limits = np.array([body_limits(body) for body in self.bodies], float).reshape(n, 4)
         self.shapes = with_trigonometry(self.obstacles)
         self._rng = np.random.default_rng(config.seed)
         self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
@@ -157,6 +160,11 @@ class World:
     def close(self) -> None:
         """Release the physics. Closing twice is fine."""
         self.engine.close()
+
+
+def body_limits(body: WorldConfig) -> tuple[float, float, float, float]:
+    """Return what a body can do, whatever its driver states: m/s, rad/s, m/s², rad/s²."""
+    return body.speed_limit_m_s, body.turn_limit_rad_s, body.accel_limit_m_s2, body.turn_accel_limit_rad_s2
 
 
 def _perfect(config: WorldConfig) -> bool:

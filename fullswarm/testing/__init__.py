@@ -28,7 +28,7 @@ Files:
 from fullswarm.testing.behaviour import check_behaviour
 from fullswarm.testing.driver import check_driver
 from fullswarm.testing.node import FakeClock, LoopbackBus, simulated_runtime
-from fullswarm.testing.trial import Report, Rig, emulator_rig
+from fullswarm.testing.trial import Report, Rig, emulated_rig, emulator_rig
 from fullswarm.testing.wire import Wire, serial_wire, udp_wire
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "Wire",
     "check_behaviour",
     "check_driver",
+    "emulated_rig",
     "emulator_rig",
     "serial_wire",
     "simulated_runtime",

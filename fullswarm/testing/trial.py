@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
+import socket
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from tempfile import TemporaryDirectory
 
+from fullswarm import registry
 from fullswarm.clock import Clock, MonotonicClock
 from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Limits, Pose, Reading, Twist
+from fullswarm.drivers.make import Place, emulated_as, emulation_part
 from fullswarm.emulators.base import Emulator
+from fullswarm.errors import ConfigError
 from fullswarm.geometry import wrap
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.testing.wire import Wire
+
+STARTS_AT = Pose(2.0, -1.0, 2.5)
+"""No axis is the robot's heading, and it does not stand at the origin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +72,6 @@ class Rig:
 def emulator_rig(
     robot: Emulator,
     driver: Callable[[str, Clock | None], Driver],
-    motors_on: Callable[[], bool],
     *,
     url: str = "",
     wire: Wire | None = None,
@@ -94,10 +102,44 @@ def emulator_rig(
         garbage=link.garbage,
         cut=link.cut,
         bump=(lambda pressed: body.press(pressed, pressed)) if isinstance(body, FreeBody) else None,
-        motors_on=motors_on,
+        motors_on=lambda: robot.motors_on,
         other_process=True,
         fault_s=fault_s,
     )
+
+
+@contextmanager
+def emulated_rig(word: str) -> Iterator[Rig]:
+    """Yield the rig of the robot that a word of ``emulate =`` names, on a free port; it is switched off at the end.
+
+    Raises
+    ------
+    ConfigError
+        No make has such a robot, or its emulator cannot inject faults.
+    """
+    make, model = emulated_as(word)
+    start = make.emulation.start if make.emulation else ""
+    with TemporaryDirectory(prefix="rig-") as folder:
+        port = f"{folder}/port" if model.place == "path" else str(_free_port(model.place))
+        url = model.url.replace("{port}", port)
+        robot = emulation_part(make, start)(url, FreeBody(STARTS_AT))
+        try:
+            if not isinstance(robot, Emulator):
+                raise ConfigError(
+                    f"the emulator of '{word}' injects no faults", where=start,
+                    hint="derive it from fullswarm.emulators.base.Emulator",
+                )  # fmt: skip
+            driver = registry.driver_class(url)
+            yield emulator_rig(robot, lambda url, clock: driver(url, clock=clock), url=url)
+        finally:
+            robot.close()
+
+
+def _free_port(kind: Place) -> int:
+    with socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as found:
+        found.bind(("127.0.0.1", 0))
+        port: int = found.getsockname()[1]
+        return port
 
 
 @dataclass

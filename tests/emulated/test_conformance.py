@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,22 +17,18 @@ import pytest
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.drivers.can.driver import CanBaseDriver
-from fullswarm.drivers.create_oi.driver import CreateDriver
-from fullswarm.drivers.create_oi.protocol import Mode
 from fullswarm.drivers.mavlink.driver import MavlinkDriver
 from fullswarm.drivers.null.driver import NullDriver
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.emulators.can.emulator import EmulatedBase
-from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.emulators.mavlink.emulator import Px4Emulator, RoverEmulator
 from fullswarm.simulation.bodies import FreeBody
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
-from fullswarm.testing import Report, Rig, check_driver, emulator_rig, serial_wire, udp_wire
+from fullswarm.testing import Report, Rig, check_driver, emulated_rig, emulator_rig, serial_wire, udp_wire
+from fullswarm.testing.trial import STARTS_AT
 from tests.emulated.rover_link import IN_THE_WORLD
 
-START = Pose(2.0, -1.0, 2.5)
-"""No axis is the robot's heading, and it does not stand at the origin."""
 SIDE_BY_SIDE = 4
 BASE = "interface=slcan&left=1&right=2&right_sign=-1&wheel_radius=0.05&base=0.3"
 
@@ -73,20 +70,12 @@ def sim() -> Iterator[Rig]:
         world.close()
 
 
-@contextmanager
-def create() -> Iterator[Rig]:
-    with CreateEmulator(body=FreeBody(START)) as robot:
-        yield emulator_rig(
-            robot, lambda url, clock: CreateDriver(url, clock=clock), lambda: robot.mode in (Mode.SAFE, Mode.FULL)
-        )
-
-
 def mavlink(
     emulator: type[RoverEmulator] | type[Px4Emulator], options: str
 ) -> Callable[[], AbstractContextManager[Rig]]:
     @contextmanager
     def rig() -> Iterator[Rig]:
-        body = FreeBody(START)
+        body = FreeBody(STARTS_AT)
         with emulator("udpin://127.0.0.1:0", body) as rover, udp_wire(rover.url.rpartition("//")[2]) as wire:
             url = f"mavlink+udpout://127.0.0.1:{wire.port}?{options}"
 
@@ -94,7 +83,7 @@ def mavlink(
                 now = body.state()
                 return Pose(now.x_m, now.y_m, now.heading_rad)
 
-            rig = emulator_rig(rover, MavlinkDriver, lambda: rover.firmware.armed, url=url, wire=wire, fault_s=1.5)
+            rig = emulator_rig(rover, MavlinkDriver, url=url, wire=wire, fault_s=1.5)
             yield replace(rig, body_pose=pose, bump=None)
 
     return rig
@@ -108,15 +97,11 @@ def can(scheme: str, options: str) -> Callable[[], AbstractContextManager[Rig]]:
         with TemporaryDirectory(prefix="conformance-") as folder:
             port = Path(folder) / "adapter"
             with (
-                EmulatedBase(f"{scheme}://{port}?{BASE}&{options}", FreeBody(START)) as base,
+                EmulatedBase(f"{scheme}://{port}?{BASE}&{options}", FreeBody(STARTS_AT)) as base,
                 serial_wire(str(port), 115200) as wire,
             ):
                 url = f"{scheme}://{wire.port}?{BASE}&{options}"
-
-                def motors_on() -> bool:
-                    return base.left.energised or base.right.energised
-
-                yield replace(emulator_rig(base, CanBaseDriver, motors_on, url=url, wire=wire, fault_s=1.3), bump=None)
+                yield replace(emulator_rig(base, CanBaseDriver, url=url, wire=wire, fault_s=1.3), bump=None)
 
     return rig
 
@@ -124,7 +109,7 @@ def can(scheme: str, options: str) -> Callable[[], AbstractContextManager[Rig]]:
 RIGS: dict[str, Callable[[], AbstractContextManager[Rig]]] = {
     "null": null,
     "sim": sim,
-    "create": create,
+    "create": partial(emulated_rig, "create2"),
     "odrive": can("can+odrive", "watchdog=0.5"),
     "vesc": can("can+vesc", "gear=10&pole_pairs=7"),
     # Slow, because a rover takes its time to brake, and it is braked a dozen times.

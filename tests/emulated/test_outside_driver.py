@@ -65,7 +65,7 @@ def fullswarm(installed: Path, *arguments: str) -> subprocess.CompletedProcess[s
 
 LONG = {
     "own tests": ("pytest", "-q", "-rs", "-p", "no:cacheprovider", "tests"),
-    "robots check": ("fullswarm", "robots", "check", "--rig", "fullswarm_acme.rig:rig", "--json"),
+    "robots check": ("fullswarm", "robots", "check", "--emulated", "scout", "--json"),
 }
 
 

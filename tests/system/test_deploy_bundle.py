@@ -101,7 +101,6 @@ def test_this_machines_release_runs_on_a_bare_python(base: dict[str, str]) -> No
     ("options", "must"),
     [
         (("--target", "rpi-arm64", "--python", "3.13"), "numpy"),
-        (("--target", "jetson", "--with", "estimation"), "filterpy"),
         (("--target", "jetson", "--python", "3.11", "--with", "core"), "osqp"),
         (("--target", "x86_64", "--python", "3.14"), "eclipse-zenoh"),
     ],

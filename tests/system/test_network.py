@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -85,6 +86,36 @@ def test_loss_and_delay() -> None:
                 break
         assert (swarm.cli("stop")).returncode == 0
         swarm.until(swarm.stands, 5.0, "all stand")
+    finally:
+        swarm.close()
+
+
+def test_robots_that_do_not_receive_each_other_pass() -> None:
+    """A cut link between two robots, real processes: the core relays their states, and they swap places untouched."""
+    places, touched = [[6.0, 10.0], [10.0, 10.0]], 0
+    fleet = {
+        "world": {"engine": "kinematic", "bounds_m": [0, 0, 16, 20]},
+        "robot": [{"id": "r0", "pose": [*places[0], 0.0]}, {"id": "r1", "pose": [*places[1], math.pi]}],
+        "network": {"conditions": "partition=r0|r1"},
+    }
+    swarm = LiveSwarm(fleet, watch=True)
+    world = swarm.world
+    assert world
+
+    def watch() -> None:
+        nonlocal touched
+        touched += len(world.pairs)
+
+    def swapped() -> bool:
+        return all(math.dist(world.pose[row, :2], places[1 - row]) < 0.4 for row in range(2))
+
+    try:
+        world.watchers.append(watch)
+        for row in range(2):
+            goal = {"goal": places[1 - row], "arrive_radius_m": 0.2}
+            swarm.operator.request("move_to_goal_bc", (f"r{row}",), goal)  # type: ignore[arg-type]
+        swarm.until(swapped, 60.0, "both have swapped places")
+        assert touched == 0
     finally:
         swarm.close()
 

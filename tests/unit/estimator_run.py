@@ -21,7 +21,7 @@ NOISE = OdometryNoise(CONFIG.odometry_sigma_m, CONFIG.odometry_sigma_rad)
 FIX_M, FIX_RAD = 0.02, 0.03
 MAKES: list[Callable[[], Estimator]] = [
     lambda: DirectEstimator(np.zeros((1, 3)), top_speed_m_s=[0.5]),
-    lambda: EkfEstimator(np.zeros((1, 3)), 0.05, 0.05, top_speed_m_s=[0.5]),
+    lambda: EkfEstimator(np.zeros((1, 3)), np.full((1, 2), 0.05), top_speed_m_s=[0.5]),
 ]
 both = pytest.mark.parametrize("make", MAKES, ids=["direct", "ekf"])
 poses = st.tuples(*[st.floats(-20.0, 20.0)] * 2, st.floats(-math.pi, math.pi))

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.agent.pose.estimator import Corrector
 from fullswarm.agent.pose.pose_filter import (
     CREEP_M,
     CREEP_RAD,
@@ -18,6 +17,7 @@ from fullswarm.agent.pose.pose_filter import (
     PoseFilter,
     between,
     distance,
+    fuse,
 )
 from fullswarm.geometry import wrap
 from tests.unit.estimator_run import CONFIG, NOISE, moved, poses, steps
@@ -70,23 +70,44 @@ def test_the_distance_counts_standard_deviations() -> None:
     assert distance(one, other) == pytest.approx(2.0)
 
 
-correct = Corrector()
-
-
 @given(poses, poses)
 def test_a_correction_lies_between_what_was_believed_and_what_was_seen(
     pose: tuple[float, ...], other: tuple[float, ...]
 ) -> None:
     estimate, seen = PoseEstimate.around(list(pose), 0.1, 0.1), PoseEstimate.around(list(other), 0.1, 0.1)
     turn = wrap(other[2] - pose[2])
-    correct(estimate, seen)
+    fuse(estimate, seen)
     assert estimate.mean[:2] == pytest.approx([(pose[0] + other[0]) / 2, (pose[1] + other[1]) / 2])
     assert wrap(estimate.heading_rad - pose[2] - turn / 2) == pytest.approx(0.0, abs=1e-9)
     assert estimate.xx == pytest.approx(0.005)
 
 
+factors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
+
+
+@given(poses, factors, poses, factors)
+def test_a_correction_is_that_of_the_kalman_filter_in_matrices(
+    pose: tuple[float, ...], spread: list[float], other: tuple[float, ...], noise: list[float]
+) -> None:
+    def around(mean: tuple[float, ...], numbers: list[float]) -> PoseEstimate:
+        root = np.array(numbers).reshape(3, 3)
+        estimate = PoseEstimate.around(list(mean), 1.0, 1.0)
+        estimate.set(np.array(mean), root @ root.T + 0.01 * np.eye(3))
+        return estimate
+
+    estimate, seen = around(pose, spread), around(other, noise)
+    before, measured = estimate.covariance(), seen.covariance()
+    gain = before @ np.linalg.inv(before + measured)
+    change = gain @ [other[0] - pose[0], other[1] - pose[1], wrap(other[2] - pose[2])]
+    fuse(estimate, seen)
+    assert estimate.mean[:2] == pytest.approx([pose[0] + change[0], pose[1] + change[1]], abs=1e-6)
+    assert wrap(estimate.heading_rad - pose[2] - change[2]) == pytest.approx(0.0, abs=1e-6)
+    assert estimate.covariance() == pytest.approx((np.eye(3) - gain) @ before, abs=1e-6)
+    assert estimate.sound
+
+
 def test_creep_alone_widens_a_belief() -> None:
-    pose_filter = PoseFilter([0.0, 0.0, 0.0], True, 0.5, CONFIG, correct)
+    pose_filter = PoseFilter([0.0, 0.0, 0.0], True, 0.5, CONFIG, fuse)
     pose_filter.follow(0.0, [0.0, 0.0, 0.0], [0.0, 0.0])
     pose_filter.follow(1.0, [0.0, 0.0, 0.0], [0.0, 0.0])
     assert pose_filter.sigma == pytest.approx((math.hypot(0.1, CREEP_M), math.hypot(0.1, CREEP_RAD)))

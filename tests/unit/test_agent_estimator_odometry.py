@@ -33,10 +33,10 @@ def test_without_fixes_the_doubt_grows_as_the_error_does(make: Callable[[], Esti
         for tick in range(500):
             run.tick()
             if tick % 100 == 0:
-                sigmas.append(run.estimator.sigma(0))
+                sigmas.append(run.estimator.known_sigma(0))
         assert sigmas == sorted(sigmas)
         assert sigmas[-1][0] > 3.0 * sigmas[0][0]
-        ratios.append(run.error_m() / run.estimator.sigma(0)[0])
+        ratios.append(run.error_m() / run.estimator.known_sigma(0)[0])
     assert 0.3 < np.mean(ratios) < 1.6
 
 
@@ -64,9 +64,9 @@ def test_a_pose_that_a_driver_no_longer_senses_is_carried_on() -> None:
 
 def test_nobody_knows_where_a_robot_is_that_nobody_has_placed() -> None:
     estimator = DirectEstimator(np.zeros((1, 3)), placed=[False])
-    assert estimator.sigma(0) == (-1.0, -1.0)
+    assert estimator.known_sigma(0) == (-1.0, -1.0)
     estimator.take(0, Fix(0.0, Pose(1.0, 1.0, 1.0), 0.01, 0.02))
-    assert estimator.sigma(0) == pytest.approx((0.01, 0.02))
+    assert estimator.known_sigma(0) == pytest.approx((0.01, 0.02))
 
 
 # ---------------------------------------------------------------- fixes without a heading
@@ -94,17 +94,17 @@ def test_a_break_in_the_odometry_widens_the_doubt_by_what_may_have_happened(make
     for _ in range(50):
         run.tick()
         run.fix()
-    before = run.estimator.sigma(0)
+    before = run.estimator.known_sigma(0)
     after = reading(run.now_s + 2.0, run.odometry)
     after.odometry_breaks = np.array([2])  # of two, one reading was lost
     pose = run.estimator.update(after, TICK_S)[0]
-    position_m, heading_rad = run.estimator.sigma(0)
+    position_m, heading_rad = run.estimator.known_sigma(0)
     assert position_m == pytest.approx(2.0 * 0.5 / math.sqrt(3.0), rel=0.1)  # 2 s at 0.5 m/s, either way
     assert heading_rad == pytest.approx(math.pi / math.sqrt(3.0), rel=0.05)
     again = reading(run.now_s + 2.1, run.odometry)
     again.odometry_breaks = np.array([2])
     assert run.estimator.update(again, TICK_S)[0] == pytest.approx(pose)
-    assert run.estimator.sigma(0)[0] < 1.1 * position_m  # the same break counts once
+    assert run.estimator.known_sigma(0)[0] < 1.1 * position_m  # the same break counts once
     far = Pose(pose[0] + 0.8, pose[1] - 0.5, pose[2] + 1.0)
     assert run.estimator.take(0, Fix(run.now_s + 2.1, far, FIX_M, FIX_RAD)).verdict is Verdict.ACCEPTED
-    assert run.estimator.sigma(0)[0] < 2.0 * max(before[0], FIX_M)
+    assert run.estimator.known_sigma(0)[0] < 2.0 * max(before[0], FIX_M)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.neighbours.estimates import Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator
 from fullswarm.bus import LocalBus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
-from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
 from fullswarm.messages import RobotStates
 from fullswarm.runtime import Mailbox
@@ -48,7 +47,7 @@ def test_without_a_sensed_pose_odometry_is_laid_on_the_start() -> None:
 def test_the_filter_is_nearer_the_truth_than_its_sensor() -> None:
     rng = np.random.default_rng(3)
     sigma_m, sigma_rad = 0.05, 0.05
-    ekf = EkfEstimator(np.array([[0.0, 0.0, 0.0]]), sigma_m, sigma_rad)
+    ekf = EkfEstimator(np.array([[0.0, 0.0, 0.0]]), np.array([[sigma_m, sigma_rad]]))
     truth, sensed_error, fused_error = np.zeros(3), [], []
     for tick in range(1, 600):
         truth += np.array([0.01 * math.cos(truth[2]), 0.01 * math.sin(truth[2]), 0.01])
@@ -62,15 +61,10 @@ def test_the_filter_is_nearer_the_truth_than_its_sensor() -> None:
 
 
 def test_the_filter_dead_reckons_while_the_sensor_is_silent() -> None:
-    ekf = EkfEstimator(np.array([[1.0, 1.0, math.pi / 2]]), 0.05, 0.05)
+    ekf = EkfEstimator(np.array([[1.0, 1.0, math.pi / 2]]), np.full((1, 2), 0.05))
     for tick in range(1, 51):
         pose = ekf.update(reading(0.02 * tick, [0.01 * tick, 0.0, 0.0], [math.nan] * 3), 0.02)
     assert pose[0] == pytest.approx([1.0, 1.5, math.pi / 2], abs=1e-6)
-
-
-def test_the_filter_needs_to_know_the_noise() -> None:
-    with pytest.raises(ConfigError, match=r"world\.noise"):
-        EkfEstimator(np.zeros((1, 3)), 0.0, 0.1)
 
 
 def test_neighbours_are_moved_on_and_forgotten_when_old() -> None:
@@ -84,6 +78,23 @@ def test_neighbours_are_moved_on_and_forgotten_when_old() -> None:
     assert table.oldest_age_s(10.4) == pytest.approx(0.4)
     table.set_time(11.1)
     assert table.within(position, 3.0)[0].tolist() == [0, 0]
+
+
+def test_the_error_of_a_reported_pose_widens_the_disc_and_not_its_direction() -> None:
+    exact, noisy = (Neighbours(("me",), timeout_s=1.0, assumed=Assumed(2.0, 0.5, 4.0, 1.3, 3.0)) for _ in range(2))
+    message = states("a", 1, 0.0, a=(2.0, 0.0))
+    exact.receive(message, 10.0)
+    noisy.receive(msgspec.structs.replace(message, sigma_m=(0.02,)), 10.0)
+    for table in (exact, noisy):
+        table.set_time(10.1)
+        table.around(np.array([[0.0, 0.0]]), 3.0)
+    assert noisy.spread_m[0] == pytest.approx(exact.spread_m[0] + 0.06)
+    assert noisy.blur_m[0] == exact.blur_m[0] > 0.0
+    turned = Neighbours(("me",), timeout_s=1.0, assumed=Assumed(2.0, 0.5, 4.0, 1.3, 3.0))
+    turned.receive(msgspec.structs.replace(message, sigma_rad=(0.1,)), 10.0)
+    turned.set_time(10.1)
+    turned.around(np.array([[0.0, 0.0]]), 3.0)
+    assert turned.spread_m[0] == turned.blur_m[0] > exact.spread_m[0]
 
 
 def test_an_older_message_does_not_undo_a_newer_one_but_a_restarted_host_is_heard() -> None:

@@ -64,7 +64,7 @@ driver = "sim://a"
         "fleet.toml:2: control_rate_hz: unknown key here, it belongs in [agent]",
         "fleet.toml:4: agent.sensing_radius: unknown key, did you mean 'sensing_radius_m'?",
         "fleet.toml:5: agent.control_rate_hz: must be greater than or equal to 5, not 1",
-        "fleet.toml:6: agent.estimator: must be 'direct' or 'ekf', not 'efk', did you mean 'ekf'?",
+        "fleet.toml:6: agent.estimator: must be 'auto', 'direct' or 'ekf', not 'efk', did you mean 'ekf'?",
         "fleet.toml:7: agent.speed_gain: must be a number, not 'fast'",
         "fleet.toml:9: world.bounds_m: has too few values: 3",
         "fleet.toml:12: world.boxes[1][4]: must be a number, not 'x'",

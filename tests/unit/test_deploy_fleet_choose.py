@@ -71,16 +71,15 @@ def test_a_release_has_what_its_robots_agents_need(tmp_path: Path) -> None:
                 {"id": "m1", "driver": "mavlink+serial:///dev/ttyACM0"},
                 {"id": "b1", "driver": "can+odrive://can0?left=1&right=2&wheel_radius=0.05&base=0.3"},
             ],
-            "agent": {"estimator": "ekf"},
         }
     )
-    wanted = [extras_needed(each, fleet) for each in fleet.robot]
-    assert wanted == [{"estimation"}, {"estimation", "mavlink"}, {"can", "estimation"}]
-    manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("estimation",))
+    wanted = [extras_needed(each) for each in fleet.robot]
+    assert wanted == [set(), {"mavlink"}, {"can"}]
+    manifest = Manifest(RELEASE, "1.0", Target("rpi-arm64", "aarch64", "2.28", "3.11"), ("can",))
     facts = Facts(arch="aarch64", glibc="2.36", python="3.11.2")
     assert misfit(manifest, facts, wanted[0]) == ""
     assert misfit(manifest, facts, wanted[1]) == "lacks what its agent needs: mavlink"
-    with pytest.raises(ConfigError, match=r"no release fits it .*bundle .* --with estimation,mavlink"):
+    with pytest.raises(ConfigError, match=r"no release fits it .*bundle .* --with mavlink"):
         choose_release(Store(tmp_path), None, facts, "m1", extras=wanted[1])
 
 

@@ -293,7 +293,7 @@ def test_a_cell_of_which_nothing_counts_is_unknown_and_no_success() -> None:
     assert "nothing counted: navigate_bc map=own empty kinematic slow N=4" in closing(report)
     console = Console(width=130, record=True, file=io.StringIO())
     console.print(table(report))
-    assert console.export_text().splitlines()[1].split()[-8:] == ["1", *["-"] * 7]
+    assert console.export_text().splitlines()[1].split()[-9:] == ["1", *["-"] * 8]
 
 
 def test_one_trial_that_counts_is_enough() -> None:

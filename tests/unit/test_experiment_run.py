@@ -52,7 +52,7 @@ def drive(body: World, referee: Referee, steps: int, twists: list[list[float]]) 
 
 def test_a_meeting_counts_once_for_each_robot() -> None:
     body = world((1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
-    referee = Referee(body, body.description.limits)
+    referee = Referee(body, [each.limits for each in body.descriptions])
     drive(body, referee, 250, [[0.5, 0.0], [0.5, 0.0]])
     assert referee.robots.events.tolist() == [1, 1]
     assert referee.obstacles.events.tolist() == [0, 0]
@@ -60,7 +60,7 @@ def test_a_meeting_counts_once_for_each_robot() -> None:
 
 def test_parting_and_meeting_again_counts_again() -> None:
     body = world((1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
-    referee = Referee(body, body.description.limits)
+    referee = Referee(body, [each.limits for each in body.descriptions])
     drive(body, referee, 150, [[0.5, 0.0], [0.5, 0.0]])
     drive(body, referee, 60, [[-0.3, 0.0], [0.0, 0.0]])
     drive(body, referee, 60, [[0.5, 0.0], [0.0, 0.0]])
@@ -69,7 +69,7 @@ def test_parting_and_meeting_again_counts_again() -> None:
 
 def test_walls_and_boxes_count_apart() -> None:
     body = world((1.0, 1.0, 0.0), (1.0, 3.0, 0.0), boxes=[(2.0, 1.0, 0.5, 0.5, 0.0)])
-    referee = Referee(body, body.description.limits)
+    referee = Referee(body, [each.limits for each in body.descriptions])
     drive(body, referee, 400, [[0.5, 0.0], [0.5, 0.0]])
     assert referee.robots.events.tolist() == [0, 0]
     assert referee.obstacles.events.tolist() == [1, 1]
@@ -77,10 +77,10 @@ def test_walls_and_boxes_count_apart() -> None:
 
 def test_commands_above_the_limits_are_seen() -> None:
     body = world((1.0, 1.0, 0.0), (1.0, 3.0, 0.0))
-    limits = body.description.limits
+    limits = body.descriptions[0].limits
     for row in range(2):
         body.set_limits(row, widened(limits))
-    referee = Referee(body, limits)
+    referee = Referee(body, [limits, limits])
     drive(body, referee, 3, [[limits.speed_m_s, -limits.turn_rad_s], [0.0, 0.0]])
     assert referee.above_limits == 0
     drive(body, referee, 2, [[limits.speed_m_s + 1e-3, 0.0], [0.0, limits.turn_rad_s + 1e-3]])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from fullswarm import kernels
-from fullswarm.kernels import Array, Kernel
+from fullswarm.kernels import Array, Kernel, bound
 
 
 class Pair(NamedTuple):
@@ -55,6 +56,32 @@ def test_named_tuples_are_read_unpacked_and_passed_on_alike(pair: Pair) -> None:
     assert kernel.run(scale=2.0, pair=pair, out=compiled) == total
     swapped = Pair(pair.second, pair.first)
     assert kernel.run(2.0, swapped, compiled) != total
+
+
+def total(pair: Pair, out: Array, scale: float, other: Pair) -> float:
+    for i in range(out.shape[0]):
+        out[i] = scale * (pair.first[i] - other.second[i])
+    return float(out[0])
+
+
+def test_a_bound_call_gives_what_the_whole_call_gives_and_reads_arrays_anew(pair: Pair) -> None:
+    kernel, other = Kernel(total), Pair(pair.second + 1.0, pair.first + 1.0)
+    expected, out = np.zeros(5), np.zeros(5)
+    in_python = bound(partial(kernel.run, pair, out))
+    kernel.compile()
+    calls = [in_python, bound(partial(kernel.run, pair, out)), bound(kernel.run), bound(partial(kernel.run, pair))]
+    rest: list[tuple[Any, ...]] = [(2.0, other), (2.0, other), (pair, out, 2.0, other), (out, 2.0, other)]
+    for _ in range(2):
+        kernel.run(pair, expected, 2.0, other)
+        for call, arguments in zip(calls, rest, strict=True):
+            out.fill(0.0)
+            whole: Any = call
+            assert whole(*arguments) == expected[0]
+            assert out.tolist() == expected.tolist()
+        pair.first[:] += 1.0
+    too_few: Any = calls[1]
+    with pytest.raises(TypeError):
+        too_few(2.0)
 
 
 def test_a_named_tuple_without_a_name_is_refused_when_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,8 +190,10 @@ def test_columns_of_different_length_are_refused(kind: type[Message]) -> None:
         each
         for each in (wild.message(kind) for _ in range(1000))
         if len(each.robots) > 1  # type: ignore[attr-defined]
+        and all(getattr(each, name) for name in each.__struct_fields__ if isinstance(getattr(each, name), tuple))
     )
-    for field in (each for each in message.__struct_fields__ if isinstance(getattr(message, each), tuple)):
+    columns = set(message.__struct_fields__) - {"received"}  # of others: no column
+    for field in (each for each in sorted(columns) if isinstance(getattr(message, each), tuple)):
         shorter = msgspec.structs.replace(message, **{field: getattr(message, field)[1:]})
         with pytest.raises(MessageError, match="columns of different length"):
             decode(encode(shorter), kind)

@@ -19,7 +19,13 @@ from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.messages import CoverageMeasurement
 from fullswarm.perf import calculators
-from fullswarm.perf.calculators import Calculators, CollisionCalculator, CoverageCalculator, WorkCalculator
+from fullswarm.perf.calculators import (
+    Calculators,
+    CollisionCalculator,
+    CoverageCalculator,
+    SmoothnessCalculator,
+    WorkCalculator,
+)
 from fullswarm.perf.coverage import GridFrame, count_bits, pack, unpack_bits
 from fullswarm.perf.metrics import COLUMNS
 from fullswarm.runtime import Runtime
@@ -294,3 +300,36 @@ def test_they_publish_what_they_counted() -> None:
     assert count_bits(bits) == counted.coverage.covered > 0
     assert coverage.stamp_s == 7.0
     assert coverage.robots == ("r0", "r1", "r2")
+
+
+def wheel_signs(setpoints: np.ndarray, radius_m: float) -> int:
+    """Count, by strings and not by the kernel's way, how often the two wheels reverse."""
+    count = 0
+    for side in (-1.0, 1.0):
+        wheel = setpoints[:, 0] + side * 0.75 * radius_m * setpoints[:, 1]
+        text = "".join("+" if each > 1e-3 else "-" if each < -1e-3 else "" for each in wheel)
+        count += text.count("+-") + text.count("-+")
+    return count
+
+
+@given(
+    st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-4.0, 4.0)), min_size=1, max_size=40),
+    st.floats(0.05, 0.5),
+)
+def test_reversals_and_variation_are_those_of_the_set_points(rows: list[tuple[float, float]], radius_m: float) -> None:
+    setpoints = np.array(rows)
+    smooth = SmoothnessCalculator(1)
+    for row in setpoints:
+        smooth.update(row[None], np.array([radius_m]))
+        smooth.update(np.array([[math.nan, 0.0]]), np.array([radius_m]))  # not known in one period: nothing changes
+    assert smooth.reversals[0] == 0.5 * wheel_signs(setpoints, radius_m)
+    assert smooth.speed_variation_m_s[0] == pytest.approx(np.abs(np.diff(setpoints[:, 0])).sum())
+    assert smooth.turn_variation_rad_s[0] == pytest.approx(np.abs(np.diff(setpoints[:, 1])).sum())
+
+
+def test_a_robot_that_turns_to_and_fro_reverses_both_wheels_and_one_that_stops_none() -> None:
+    smooth, radius_m = SmoothnessCalculator(2), np.full(2, 0.17)
+    for tick in range(100):
+        turn = 1.0 if tick % 2 else -1.0
+        smooth.update(np.array([[0.0, turn], [0.3 if tick % 2 else 0.0, 0.0]]), radius_m)
+    assert smooth.reversals.tolist() == [99.0, 0.0]

@@ -7,7 +7,7 @@ place is looked at ten times.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -39,6 +39,9 @@ NO_NEIGHBOURS = Nearby(
     np.zeros(1),
 )  # fmt: skip
 
+CONFIDENCE = 3.0
+NO_CONFIDENCE = Tuning(PERIOD_S, 3.0, 1.0, 3.0, 0.0)
+
 PAPER = Limits(4.0, math.pi / 4, 8.0, 20.0)
 CREATE = Limits(0.5, 4.25, 2.0, 20.0)
 SLUGGISH = Limits(1.0, 2.0, 1.0, 5.0)
@@ -64,14 +67,16 @@ class Body:
     limits: Limits
     pose: np.ndarray
     filtered: bool = True
+    sigma: tuple[float, float] = (0.0, 0.0)
+    noise: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
 
     def __post_init__(self) -> None:
         limits, self.motion, self.twist = self.limits, np.zeros((1, 2)), np.zeros((1, 2))
-        robots = robot_params(
+        self.robots = robot_params(
             (Description("any", "any", RADIUS_M, limits),), np.array([limits.speed_m_s]),
             np.array([limits.turn_rad_s]), np.array([True]),
         )  # fmt: skip
-        self.filter = SafetyFilter(("r",), robots, Tuning(PERIOD_S, 3.0, 1.0, 3.0), BOUNDS)
+        self.filter = SafetyFilter(("r",), self.robots, Tuning(PERIOD_S, 3.0, 1.0, 3.0, CONFIDENCE), BOUNDS)
         self.gain = np.array([min(2.0, limits.accel_m_s2 / limits.speed_m_s)])
         self.tick = 0
         self.verdicts: set[int] = set()
@@ -82,12 +87,19 @@ class Body:
         planar = np.array([wish if twist is None else (math.nan, math.nan)])
         self.twist[0] = twist or (0.0, 0.0)
         requested = Requested(planar, np.array([self.filtered]), self.gain, np.array([MARGIN_M]))
-        measured = Measured(self.pose, self.motion, np.array([now_s]))
+        measured = Measured(self._sensed(), self.motion, np.array([now_s]), np.array([self.sigma]))
         self.filter.apply(now_s, requested, measured, NO_NEIGHBOURS, THINGS, self.twist)
         self.tick += 1
         self.verdicts.add(int(self.filter.verdict[0]))
         self._obey()
         return min(self._glide(PERIOD_S / LOOKS) for _ in range(LOOKS))
+
+    def _sensed(self) -> np.ndarray:
+        """Return the pose with an error anywhere within the bound that is counted, another one each time."""
+        size, angle = CONFIDENCE * self.sigma[0] * math.sqrt(self.noise.random()), self.noise.uniform(-math.pi, math.pi)
+        turn = CONFIDENCE * self.sigma[1] * self.noise.uniform(-1.0, 1.0)
+        wrong: np.ndarray = self.pose + np.array([[size * math.cos(angle), size * math.sin(angle), turn]])
+        return wrong
 
     def _obey(self) -> None:
         """Change speed and turn rate for a period as the wheels can."""
@@ -114,6 +126,30 @@ class Rover(Body):
     def _obey(self) -> None:
         self.motors.follow((self.twist[0, 0], self.twist[0, 1]), 1.0, ROVER.turn_accel_rad_s2, PERIOD_S)
         self.motion[0] = self.motors.speed_m_s, self.motors.turn_rad_s
+
+
+class Delayed(Body):
+    """A unicycle whose ramps follow the commands of `dead_time_s` ago; the controller before it ramps them, too."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.commands = [(0.0, 0.0)] * math.ceil(self.limits.dead_time_s / PERIOD_S - 1e-9)
+        self.applied = np.zeros((1, 2))
+
+    def go(self, wish: tuple[float, float], twist: tuple[float, float] | None = None) -> float:
+        self.filter.commands.update(self.applied, self.tick * PERIOD_S)
+        return super().go(wish, twist)
+
+    def _obey(self) -> None:
+        step, was, speed = self.limits.accel_m_s2 * PERIOD_S, self.applied[0, 0], self.twist[0, 0]
+        if speed * was < 0.0:
+            speed = np.clip(speed, -step, step)
+        elif abs(speed) > abs(was):
+            speed = np.clip(speed, was - step, was + step)
+        self.applied[0] = speed, self.twist[0, 1]
+        self.commands.append(tuple(self.applied[0]))
+        self.twist[0] = self.commands.pop(0)
+        super()._obey()
 
 
 def attack(body: Body, rng: np.random.Generator, ticks: int) -> float:
@@ -149,6 +185,21 @@ def test_no_law_gets_a_lone_robot_out_or_into_its_margin(limits: Limits, seed: i
     assert body.verdicts <= {0, LIMITED}, "what it promised could be driven at every tick"
 
 
+@pytest.mark.parametrize("limits", [PAPER, CREATE, SLUGGISH], ids=["paper", "create", "sluggish"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=12, deadline=None)
+def test_nor_where_the_pose_is_wrong_by_as_much_as_is_counted(limits: Limits, seed: int) -> None:
+    rng, pose = start(seed)
+    assert attack(Body(limits, pose, sigma=(0.02, 0.03)), rng, 800) >= MARGIN_M - 1e-5
+
+
+def test_an_error_that_is_not_counted_takes_the_margin() -> None:
+    rng, pose = start(3)
+    body = Body(CREATE, pose, sigma=(0.02, 0.03))
+    body.filter = SafetyFilter(("r",), body.robots, NO_CONFIDENCE, BOUNDS)
+    assert attack(body, rng, 2000) < MARGIN_M - 0.01
+
+
 @pytest.mark.parametrize("top_m_s", [0.25, 0.5, 1.0])
 def test_a_rover_that_stops_softly_keeps_its_margin_before_a_wall(top_m_s: float) -> None:
     """One that is believed to brake evenly, as its acceleration says, touches."""
@@ -162,6 +213,27 @@ def test_a_rover_that_stops_softly_keeps_its_margin_before_a_wall(top_m_s: float
     assert gaps[0.0] < gaps[ROVER.overrun_m]
     if top_m_s == 0.5:
         assert gaps[0.0] < 0.0
+
+
+@pytest.mark.parametrize("limits", [PAPER, CREATE, SLUGGISH], ids=["paper", "create", "sluggish"])
+@given(seed=st.integers(0, 2**32 - 1), dead_time_s=st.sampled_from([0.05, 0.1, 0.15]))
+@settings(max_examples=12, deadline=None)
+def test_no_law_gets_a_robot_with_a_stated_dead_time_into_its_margin(
+    limits: Limits, seed: int, dead_time_s: float
+) -> None:
+    rng, pose = start(seed)
+    body = Delayed(replace(limits, dead_time_s=dead_time_s), pose)
+    assert attack(body, rng, 800) >= MARGIN_M - 1e-5
+
+
+def test_a_dead_time_that_is_not_stated_does() -> None:
+    gaps = []
+    for seed in range(5):
+        rng, pose = start(seed)
+        body = Delayed(replace(CREATE, dead_time_s=0.15), pose)
+        body.filter = Body(CREATE, pose).filter
+        gaps.append(attack(body, rng, 800))
+    assert min(gaps) < 0.0
 
 
 @given(seed=st.integers(0, 2**32 - 1), top_m_s=st.sampled_from([0.5, 1.0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -62,30 +63,59 @@ def go(
     others.set_time(now_s)
     near = others.around(HERE, 3.0)
     requested = Requested(np.array([wish]), np.ones(1, bool), np.array([2.0]), np.array([0.03]))
-    measured = Measured(np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]))
+    measured = Measured(
+        np.array([pose]), np.zeros((1, 2)), np.array([now_s if stamp_s is None else stamp_s]), np.zeros((1, 2))
+    )
     made.apply(now_s, requested, measured, near, NO_OBSTACLES, twists)
     return float(twists[0, 0])
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.3))
-@settings(max_examples=200, deadline=None)
-def test_a_robot_is_always_in_the_disc_where_it_is_believed(seed: int, age_s: float) -> None:
+def stating(message: RobotStates, **columns: float) -> RobotStates:
+    return msgspec.structs.replace(message, **{name: (value,) for name, value in columns.items()})
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.3), st.sampled_from([0.2, 1.0, 4.0, None]))
+@settings(max_examples=300, deadline=None)
+def test_a_robot_is_always_in_the_disc_where_it_is_believed(seed: int, age_s: float, times: float | None) -> None:
+    """Whether it states limits, lower or higher than those of this robot, or none and has the same."""
     rng = np.random.default_rng(seed)
     others, dt_s = table(), 0.001
-    pose, speed, turn = np.array([1.0, 2.0, 0.0]), rng.uniform(-SPEED, SPEED), rng.uniform(-TURN, TURN)
-    heard = state(1.0, 2.0, speed)
-    others.receive(
-        RobotStates(**{**{n: getattr(heard, n) for n in heard.__struct_fields__}, "turn_rad_s": (turn,)}), 0.0
-    )
-    goal_speed, goal_turn = rng.choice([-1.0, 0.0, 1.0]) * SPEED, rng.choice([-1.0, 0.0, 1.0]) * TURN
+    accel, top_speed, top_turn = np.array([ACCEL, SPEED, TURN]) * (times or 1.0)
+    pose, speed, turn = np.array([1.0, 2.0, 0.0]), rng.uniform(-top_speed, top_speed), rng.uniform(-top_turn, top_turn)
+    heard = stating(state(1.0, 2.0, speed), turn_rad_s=turn)
+    if times:
+        heard = stating(heard, speed_limit_m_s=top_speed, turn_limit_rad_s=top_turn, accel_m_s2=accel)
+    others.receive(heard, 0.0)
+    goal_speed, goal_turn = rng.choice([-1.0, 0.0, 1.0]) * top_speed, rng.choice([-1.0, 0.0, 1.0]) * top_turn
     for _ in range(round(age_s / dt_s)):
-        speed += float(np.clip(goal_speed - speed, -ACCEL * dt_s, ACCEL * dt_s))
+        speed += float(np.clip(goal_speed - speed, -accel * dt_s, accel * dt_s))
         turn = float(goal_turn)
         pose += dt_s * np.array([speed * math.cos(pose[2]), speed * math.sin(pose[2]), turn])
     others.set_time(age_s)
     others.around(HERE, 3.0)
     # What the prediction's straight chord leaves out is of third order in the age.
-    assert math.dist(others.places[0], pose[:2]) <= others.spread_m[0] + SPEED * TURN**2 * age_s**3 / 24 + 2e-3
+    assert math.dist(others.places[0], pose[:2]) <= others.spread_m[0] + top_speed * top_turn**2 * age_s**3 / 24 + 2e-3
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_robot_that_states_no_limits_any_more_is_taken_for_one_like_this(count: int) -> None:
+    """A host of one robot and one of several are taken in by different code."""
+    robots = tuple(f"r{row}" for row in range(count))
+    plain = RobotStates(
+        host="h", sequence=1, stamp_s=0.1, robots=robots, x_m=(1.0,) * count, y_m=(0.0,) * count,
+        heading_rad=(0.0,) * count, speed_m_s=(0.0,) * count, turn_rad_s=(0.0,) * count, radius_m=(0.17,) * count,
+    )  # fmt: skip
+    fast = {"speed_limit_m_s": 2.0, "turn_limit_rad_s": 1.0, "accel_m_s2": 8.0}
+    stated = msgspec.structs.replace(plain, **{name: (value,) * count for name, value in fast.items()})
+    others, spreads = table(), []
+    for number, message in enumerate((plain, stated, plain)):
+        others.receive(msgspec.structs.replace(message, sequence=number + 1, stamp_s=0.1 * number), 0.1 * number)
+        others.set_time(0.1 * number + 0.1)
+        others.around(HERE, 3.0)
+        spreads.append(others.spread_m[:count].tolist())
+    assert spreads[0] == pytest.approx([0.5 * 0.01 * math.hypot(ACCEL, ACCEL * 0.1 * TURN)] * count)
+    assert spreads[1] == pytest.approx([0.5 * 0.01 * math.hypot(8.0, 0.8)] * count)
+    assert spreads[2] == pytest.approx(spreads[0])
 
 
 def test_the_room_shrinks_with_age_and_stays_gone() -> None:
@@ -192,10 +222,12 @@ def test_the_deviation_is_told_and_added_up() -> None:
 
 def test_old_and_new_states_share_one_kernel_for_all_who_are_heard() -> None:
     """The disc never jumps to a smaller one with age while nothing is heard."""
-    received = Received(np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1))
+    received = Received(
+        np.array([[1.0, 0.0, 0.0, 0.4, 1.0, 0.17]]), np.zeros(1), np.full((1, 3), np.nan), np.zeros((1, 2)), np.zeros(1)
+    )
     out = Predicted(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1))
     sizes = []
     for age_s in np.linspace(0.0, 3.0, 301).tolist():
-        estimates.predict(received, 1, age_s, TIMEOUT_S, ASSUMED, out)
+        estimates.predict(received, out, ASSUMED, 1, age_s, TIMEOUT_S)
         sizes.append(float(out.spread_m[0]))
     assert (np.diff(sizes) >= -1e-12).all()

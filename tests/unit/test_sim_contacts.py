@@ -11,7 +11,6 @@ from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import TOUCH_M, touch_m
 from fullswarm.simulation.engine import Engine, make_engine
-from fullswarm.simulation.kinematic import KinematicEngine
 
 R = 0.17
 TRIES = 8
@@ -177,8 +176,27 @@ def test_the_touching_gap_grows_with_speed_and_smallness() -> None:
 
 
 def test_more_neighbours_than_room_are_all_listed() -> None:
-    engine = KinematicEngine(config_of("kinematic"), np.array([(0.36 * i, 0.0, 0.0) for i in range(30)]))
+    engine = make_engine(config_of("kinematic"), np.array([(0.36 * i, 0.0, 0.0) for i in range(30)]))
     referee = engine.referee
     referee.allocate(1)
     assert referee.look_ahead(engine.pose, 0.01) == list(range(30))
-    assert len(referee.candidates) >= 29
+    assert len(referee.candidates.pairs) >= 29
+
+
+@pytest.mark.parametrize("name", ["kinematic", "pybullet", "pybullet-wheels"])
+def test_bodies_of_different_sizes_meet_where_their_own_rims_do(name: str) -> None:
+    """A large robot drives at a small one that stands before a box: they touch when their own two radii say so."""
+    config = config_of(name, boxes=((2.0, 0.0, 0.5, 2.0, 0.0),))
+    bodies = [config.model_copy(update={"radius_m": radius_m}) for radius_m in (0.34, 0.1)]
+    engine = make_engine(config, np.array([(0.0, 0.0, 0.0), (1.4, 0.0, 0.0)]), bodies)
+    first: dict[tuple[int, ...], float] = {}
+    for _ in range(150):
+        engine.step(np.array([[0.5, 0.0], [0.0, 0.0]]))
+        for pair in engine.referee.pairs.tolist():
+            first.setdefault(tuple(sorted(pair)), engine.pose[0, 0])
+    engine.close()
+    assert first[(0, 1)] == pytest.approx(1.4 - 0.44, abs=0.02)
+    assert (engine.pose[1, 0] - engine.pose[0, 0]) == pytest.approx(0.44, abs=0.02)
+    if name != "pybullet-wheels":  # whose brakes hold the small one
+        assert first[(-1, 1)] > first[(0, 1)]
+        assert engine.pose[1, 0] == pytest.approx(1.75 - 0.1, abs=0.02)

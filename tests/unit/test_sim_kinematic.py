@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array, Kernel
 from fullswarm.simulation import contacts, fleet, kinematic, obstacles, world
-from fullswarm.simulation.kinematic import KinematicEngine
+from fullswarm.simulation.engine import make_engine
 from fullswarm.simulation.obstacles import with_trigonometry
 
 R = 0.17
@@ -33,7 +33,7 @@ def swarm(n: int, seed: int) -> tuple[WorldConfig, Array, Array]:
 
 def run(n: int, steps: int) -> tuple[Array, Array, int]:
     config, starts, twists = swarm(n, seed=n)
-    engine = KinematicEngine(config, starts)
+    engine = make_engine(config, starts)
     touched = 0
     for _ in range(steps):
         engine.step(twists)
@@ -61,18 +61,19 @@ def test_compiled_equals_plain(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(compiled_twist, twist, atol=1e-12, rtol=0)
 
 
-@given(n=st.integers(1, 60), spread=st.floats(0.1, 50.0), seed=st.integers(0, 1000), reach=st.floats(0.1, 2.0))
+@given(n=st.integers(1, 60), spread=st.floats(0.1, 50.0), seed=st.integers(0, 1000), skin=st.floats(0.1, 2.0))
 @settings(max_examples=40, deadline=None)
-def test_the_grid_finds_the_same_pairs_as_brute_force(n: int, spread: float, seed: int, reach: float) -> None:
-    pose = np.random.default_rng(seed).uniform(-spread, spread, (n, 3))
+def test_the_grid_finds_the_same_pairs_as_brute_force(n: int, spread: float, seed: int, skin: float) -> None:
+    rng = np.random.default_rng(seed)
+    pose, radius = rng.uniform(-spread, spread, (n, 3)), rng.uniform(0.01, 1.0, n)
     found = []
     for which in ("brute", "grid"):
         candidates = np.zeros((n * n + 1, 4), np.int64)
         if which == "brute":
-            count = contacts.near_bodies(pose, reach, candidates, 0)
+            count = contacts.near_bodies(pose, radius, skin, candidates, 0)
         else:
             grid = np.zeros(8 * n + 64, np.int64)
-            count = contacts.near_bodies_grid(pose, reach, candidates, grid, 0)
+            count = contacts.near_bodies_grid(pose, radius, skin, candidates, grid, 0)
         found.append(sorted(map(tuple, candidates[:count, :2].tolist())))
     assert found[0] == found[1]
 
@@ -94,18 +95,18 @@ def test_a_point_moved_back_along_the_normal_lies_on_the_box(
 
 def test_more_candidates_than_room_are_all_found() -> None:
     config, starts, twists = swarm(49, seed=1)
-    tight, roomy = KinematicEngine(config, starts), KinematicEngine(config, starts)
+    tight, roomy = make_engine(config, starts), make_engine(config, starts)
     tight.referee.allocate(1)
     for _ in range(5):
         tight.step(twists)
         roomy.step(twists)
-    assert len(tight.referee.candidates) > 1
+    assert len(tight.referee.candidates.pairs) > 1
     assert tight.pose.tobytes() == roomy.pose.tobytes()
 
 
 def test_a_list_kept_over_steps_misses_no_contact() -> None:
     config, starts, twists = swarm(30, seed=5)
-    engine = KinematicEngine(config, starts)
+    engine = make_engine(config, starts)
     for _ in range(60):
         engine.step(twists)
         for i in range(30):

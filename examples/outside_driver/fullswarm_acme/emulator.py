@@ -1,28 +1,27 @@
 """Emulates a Scout: its firmware behind a real TCP port. `fullswarm emulate acme` runs one."""
 
-from __future__ import annotations
-
+from typing import Literal
 from urllib.parse import urlsplit
 
 from fullswarm.clock import Clock
-from fullswarm.drivers.base import STAND, Pose, Twist
+from fullswarm.drivers.base import STAND
 from fullswarm.emulators.base import Emulator, body_and_clock
 from fullswarm.emulators.ports import TcpPort
+from fullswarm.geometry import clamp
 from fullswarm.simulation.bodies import Body
 
-from fullswarm_acme.protocol import WATCHDOG_S, LineParser, State, line, parse_drive, state
+from fullswarm_acme.protocol import WATCHDOG_S, Drive, Enable, Hello, LineParser, Robot, State, line
 from fullswarm_acme.session import LIMITS
 
 STEP_S = 0.02
 
 
 class Firmware:
-    """What the robot's own computer does: execute lines, ramp speeds, stop after 1 s without DRIVE."""
+    """What the robot's own computer does: execute messages, ramp speeds, stop after 1 s without a set-point."""
 
     def __init__(self, body: Body) -> None:
         self.body, self.battery, self.estop = body, 1.0, False
-        self.boots, self.next_due_s = 0, 0.0
-        self._start = body.state()
+        self.boots, self.next_due_s, self._start = 0, 0.0, body.state()
         self.reboot()
 
     def reboot(self) -> None:
@@ -38,18 +37,15 @@ class Firmware:
         self._greeted, self._parser, self._out = False, LineParser(), list[bytes]()
 
     def receive(self, data: bytes, now_s: float, _port: int) -> None:
-        """Do what lines say."""
-        for text in self._parser.feed(data):
-            twist = parse_drive(text)
-            if twist is not None:
-                self._target, self._target_s = twist, now_s
-            elif text == "HELLO":
+        """Execute messages."""
+        for message in self._parser.feed(data):
+            if isinstance(message, Hello):
                 self._greeted = True
-                self._out.append(line(f"ROBOT Scout 2.3 {self.boots}"))
-            elif text == "ENABLE" and not self.estop:
-                self.enabled, self._target = True, STAND
-            elif text == "DISABLE":
-                self.enabled = False
+                self._out.append(line(Robot("Scout", "2.3", self.boots)))
+            elif isinstance(message, Enable):
+                self.enabled, self._target = message.on and not self.estop, STAND
+            elif isinstance(message, Drive):
+                self._target, self._target_s = message.twist, now_s
 
     def step(self, now_s: float) -> bool:
         """Turn the motors, and send the state."""
@@ -57,28 +53,26 @@ class Firmware:
             self.next_due_s = max(self.next_due_s + STEP_S, now_s)
             if now_s - self._target_s > WATCHDOG_S or not self.enabled or self.estop:
                 self._target = STAND
-            target_m_s = max(0.0, min(self._target.linear_m_s, LIMITS.speed_m_s))  # nothing looks backwards
-            self._speed_m_s = _ramp(self._speed_m_s, target_m_s, LIMITS.accel_m_s2 * STEP_S)
-            self._turn_rad_s = _ramp(self._turn_rad_s, self._target.angular_rad_s, LIMITS.turn_accel_rad_s2 * STEP_S)
+            target_m_s = clamp(self._target.linear_m_s, 0.0, LIMITS.speed_m_s)  # nothing looks backwards
+            faster, turning = LIMITS.accel_m_s2 * STEP_S, LIMITS.turn_accel_rad_s2 * STEP_S
+            self._speed_m_s += clamp(target_m_s - self._speed_m_s, -faster, faster)
+            self._turn_rad_s += clamp(self._target.angular_rad_s - self._turn_rad_s, -turning, turning)
             self.body.drive(self._speed_m_s, self._turn_rad_s)
             if self._greeted:
                 self._out.append(line(self._state()))
         return False
 
-    def _state(self) -> str:
-        mode = "ESTOP" if self.estop else "ON" if self.enabled else "IDLE"
+    def _state(self) -> State:
         now, start = self.body.state(), self._start
-        pose = Pose(now.x_m - start.x_m, now.y_m - start.y_m, now.heading_rad)
-        return state(State(mode, pose, Twist(now.speed_m_s, now.turn_rad_s), any(now.bumps), self.battery))
+        values = (now.speed_m_s, now.turn_rad_s, now.x_m - start.x_m, now.y_m - start.y_m, now.heading_rad)
+        v, w, x, y, heading = (round(value * 1e3) for value in values)
+        mode: Literal["IDLE", "ON", "ESTOP"] = "ESTOP" if self.estop else "ON" if self.enabled else "IDLE"
+        return State(v, w, x, y, heading, mode, any(now.bumps), round(self.battery * 100))
 
     def take(self, _port: int) -> list[bytes]:
         """Return the lines to send."""
         out, self._out = self._out, []
         return out
-
-
-def _ramp(now: float, target: float, step: float) -> float:
-    return now + max(-step, min(step, target - now))
 
 
 class AcmeEmulator(Emulator):

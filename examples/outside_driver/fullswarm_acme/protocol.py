@@ -1,117 +1,96 @@
-"""Converts between values and the Scout's line protocol; the only place where units are converted.
+"""Converts between values and the Scout's messages; the only place where units are converted.
 
-A line is words of ASCII, an asterisk, four digits of CRC and a line feed: ``DRIVE 250 -300*e456``. Lengths are mm,
-angles mrad, counter-clockwise, x forward as ours::
-
-    to the robot     HELLO      asks for ROBOT, and for STATE 50 times a second from now on
-                     ENABLE     motors on: they obey DRIVE
-                     DISABLE    motors off
-                     DRIVE v w  set-point; the robot stops when no other one arrives within 1 s
-    from the robot   ROBOT model firmware boot
-                     STATE mode x y heading v w bumper battery      mode is IDLE, ON or ESTOP; since its boot
+A message is a line of JSON over TCP. Lengths are mm, angles mrad, counter-clockwise, x forward as ours. `Hello`,
+`Enable` and `Drive` go to the robot; `Robot` and `State` come from it.
 """
 
-from __future__ import annotations
-
-import binascii
-import re
-from dataclasses import dataclass
+from contextlib import suppress
+from typing import Annotated, Literal, Self
 
 from fullswarm.drivers.base import Pose, Twist
 from fullswarm.geometry import wrap
+from msgspec import Meta, MsgspecError, Struct, json
 
-LONGEST = 120
+LONGEST = 300
 WATCHDOG_S = 1.0
-MODES = ("IDLE", "ON", "ESTOP")
-_STATE = re.compile(r"STATE (IDLE|ON|ESTOP) ((?:-?\d{1,9} ){5})([01]) (\d{1,3})")
-_ROBOT = re.compile(r"ROBOT (\w{1,20}) ([\w.]{1,20}) (\d{1,9})")
-_DRIVE = re.compile(r"DRIVE (-?\d{1,5}) (-?\d{1,5})")
+Milli = Annotated[int, Meta(ge=-(10**9), le=10**9)]
 
 
-@dataclass(frozen=True, slots=True)
-class Robot:
-    """The answer to HELLO; `boot` differs after a restart."""
+class Hello(Struct, tag=True):
+    """Asks for `Robot`, and for `State` 50 times a second from now on."""
+
+
+class Enable(Struct, tag=True):
+    """Motors on: they obey `Drive`. Or off."""
+
+    on: bool
+
+
+class Motion(Struct):
+    """Speed and turn rate."""
+
+    v: Milli
+    w: Milli
+
+    @classmethod
+    def of(cls, twist: Twist) -> Self:
+        """Round a twist, which must be finite."""
+        return cls(round(twist.linear_m_s * 1e3), round(twist.angular_rad_s * 1e3))
+
+    @property
+    def twist(self) -> Twist:
+        """What is left of it in whole mm/s and mrad/s."""
+        return Twist(self.v / 1e3, self.w / 1e3)
+
+
+class Drive(Motion, tag=True):
+    """Set-point; the robot stops when no other one arrives within 1 s."""
+
+
+class Robot(Struct, tag=True):
+    """The answer to `Hello`; `boot` differs after a restart."""
 
     model: str
     firmware: str
     boot: int
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(Motion, tag=True):
     """What the robot reports 50 times a second; its pose is counted since its boot."""
 
-    mode: str
-    pose: Pose
-    twist: Twist
-    bumper: bool
-    battery: float  # 0 to 1
+    x: Milli
+    y: Milli
+    heading: Milli
+    mode: Literal["IDLE", "ON", "ESTOP"] = "IDLE"
+    bumper: bool = False
+    percent: Annotated[int, Meta(ge=0, le=100)] = 100
+
+    @property
+    def pose(self) -> Pose:
+        """Where it is since its boot."""
+        return Pose(self.x / 1e3, self.y / 1e3, wrap(self.heading / 1e3))
 
 
-def line(text: str) -> bytes:
-    """Return a line with its check."""
-    return f"{text}*{_crc(text.encode('ascii')):04x}\n".encode("ascii")
+Message = Hello | Enable | Drive | Robot | State
+_decoder = json.Decoder(Message)
 
 
-def drive(twist: Twist) -> str:
-    """Return the text of a set-point; it must be finite."""
-    return f"DRIVE {round(twist.linear_m_s * 1e3)} {round(twist.angular_rad_s * 1e3)}"
-
-
-def quantised(twist: Twist) -> Twist:
-    """Return what is left of a set-point in whole mm/s and mrad/s."""
-    return Twist(round(twist.linear_m_s * 1e3) / 1e3, round(twist.angular_rad_s * 1e3) / 1e3)
-
-
-def state(known: State) -> str:
-    """Return the text of a state."""
-    pose, twist = known.pose, known.twist
-    values = (pose.x_m, pose.y_m, pose.heading_rad, twist.linear_m_s, twist.angular_rad_s)
-    numbers = " ".join(str(round(value * 1e3)) for value in values)
-    return f"STATE {known.mode} {numbers} {int(known.bumper)} {round(known.battery * 100)}"
-
-
-def parse_state(text: str) -> State | None:
-    """Read a STATE; None if it is none."""
-    found = _STATE.fullmatch(text)
-    if found is None or int(found[4]) > 100:
-        return None
-    x, y, heading, v, w = (int(each) / 1e3 for each in found[2].split())
-    return State(found[1], Pose(x, y, wrap(heading)), Twist(v, w), found[3] == "1", int(found[4]) / 100.0)
-
-
-def parse_robot(text: str) -> Robot | None:
-    """Read a ROBOT; None if it is none."""
-    found = _ROBOT.fullmatch(text)
-    return None if found is None else Robot(found[1], found[2], int(found[3]))
-
-
-def parse_drive(text: str) -> Twist | None:
-    """Read a DRIVE; None if it is none."""
-    found = _DRIVE.fullmatch(text)
-    return None if found is None else Twist(int(found[1]) / 1e3, int(found[2]) / 1e3)
+def line(message: Message) -> bytes:
+    """Return a message with its line feed."""
+    return json.encode(message) + b"\n"
 
 
 class LineParser:
-    """Finds good lines in a stream that may begin in the middle of one and hold noise."""
+    """Finds messages in a stream that may begin in the middle of one and hold noise."""
 
     def __init__(self) -> None:
-        self._rest = bytearray()
+        self._rest = b""
 
-    def feed(self, data: bytes) -> list[str]:
-        """Return the texts of the lines that are whole now and whose check holds."""
-        *lines, rest = bytes(self._rest + data).split(b"\n")
-        self._rest = bytearray(rest[-LONGEST:])  # what is longer is no line
-        texts = [_checked(each) for each in lines]
-        return [each for each in texts if each is not None]
-
-
-def _checked(raw: bytes) -> str | None:
-    text, star, check = raw.rpartition(b"*")
-    if not star or not text.isascii() or check != f"{_crc(text):04x}".encode("ascii"):
-        return None
-    return text.decode("ascii")
-
-
-def _crc(text: bytes) -> int:
-    return binascii.crc_hqx(text, 0xFFFF)
+    def feed(self, data: bytes) -> list[Message]:
+        """Return the messages that are whole now."""
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest, messages = rest[-LONGEST:], list[Message]()  # what is longer is no message
+        for each in lines:
+            with suppress(MsgspecError, ValueError):
+                messages.append(_decoder.decode(each))
+        return messages

@@ -1,22 +1,18 @@
 """Runs the protocol with one Scout as a state machine: bytes and time in, bytes out; no port, thread or clock."""
 
-from __future__ import annotations
-
 import math
 
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Limits, Reading, Twist
 from fullswarm.drivers.guardian import StopPlan
 from fullswarm.drivers.linked import LinkSession, Odometer
 
-from fullswarm_acme.protocol import LineParser, Robot, State, drive, line, parse_robot, parse_state, quantised
+from fullswarm_acme.protocol import Drive, Enable, Hello, LineParser, Robot, State, line
 
 LIMITS = Limits(speed_m_s=0.5, turn_rad_s=2.0, accel_m_s2=2.0, turn_accel_rad_s2=8.0, can_reverse=False)
 SILENT_S = 0.5
 PERIOD_S = 0.05
-AGAIN_S = 0.2
-"""Between two repeats of what the robot does not confirm."""
-LOW = 0.1
-STOP, RELEASE = line(drive(STAND)), line("DISABLE")
+AGAIN_S = 0.2  # between two repeats of what the robot does not confirm
+STOP, RELEASE = line(Drive.of(STAND)), line(Enable(on=False))
 PLAN = StopPlan(((0.0, STOP), (0.05, STOP), (0.1, STOP)), leave=((1.0, RELEASE),))
 """What the guardian sends when this process is killed or paused: the robot itself would drive on for a second."""
 
@@ -26,16 +22,13 @@ class Session(LinkSession[bytes]):
 
     firmware = ""
 
-    def __init__(self, where: str) -> None:
-        self._where, self._parser = where, LineParser()
+    def __init__(self) -> None:
+        self._parser, self._odometer = LineParser(), Odometer()
         self._robot: Robot | None = None
-        self._mode = ""
-        self._odometer = Odometer()
         self._received_s = self._sent_s = self._asked_s = -math.inf
-        self._target = STAND
+        self._mode, self._target = "", STAND
         self._activating = False  # activate() was called
         self._enabled = False  # and ENABLE sent, after the robot was seen idle
-        self._urgent = False
 
     # ------------------------------------------------------------ the link
     def linked(self, now_s: float) -> None:
@@ -45,18 +38,17 @@ class Session(LinkSession[bytes]):
     def lost(self, reason: str, now_s: float) -> None:
         """Note that there is no connection, or that the guardian has stopped the robot."""
         self._stand()
-        super().lost(f"{self._where}: {reason}", now_s)
+        super().lost(reason, now_s)
 
     def received(self, chunk: bytes, now_s: float) -> None:
         """Take bytes."""
-        for text in self._parser.feed(chunk):
-            state, robot = parse_state(text), parse_robot(text)
-            if state is not None and self._robot is not None:
-                self._take(state, now_s)
-            elif robot is not None:
-                if self._robot is not None and robot.boot != self._robot.boot:
+        for message in self._parser.feed(chunk):
+            if isinstance(message, State) and self._robot is not None:
+                self._take(message, now_s)
+            elif isinstance(message, Robot):
+                if self._robot is not None and message.boot != self._robot.boot:
                     self._odometer.rebase()  # it counts from zero again
-                self._robot, self.firmware = robot, f"{robot.model} {robot.firmware}"
+                self._robot, self.firmware = message, f"{message.model} {message.firmware}"
 
     def tick(self, now_s: float) -> list[bytes]:
         """Return what is to be sent now."""
@@ -66,21 +58,21 @@ class Session(LinkSession[bytes]):
             elif self.unguarded:
                 self.lost(self.unguarded, now_s)
         if self.state is Lifecycle.ACTIVE:
-            if not self._urgent and now_s - self._sent_s < PERIOD_S:
+            if now_s - self._sent_s < PERIOD_S:
                 return []
-            self._sent_s, self._urgent = now_s, False
-            return [line(drive(self._target))]
+            self._sent_s = now_s
+            return [line(Drive.of(self._target))]
         if now_s - self._asked_s < AGAIN_S:
             return []
         self._asked_s = now_s
         if self.state is Lifecycle.READY:
             self._enabled = self._enabled or (self._activating and self._mode == "IDLE")
-            return [line("ENABLE")] if self._enabled else [RELEASE] if self._mode == "ON" else []
-        return [RELEASE, line("HELLO")]  # its last driver may have been killed while it drove
+            return [line(Enable(on=True))] if self._enabled else [RELEASE] if self._mode == "ON" else []
+        return [RELEASE, line(Hello())]  # its last driver may have been killed while it drove
 
     def next_due_s(self, now_s: float) -> float:
         """Return when there is something to send next: a stop at once."""
-        return now_s if self._urgent and self.state is Lifecycle.ACTIVE else super().next_due_s(now_s)
+        return max(now_s, min(self._sent_s + PERIOD_S, super().next_due_s(now_s)))
 
     # ------------------------------------------------------------ the agent
     def activate(self, now_s: float) -> None:
@@ -96,8 +88,9 @@ class Session(LinkSession[bytes]):
 
     def command(self, twist: Twist, now_s: float) -> Twist:
         """Take a set-point; return what is sent of it."""
-        target = quantised(LIMITS.clip(twist))
-        self._urgent = self._urgent or (target == STAND != self._target)
+        target = Drive.of(LIMITS.clip(twist)).twist
+        if target == STAND != self._target:
+            self._sent_s = -math.inf
         self._target = target
         return target
 
@@ -111,13 +104,12 @@ class Session(LinkSession[bytes]):
 
     # ------------------------------------------------------------ within
     def _take(self, state: State, now_s: float) -> None:
-        self._received_s, self._mode = now_s, state.mode
+        self._received_s, self._mode, battery = now_s, state.mode, state.percent / 100.0
         hazards = Hazard.BUMP if state.bumper else Hazard.NONE
-        hazards |= Hazard.BATTERY_LOW if state.battery < LOW else Hazard.NONE
+        hazards |= Hazard.BATTERY_LOW if battery < 0.1 else Hazard.NONE
         hazards |= Hazard.ESTOP_BUTTON if state.mode == "ESTOP" else Hazard.NONE
-        self.reading = Reading(
-            now_s, self._odometer.update(state.pose), state.twist, hazards=hazards, battery=state.battery
-        )
+        odometry = self._odometer.update(state.pose)
+        self.reading = Reading(now_s, odometry, state.twist, hazards=hazards, battery=battery)
         if state.mode == "ESTOP":
             self.lost("its emergency stop button is pressed: release it", now_s)
         elif state.mode == "IDLE" and self.state is Lifecycle.ACTIVE:
@@ -125,7 +117,7 @@ class Session(LinkSession[bytes]):
         elif state.mode == "IDLE" and self.state in (Lifecycle.OPEN, Lifecycle.FAULT) and not self.unguarded:
             self.state, self.fault = Lifecycle.READY, ""
         elif state.mode == "ON" and self.state is Lifecycle.READY and self._enabled:
-            self.state, self._activating, self._urgent = Lifecycle.ACTIVE, False, True
+            self.state, self._activating, self._sent_s = Lifecycle.ACTIVE, False, -math.inf
 
     def _stand(self) -> None:
-        self._target, self._urgent, self._activating, self._enabled = STAND, True, False, False
+        self._target, self._sent_s, self._activating, self._enabled = STAND, -math.inf, False, False

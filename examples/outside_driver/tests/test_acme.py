@@ -1,42 +1,30 @@
 """The published check of the Scout's driver with every fault of its emulator, and its protocol alone."""
 
-from __future__ import annotations
-
-import importlib.metadata
-
 import pytest
-from fullswarm import registry
-from fullswarm.drivers.base import STAND, Lifecycle, Pose, Twist
+from fullswarm.drivers.base import Lifecycle, Twist
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.simulation.bodies import FreeBody
-from fullswarm.testing import check_driver
+from fullswarm.testing import check_driver, emulated_rig
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm_acme.driver import AcmeDriver
 from fullswarm_acme.emulator import Firmware
-from fullswarm_acme.protocol import LineParser, State, drive, line, parse_drive, parse_state, quantised, state
-from fullswarm_acme.rig import rig
+from fullswarm_acme.protocol import Drive, Hello, LineParser, Robot, State, line
 from fullswarm_acme.session import Session
 
 
 def test_keeps_the_contract() -> None:
-    with rig() as emulated:
-        report = check_driver(emulated)
+    with emulated_rig("scout") as rig:
+        report = check_driver(rig)
     print(report)
     assert report.skipped == {}
-
-
-def test_the_entry_point_leads_to_the_driver() -> None:
-    if not importlib.metadata.entry_points(group=registry.DRIVER_GROUP, name="acme"):
-        pytest.skip("this package is not installed: pip install examples/outside_driver")
-    assert registry.driver_class("acme://127.0.0.1") is AcmeDriver
 
 
 # ---------------------------------------------------------------- what the check cannot know of
 def test_a_pressed_button_is_a_fault_that_says_so_and_a_reboot_moves_no_odometry() -> None:
     body = FreeBody()
-    session, firmware = Session("here"), Firmware(body)
+    session, firmware = Session(), Firmware(body)
     session.linked(0.0)
 
     def talk(now_s: float) -> None:
@@ -50,18 +38,16 @@ def test_a_pressed_button_is_a_fault_that_says_so_and_a_reboot_moves_no_odometry
     assert session.state is Lifecycle.READY
     firmware.estop = True
     talk(0.3)
-    assert session.state is Lifecycle.FAULT
-    assert "button" in session.fault
+    assert (session.state, "button" in session.fault) == (Lifecycle.FAULT, True)
     firmware.estop = False
     talk(0.4)
     assert session.state is Lifecycle.READY
     body.push(1.0, 0.5)
     talk(0.5)
     before = session.reading
-    session.received(line("ROBOT Scout 2.3 7"), 0.6)
-    session.received(line(state(State("IDLE", Pose(9.0, 9.0, 3.0), STAND, False, 1.0))), 0.6)
-    assert before is not None
-    assert session.reading is not None
+    session.received(line(Robot("Scout", "2.3", 7)), 0.6)
+    session.received(line(State(0, 0, 9000, 9000, 3000)), 0.6)
+    assert before and session.reading
     assert session.reading.odometry.x_m == pytest.approx(before.odometry.x_m)
     assert session.reading.odometry.heading_rad == pytest.approx(before.odometry.heading_rad)
 
@@ -70,31 +56,19 @@ def test_an_unreachable_robot_and_a_wrong_url_are_errors() -> None:
     driver = AcmeDriver("acme://127.0.0.1:1")
     with pytest.raises(DriverError, match="is the robot on"):
         driver.open()
-    assert driver.state is Lifecycle.CLOSED
     for url in ("acme://", "acme://host:port", "acme://host/path", "null://r1"):
         with pytest.raises(ConfigError):
             AcmeDriver(url)
 
 
 # ---------------------------------------------------------------- protocol
-small = st.floats(-30.0, 30.0)
-
-
-@given(st.sampled_from(["IDLE", "ON", "ESTOP"]), small, small, st.floats(-3.14, 3.14), small, st.booleans())
-def test_a_state_goes_round(mode: str, x_m: float, y_m: float, heading: float, v: float, bumper: bool) -> None:
-    sent = State(mode, Pose(x_m, y_m, heading), Twist(v, -v), bumper, 0.5)
-    found = parse_state(state(sent))
-    assert found is not None
-    assert (found.mode, found.bumper, found.battery) == (mode, bumper, 0.5)
-    assert found.pose.x_m == pytest.approx(x_m, abs=1e-3)
-    assert found.pose.heading_rad == pytest.approx(heading, abs=1e-3)
-    assert found.twist == quantised(sent.twist) == parse_drive(drive(sent.twist))
-
-
-@given(st.binary(max_size=300), st.integers(1, 50))
-def test_noise_hides_no_line_behind_it_and_makes_none(noise: bytes, size: int) -> None:
-    data = noise + b"\n" + line("HELLO") + line("ENABLE")
-    parser, texts = LineParser(), list[str]()
+@given(st.binary(max_size=300), st.integers(1, 50), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))
+def test_noise_hides_no_message_behind_it_and_makes_none(noise: bytes, size: int, v: float, w: float) -> None:
+    data = noise + b"\n" + line(Hello()) + line(Drive.of(Twist(v, w)))
+    parser, messages = LineParser(), list[object]()
     for start in range(0, len(data), size):
-        texts += parser.feed(data[start : start + size])
-    assert texts == ["HELLO", "ENABLE"]
+        messages += parser.feed(data[start : start + size])
+    greeting, sent = messages
+    assert greeting == Hello()
+    assert isinstance(sent, Drive)
+    assert sent.twist == Twist(pytest.approx(v, abs=6e-4), pytest.approx(w, abs=6e-4))

@@ -48,6 +48,7 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
+        self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         import os
         v=[float(x) for x in os.environ.get("CRD","2,0.02,0.5").split(",")]
@@ -65,6 +66,8 @@ class DesiredMotion:
     def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
         """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
         self._near = self._alone
+        if self._filter.commands.any:
+            self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
         if not groups and not tasks.any_filtered:
             return
@@ -95,7 +98,9 @@ class DesiredMotion:
                 self._controller.speed_limit, near,
             )
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
-        measured = Measured(pose, reading.twist, reading.stamp_s)
+        measured = self._measured
+        if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
+            self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
     def _evaluate(self, group: Group, view: View, now_s: float) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from fullswarm.agent.motion.robot_controller import StopReason, explain_hazards
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import Description, Fleet, FleetReading, Hazard, Lifecycle
 from fullswarm.geometry import wrap
-from fullswarm.kernels import Array, Flags, Index, kernel
+from fullswarm.kernels import Array, Flags, Index, bound, kernel
 from fullswarm.reasons import Code, Reason, given, reason
 
 BATTERY_LOW = int(Hazard.BATTERY_LOW)
@@ -91,22 +92,21 @@ class Reflexes:
         count, margin_m, low = len(accel_m_s2), thresholds.fence_margin_m, thresholds.battery_low
         x_min, y_min, x_max, y_max = bounds_m
         bounds = (x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m)
-        self._geofence = Geofence(bounds, accel_m_s2, thresholds.fence_delay_s)
+        fence = Geofence(bounds, accel_m_s2, thresholds.fence_delay_s)
         sigma_m = np.full(count, math.inf) if sigma_limit_m is None else sigma_limit_m
-        self._limits = InspectionLimits(sigma_m, battery_low=low, battery_risen=low + thresholds.battery_rise)
-        self._unfit = unfit = Unfit(np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool))
+        limits = InspectionLimits(sigma_m, battery_low=low, battery_risen=low + thresholds.battery_rise)
+        unfit = Unfit(np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool))
         self.pose_unknown, self.pose_uncertain, self.battery_low = unfit
-        self._speeds = SpeedBounds(floor=np.full(count, -math.inf), ceiling=np.full(count, math.inf))
-        self.floor, self.ceiling = self._speeds
+        speeds = SpeedBounds(floor=np.full(count, -math.inf), ceiling=np.full(count, math.inf))
+        self.floor, self.ceiling = speeds
+        self._inspect = bound(partial(inspect.run, limits, unfit))
+        self._bound_speeds = bound(partial(geofence.run, fence, speeds))
         self.clock_jumped = False
         self._jump_over_s = -math.inf
 
     def update(self, reading: FleetReading, pose: Array) -> None:
         """Take a reading and the poses (n, 3) estimated from it."""
-        inspect.run(
-            pose, sigma_m=reading.position_sigma_m, battery=reading.battery, hazards=reading.hazards,
-            limits=self._limits, unfit=self._unfit,
-        )  # fmt: skip
+        self._inspect(pose, reading.position_sigma_m, reading.battery, reading.hazards)
 
     def watch_clock(self, now_s: float, before_s: float, patience_s: float) -> None:
         """Compare the times of two ticks: after a jump of the clock the robot is held for `patience_s`.
@@ -123,12 +123,12 @@ class Reflexes:
 
         `twist` (n, 2) is the measured motion.
         """
-        geofence.run(pose, twist, desired, self._geofence, self._speeds)
+        self._bound_speeds(pose, twist, desired)
 
 
 @kernel
 def inspect(
-    pose: Array, sigma_m: Array, battery: Array, hazards: NDArray[np.uint8], limits: InspectionLimits, unfit: Unfit
+    limits: InspectionLimits, unfit: Unfit, pose: Array, sigma_m: Array, battery: Array, hazards: NDArray[np.uint8]
 ) -> None:
     """Fill `pose_unknown` and `pose_uncertain` and update `battery_low`. A battery of -1 or a NaN sigma: unknown."""
     sigma_limit_m, low, risen = limits
@@ -141,7 +141,7 @@ def inspect(
 
 
 @kernel
-def geofence(pose: Array, twist: Array, desired: Array, fence: Geofence, speeds: SpeedBounds) -> None:
+def geofence(fence: Geofence, speeds: SpeedBounds, pose: Array, twist: Array, desired: Array) -> None:
     """Fill `speeds` with those that can be braked to zero before the centre crosses an edge.
 
     For each edge: v² / 2a + v · delay <= distance / cos, where cos is of the angle between the motion and the
@@ -228,22 +228,23 @@ class Standstill:
 
     def __init__(self, descriptions: Sequence[Description], rate_hz: float) -> None:
         count, noise = len(descriptions), [each.standstill for each in descriptions]
-        self._noise = np.array(
+        noise_of = np.array(
             [[each.speed_m_s, each.turn_rad_s, each.window_s, each.way_m, each.angle_rad] for each in noise]
         ).reshape(count, 5)
         depth = 2 + math.ceil(max((each.window_s for each in noise), default=0.0) * rate_hz)
         past = np.full((count, depth, 6), -math.inf)
-        self._window = Window(past, newest=np.zeros(count, np.int64), held=np.zeros(count, np.int64))
-        self._judgement = Judgement(np.ones(count, bool), np.full(count, math.inf))
-        self.at_standstill, self.since_s = self._judgement
+        window = Window(past, newest=np.zeros(count, np.int64), held=np.zeros(count, np.int64))
+        judgement = Judgement(np.ones(count, bool), np.full(count, math.inf))
+        self.at_standstill, self.since_s = judgement
+        self._judge = bound(partial(judge.run, window, judgement, noise_of))
 
     def update(self, reading: FleetReading) -> None:
         """Take the newest readings; one that was taken before changes nothing."""
-        judge.run(reading.stamp_s, reading.odometry, reading.twist, self._noise, self._window, self._judgement)
+        self._judge(reading.stamp_s, reading.odometry, reading.twist)
 
 
 @kernel
-def judge(stamp_s: Array, odometry: Array, twist: Array, noise: Array, window: Window, judgement: Judgement) -> None:
+def judge(window: Window, judgement: Judgement, noise: Array, stamp_s: Array, odometry: Array, twist: Array) -> None:
     """Take a reading of each robot into `window` if it is new, and fill `judgement`; `noise` (n, 5)."""
     past, newest, held = window
     at_standstill, since_s = judgement

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +18,12 @@ from numpy.typing import NDArray
 
 from fullswarm.drivers.base import STOPPING_HAZARDS, Hazard, Limits
 from fullswarm.geometry import clamp
-from fullswarm.kernels import Array, Flags, kernel
+from fullswarm.kernels import Array, Flags, bound, kernel
 from fullswarm.reasons import Code, Reason
 
 
 class StopReason(enum.IntEnum):
-    """Why a robot is stopped; `why_not` gives their order."""
+    """Why a robot is stopped; `find_reasons` gives their order."""
 
     MOVING = 0
     ESTOP = 1
@@ -123,12 +125,8 @@ class Link(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """The newest reading: when, (n,), and :class:`~fullswarm.drivers.base.Hazard` bits, (n,).
+    """The newest reading: when, (n,), and :class:`~fullswarm.drivers.base.Hazard` bits, (n,)."""
 
-    Readings with a stamp before `read_since_s` are too old to move on.
-    """
-
-    read_since_s: float
     stamp_s: Array
     hazards: NDArray[np.uint8]
 
@@ -207,6 +205,8 @@ class RobotController:
         self._desired = Desired(self.desired, self.valid_until_s, self.law_failed)
         self._bounds = Bounds(self.speed_limit, self.turn_limit, self.reverse, accel, turn_accel)
         self._decision = Decision(self.estop, self.reason, self.drive_on, np.zeros((count, 2)))
+        self._given: tuple[Task, Link, Sensed, Doubt] | None = None
+        self._decide: Callable[[float, float, float], bool]
 
     def submit(self, row: int, linear_m_s: float, angular_rad_s: float, valid_until_s: float) -> None:
         """Set the desired twist of robot `row`, valid until then; ``ValueError`` if it is not finite."""
@@ -220,79 +220,102 @@ class RobotController:
         self.desired[row] = 0.0
         self.valid_until_s[row] = -math.inf
 
-    def step(self, now_s: float, dt_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt) -> Array:
-        """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING."""
-        self.changed = decide.run(now_s, dt_s, task, link, sensed, doubt, self._desired, self._bounds, self._decision)
+    def step(
+        self, now_s: float, dt_s: float, read_since_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt
+    ) -> Array:
+        """Return the twists (n, 2) for this tick; all of them zero where `reason` is not MOVING.
+
+        Readings with a stamp before `read_since_s` are too old to move on. Tuples that are the same objects as in the
+        tick before cost no time.
+        """
+        given = self._given
+        if (
+            given is None or task is not given[0] or link is not given[1] or sensed is not given[2]
+            or doubt is not given[3]
+        ):  # fmt: skip
+            self._given = task, link, sensed, doubt
+            self._decide = bound(
+                partial(decide.run, task, link, sensed, doubt, self._desired, self._bounds, self._decision)
+            )
+        self.changed = self._decide(now_s, dt_s, read_since_s)
         return self._decision.twist
 
 
 @kernel
-def why_not(
-    i: int, now_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, estop: bool
-) -> int:
-    """Return why robot `i` may not move, a number of :class:`StopReason`; 0: it may."""
-    why = MOVING
-    if estop:
-        why = ESTOP
-    elif not link.driver_ready[i]:
-        why = DRIVER
-    elif not sensed.stamp_s[i] >= sensed.read_since_s:
-        why = READING
-    elif int(sensed.hazards[i]) & STOPPING:
-        why = HAZARD
-    elif not task.active[i]:
-        why = IDLE
-    elif desired.law_failed[i]:
-        why = LAW
-    elif not link.hub_alive and not task.survives_core[i]:
-        why = HUB
-    elif not link.core_alive and not task.survives_core[i]:
-        why = CORE
-    elif now_s >= task.expires_at_s[i]:
-        why = EXPIRED
-    elif now_s >= desired.valid_until_s[i] or not math.isfinite(desired.twist[i, 0] + desired.twist[i, 1]):
-        why = STALE
-    elif doubt.clock_jumped:
-        why = CLOCK
-    elif not math.isfinite(task.expires_at_s[i]):
-        # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
-        why = (
-            BATTERY if doubt.battery_low[i]
-            else POSE if doubt.pose_unknown[i]
-            else FRAME if doubt.frame_conflict
-            else OVERLAP if doubt.overlap[i]
-            else UNSURE if doubt.pose_uncertain[i]
-            else MOVING
-        )  # fmt: skip
-    return why
+def find_reasons(
+    task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, bounds: Bounds, decision: Decision,
+    now_s: float, read_since_s: float,
+) -> bool:  # fmt: skip
+    """Fill `reason` and `drive_on` of `decision`; tell if a reason changed."""
+    reason = decision.reason
+    changed = False
+    for i in range(reason.shape[0]):
+        forward = desired.twist[i, 0]
+        turn = desired.twist[i, 1]
+        why = MOVING
+        if decision.estop[i]:
+            why = ESTOP
+        elif not link.driver_ready[i]:
+            why = DRIVER
+        elif not sensed.stamp_s[i] >= read_since_s:
+            why = READING
+        elif int(sensed.hazards[i]) & STOPPING:
+            why = HAZARD
+        elif not task.active[i]:
+            why = IDLE
+        elif desired.law_failed[i]:
+            why = LAW
+        elif not link.hub_alive and not task.survives_core[i]:
+            why = HUB
+        elif not link.core_alive and not task.survives_core[i]:
+            why = CORE
+        elif now_s >= task.expires_at_s[i]:
+            why = EXPIRED
+        elif now_s >= desired.valid_until_s[i] or not math.isfinite(forward + turn):
+            why = STALE
+        elif doubt.clock_jumped:
+            why = CLOCK
+        elif not math.isfinite(task.expires_at_s[i]):
+            # A person at the stick may drive a robot to its charger, and needs no estimator to see where it is.
+            why = (
+                BATTERY if doubt.battery_low[i]
+                else POSE if doubt.pose_unknown[i]
+                else FRAME if doubt.frame_conflict
+                else OVERLAP if doubt.overlap[i]
+                else UNSURE if doubt.pose_uncertain[i]
+                else MOVING
+            )  # fmt: skip
+        if why == MOVING and math.fabs(turn) < STILL:
+            low = -bounds.speed[i] if bounds.reverse[i] else 0.0
+            high = 0.0 if int(sensed.hazards[i]) & BUMP else bounds.speed[i]
+            speed = clamp(forward, low, high)
+            allowed = clamp(speed, max(low, doubt.floor[i]), min(high, doubt.ceiling[i]))
+            why = GEOFENCE if math.fabs(speed) >= STILL and math.fabs(allowed) < STILL else MOVING
+        changed = changed or reason[i] != why
+        reason[i] = why
+        decision.drive_on[i] = task.active[i] and not decision.estop[i]
+    return changed
 
 
 @kernel
 def decide(
-    now_s: float, dt_s: float, task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, bounds: Bounds,
-    decision: Decision,
+    task: Task, link: Link, sensed: Sensed, doubt: Doubt, desired: Desired, bounds: Bounds, decision: Decision,
+    now_s: float, dt_s: float, read_since_s: float,
 ) -> bool:  # fmt: skip
-    """Fill `decision`; tell if a reason (see :class:`StopReason`) changed."""
+    """Fill `decision`; tell if a reason (see :class:`StopReason`) changed.
+
+    Readings with a stamp before `read_since_s` are too old to move on.
+    """
+    changed = find_reasons(task, link, sensed, doubt, desired, bounds, decision, now_s, read_since_s)
     reason, twist, wanted = decision.reason, decision.twist, desired.twist
-    changed = False
     for i in range(reason.shape[0]):
-        estop = decision.estop[i]
-        why = why_not(i, now_s, task, link, sensed, doubt, desired, estop)
-        low = -bounds.speed[i] if bounds.reverse[i] else 0.0
-        high = 0.0 if int(sensed.hazards[i]) & BUMP else bounds.speed[i]
-        if why == MOVING:
-            speed, low, high = clamp(wanted[i, 0], low, high), max(low, doubt.floor[i]), min(high, doubt.ceiling[i])
-            held = math.fabs(speed) >= STILL and math.fabs(clamp(speed, low, high)) < STILL
-            if held and math.fabs(wanted[i, 1]) < STILL:
-                why = GEOFENCE
-        changed = changed or reason[i] != why
-        reason[i] = why
-        decision.drive_on[i] = task.active[i] and not estop
-        if why != MOVING:
+        if reason[i] != MOVING:
             # Zero at once, not a ramp: the wheels' own limits brake, and silence must end in zero within the bound.
             twist[i, 0] = 0.0
             twist[i, 1] = 0.0
             continue
+        low = max(-bounds.speed[i] if bounds.reverse[i] else 0.0, doubt.floor[i])
+        high = min(0.0 if int(sensed.hazards[i]) & BUMP else bounds.speed[i], doubt.ceiling[i])
         speed = clamp(wanted[i, 0], low, high)
         turn = clamp(wanted[i, 1], -bounds.turn[i], bounds.turn[i])
         step = bounds.accel[i] * dt_s

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, kernel, views
+from fullswarm.kernels import Array, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -42,20 +43,29 @@ class Nearby(NamedTuple):
 class Received(NamedTuple):
     """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
 
-    `arrival_s` is on this machine's clock; -inf: never received, or forgotten.
+    `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
+    that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
+    `delay_s`: (m,) how old each was on its arrival.
     """
 
     states: Array
     arrival_s: Array
+    limits: Array
+    sigma: Array
+    delay_s: Array
 
 
 class Assumed(NamedTuple):
-    """Limits of the other robots, and after how long one that fell silent is at standstill, at the latest."""
+    """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest.
+
+    `confidence`: so many standard deviations of a reported pose count.
+    """
 
     accel_m_s2: float
     speed_m_s: float
     turn_rad_s: float
     halt_s: float
+    confidence: float = 0.0
 
 
 UNMOVED = Assumed(0.0, 0.0, 0.0, 0.0)
@@ -82,8 +92,12 @@ class Neighbours:
     Attributes
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
+    limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
     arrival_s : (m,) when, on this machine's clock
+    sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
+    delay_s : (m,) how old each state was on its arrival
+    delay_of : returns that of states at their arrival, s; see ``CoreClock.delay_s``
     predicted : (m, 2) positions moved on to the time of the last `set_time`, filled by `within`; NaN when too old
     places, spread_m, blur_m : the same for the safety filter, filled by `around`: see :class:`Predicted`. A robot that
         fell silent stays in them until it is received again or its cell is not subscribed
@@ -105,8 +119,12 @@ class Neighbours:
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
+        self.limits = np.zeros((0, 3))
         self.teams = np.zeros(0, np.int64)
         self.arrival_s = np.zeros(0)
+        self.sigma = np.zeros((0, 2))
+        self.delay_s = np.zeros(0)
+        self.delay_of: Callable[[RobotStates, float], float] = no_delay
         self.predicted = np.zeros((0, 2))
         self.places = np.zeros((0, 2))
         self.spread_m, self.blur_m = np.zeros(0), np.zeros(0)
@@ -141,12 +159,31 @@ class Neighbours:
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
         table = np.array(columns)
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
+        limits = np.full((3, len(rows)), math.nan)
+        if states.accel_m_s2:
+            limits[:] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
+        sigma = np.zeros((2, len(rows)))
+        if states.sigma_m:
+            sigma[0] = states.sigma_m
+        if states.sigma_rad:
+            sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
         if not finite.all():
             rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
+        self.limits[rows] = limits.T
         self.teams[rows] = teams
         self.arrival_s[rows] = now_s
+        self.sigma[rows] = sigma.T
+        self.delay_s[rows] = self.delay_of(states, now_s)
+
+    def receive_relayed(self, states: RobotStates, age_s: float, now_s: float) -> None:
+        """Take in states that came through the core, measured at least `age_s` ago, unless newer ones are known."""
+        newest = self._newest.get(states.host)
+        if newest and now_s - newest[2] < ANEW_S and (states.sequence <= newest[0] or states.stamp_s <= newest[1]):
+            return
+        self.receive(states, now_s - age_s)
 
     def _receive_one(self, states: RobotStates, now_s: float) -> None:
         """Do the same for a host with one robot, number by number.
@@ -167,8 +204,18 @@ class Neighbours:
         received[row, 3] = speed_m_s
         received[row, 4] = turn_rad_s
         received[row, 5] = radius_m
+        limits = self.limits
+        if not states.accel_m_s2:
+            limits[row, 2] = math.nan
+        else:
+            limits[row, 0] = states.speed_limit_m_s[0]
+            limits[row, 1] = states.turn_limit_rad_s[0]
+            limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
         self.arrival_s[row] = now_s
+        self.delay_s[row] = self.delay_of(states, now_s)
+        self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
+        self.sigma[row, 1] = states.sigma_rad[0] if states.sigma_rad else 0.0
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
@@ -177,8 +224,7 @@ class Neighbours:
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
         self._stale, now_s = False, self._now_s
-        received, out = self._viewed if predict.run is predict.plain else (self._received, self._predicted)
-        self.silent = predict.run(received, self.count, now_s, self._timeout_s, self._assumed, out)
+        self.silent = self._run_predict(self.count, now_s, self._timeout_s)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
         """Find what the safety filter must respect: as `within`, but silent robots too, at uncertain places."""
@@ -208,7 +254,9 @@ class Neighbours:
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
             x_m, y_m, _, speed_m_s, _, _ = self.states[row].tolist()
-            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), self._assumed.speed_m_s)):
+            stated_m_s = float(self.limits[row, 0])
+            fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
+            if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
                 self.arrival_s[row] = -math.inf
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
@@ -249,6 +297,12 @@ class Neighbours:
         self._lists[key] = (start, other)
         return start, other
 
+    def longest_delay_s(self, now_s: float) -> float:
+        """Return the greatest delay of the states that still count, s; NaN when there are none of other robots."""
+        fresh = now_s - self.arrival_s[: self.count] <= self._timeout_s
+        fresh[self.own_row[self.own_row >= 0]] = False
+        return float(self.delay_s[: self.count][fresh].max()) if fresh.any() else math.nan
+
     def oldest_age_s(self, now_s: float) -> float:
         """Return the age of the stalest state that still counts; 0 when none is received."""
         ages = now_s - self.arrival_s[: self.count]
@@ -275,15 +329,25 @@ class Neighbours:
         if count > len(self.states):
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
+            self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
+            self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
+            self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
             self.spread_m = np.concatenate([self.spread_m, np.zeros(more)])
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            self._received = Received(self.states, self.arrival_s)
-            self._predicted = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
-            self._viewed = views(self._received), views(self._predicted)
+            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
+            out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
+            if predict.run is predict.plain:
+                received, out = views(received), views(out)
+            self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def no_delay(_states: RobotStates, _now_s: float) -> float:
+    """Return 0: states count from their arrival."""
+    return 0.0
 
 
 def _fits(states: RobotStates) -> bool:
@@ -291,7 +355,11 @@ def _fits(states: RobotStates) -> bool:
     x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
-    if states.teams and len(states.teams) != count:
+    for optional in (states.teams, states.sigma_m, states.sigma_rad):
+        if optional and len(optional) != count:
+            return False
+    accel_m_s2 = states.accel_m_s2
+    if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
@@ -344,20 +412,23 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
-def predict(received: Received, count: int, now_s: float, timeout_s: float, assumed: Assumed, out: Predicted) -> int:
+def predict(received: Received, out: Predicted, assumed: Assumed, count: int, now_s: float, timeout_s: float) -> int:
     """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
     robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever.
+    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever. The
+    error of the reported position widens the disc, but not the direction in which it lies: the distance of two points
+    is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
+    predicted path.
     """
-    states, arrival_s = received
-    accel_m_s2, speed_m_s, turn_rad_s, halt_s = assumed
+    states, arrival_s, limits, sigma, delay_s = received
+    assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
     for row in range(count):
-        age_s = max(now_s - arrival_s[row], 0.0)
+        age_s = max(now_s - arrival_s[row], 0.0) + delay_s[row]
         if math.isinf(age_s):
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
@@ -368,12 +439,20 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
             continue
         speed = states[row, 3]
         rate = states[row, 4]
+        speed_m_s = limits[row, 0]
+        turn_rad_s = limits[row, 1]
+        accel_m_s2 = limits[row, 2]
+        if math.isnan(speed_m_s + turn_rad_s + accel_m_s2):
+            speed_m_s = assumed_speed
+            turn_rad_s = assumed_turn
+            accel_m_s2 = assumed_accel
         moved_s = min(age_s, halt_s)
         fastest = max(speed_m_s, math.fabs(speed))
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
-        near_prediction_m = 0.5 * moved_s * moved_s * strongest
+        swing = confidence * sigma[row, 1]
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest + min(swing, 2.0) * math.fabs(speed) * moved_s
         near_state_m = fastest * moved_s
         middle = states[row, 2] + 0.5 * age_s * rate
         x = states[row, 0] + speed * age_s * math.cos(middle)
@@ -396,6 +475,7 @@ def predict(received: Received, count: int, now_s: float, timeout_s: float, assu
             places[row, 1] = states[row, 1]
             spread_m[row] = near_state_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
+        spread_m[row] += confidence * sigma[row, 0]
     return silent
 
 

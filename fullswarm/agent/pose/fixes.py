@@ -213,7 +213,7 @@ class Fixes:
         source_state, known = self._source_states.get(row), self._estimator.fuses or not sensed
         if source_state is None and not known:
             return SENSED  # at once: a lockstep swarm asks for a thousand robots
-        sigma_m, sigma_rad = self._estimator.sigma(row) if known else (-1.0, -1.0)
+        sigma_m, sigma_rad = self._estimator.known_sigma(row) if known else (-1.0, -1.0)
         source = "driver" if sensed else "odometry"
         if source_state is None:
             return PoseHealth(source, sigma_m, sigma_rad, "")

@@ -4,6 +4,7 @@ Files:
 
 ``barrier.py``   Barrier certificates for unicycles, per robot (paper III.A, its [11]: Wang, Ames, Egerstedt 2017)
 ``braking.py``   Speed and turn rate that can still be brought to zero before a gap is used up
+``dead_time.py`` Commands that are given but have no effect yet, and what they will still do
 ``deadlock.py``  Robots that block each other: detected while they run, and guided around each other
 ``filter.py``    The filter of n robots from tick to tick: its output, the deviation, why it brakes
 """

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fullswarm.geometry import wrap
-from fullswarm.kernels import Array, Flags, Index, kernel
+from fullswarm.kernels import Array, Flags, Index, bound, kernel
 
 BLOCKED_S = 1.0
 WAY_SHARE = 0.15
@@ -61,7 +62,7 @@ class Progress(NamedTuple):
 
 @kernel
 def sidestep(
-    now_s: float, desired: Array, filtered: Flags, pose: Array, speed_limit: Array, progress: Progress
+    progress: Progress, now_s: float, desired: Array, filtered: Flags, pose: Array, speed_limit: Array
 ) -> None:
     """Turn the desired velocities (n, 2) of robots that are blocked; see the module."""
     anchor, since_s, place, placed_s, until_s, angle, count, seed = progress
@@ -127,7 +128,8 @@ class Deadlocks:
             deadlocks=self.deadlock_count,
             seed=np.array([zlib.crc32(robot.encode()) for robot in ids], np.int64),
         )
+        self._sidestep = bound(partial(sidestep.run, self.progress))
 
     def resolve(self, now_s: float, desired: Array, filtered: Flags, pose: Array, speed_limit: Array) -> None:
         """Turn the desired velocities of robots that are blocked."""
-        sidestep.run(now_s, desired, filtered, pose, speed_limit, self.progress)
+        self._sidestep(now_s, desired, filtered, pose, speed_limit)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import structlog
 
 from fullswarm.agent.neighbours.estimates import Nearby
-from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_planes, interval, project
+from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_planes, interval, project, shorten
 from fullswarm.agent.safety.braking import stoppable, towards
+from fullswarm.agent.safety.dead_time import Commands, Underway, expect
 from fullswarm.drivers.base import Description
 from fullswarm.geometry import clamp, unicycle
-from fullswarm.kernels import Array, Flags, Index, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 
 log = structlog.get_logger()
 
@@ -38,7 +40,7 @@ class RobotParams(NamedTuple):
     """What each robot is and can do, (n,) each; see :func:`robot_params`.
 
     `overrun_s` and `overrun_m`: how much farther than the accelerations say a stop goes, seconds of the speed and m at
-    most.
+    most. `dead_time_s`: from a command to its first effect.
     """
 
     radius_m: Array
@@ -49,18 +51,21 @@ class RobotParams(NamedTuple):
     turn_accel: Array
     overrun_s: Array
     overrun_m: Array
+    dead_time_s: Array
 
 
 class Tuning(NamedTuple):
     """Settings of the filter and of the unicycle map.
 
-    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed.
+    `period_s`: how long an answer is in force; `reach_m`: obstacles farther away are not sensed; `confidence`: so many
+    standard deviations of the own pose count.
     """
 
     period_s: float
     reach_m: float
     speed_gain: float
     turn_gain_per_s: float
+    confidence: float = 0.0
 
 
 class Requested(NamedTuple):
@@ -78,11 +83,15 @@ class Requested(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Pose (n, 3), twist (n, 2) in m/s and rad/s, and when they were measured (n,), s."""
+    """Pose (n, 3), twist (n, 2) in m/s and rad/s, when they were measured (n,), s, and `sigma` (n, 2) of the pose.
+
+    `sigma`: standard deviations of position (m, worse axis) and heading (rad).
+    """
 
     pose: Array
     twist: Array
     stamp_s: Array
+    sigma: Array
 
 
 class Filtered(NamedTuple):
@@ -101,6 +110,7 @@ class Given(NamedTuple):
     """All arrays of :func:`guard` but the measured ones."""
 
     robots: RobotParams
+    underway: Underway
     requested: Requested
     near: Nearby
     arena: Arena
@@ -122,30 +132,52 @@ def robot_params(
         turn_accel=np.array([each.turn_accel_rad_s2 for each in limits]),
         overrun_s=np.array([each.overrun_s for each in limits]),
         overrun_m=np.array([each.overrun_m for each in limits]),
+        dead_time_s=np.array([each.dead_time_s for each in limits]),
     )
 
 
 @kernel
+def pass_through(
+    i: int, top: float, low: float, turn_limit: float, speed_gain: float, turn_gain_per_s: float, velocity: Array,
+    pose: Array, out: Filtered,
+) -> int:  # fmt: skip
+    """Map the desired velocity of robot `i` to a twist, unfiltered; return 1 if the filter braked it before."""
+    ux = velocity[i, 0]
+    uy = velocity[i, 1]
+    if not (math.isnan(ux) or math.isnan(uy)):
+        size = math.hypot(ux, uy)
+        scale = top / size if size > top else 1.0
+        speed, turn = unicycle(scale * ux, scale * uy, pose[i, 2], speed_gain, turn_gain_per_s)
+        out.twist[i, 0] = clamp(speed, low, top)
+        out.twist[i, 1] = clamp(turn, -turn_limit, turn_limit)
+    braked = 1 if out.verdict[i] > LIMITED else 0
+    if out.verdict[i] != FREE:
+        out.verdict[i] = FREE
+        out.deviation[i, 0] = 0.0
+    return braked
+
+
+@kernel
 def guard(
-    now_s: float, dt_s: float, tuning: Tuning, measured: Measured, robots: RobotParams, requested: Requested,
-    near: Nearby, arena: Arena, out: Filtered, planes: HalfPlanes,
+    tuning: Tuning, robots: RobotParams, underway: Underway, requested: Requested, near: Nearby, arena: Arena,
+    out: Filtered, planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
 
     Parameters
     ----------
-    dt_s : since the last call
     planes : room for one robot's constraints
+    dt_s : since the last call
 
     Returns
     -------
     int
         How many verdicts became or ceased to be one of those that brake.
     """
-    period_s, reach_m, speed_gain, turn_gain_per_s = tuning
-    radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m = robots
+    period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
+    radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m, dead_time_s = robots
     velocity, filtered, gain, margin_m = requested
-    pose, motion, stamp_s = measured
+    pose, motion, stamp_s, sigma = measured
     twists, deviation, verdict = out
     news = 0
     for i in range(velocity.shape[0]):
@@ -156,16 +188,7 @@ def guard(
         low = least_speed[i]
         turn_limit = turn_limits[i]
         if not filtered[i]:
-            if planar:
-                size = math.hypot(ux, uy)
-                scale = top / size if size > top else 1.0
-                speed, turn = unicycle(scale * ux, scale * uy, pose[i, 2], speed_gain, turn_gain_per_s)
-                twists[i, 0] = clamp(speed, low, top)
-                twists[i, 1] = clamp(turn, -turn_limit, turn_limit)
-            if verdict[i] != FREE:
-                news += verdict[i] > LIMITED
-                verdict[i] = FREE
-                deviation[i, 0] = 0.0
+            news += pass_through(i, top, low, turn_limit, speed_gain, turn_gain_per_s, velocity, pose, out)
             continue
         x = pose[i, 0]
         y = pose[i, 1]
@@ -182,11 +205,20 @@ def guard(
             # Where it has got to since it was measured: it may have sped up or turned, too.
             age = max(age, 0.0)
             unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
-            overrun_m = min(overrun_s[i] * math.fabs(speed_now), overrun_max_m[i])
+            # Decided is for the motion in which the commands before this one will have brought it.
+            speed_now, turn_now, heading, moved_x, moved_y, way, fastest = (
+                expect(i, heading, speed_now, accel * (overrun_s[i] + period_s), dead_time_s[i], underway)
+                if dead_time_s[i] > 0.0
+                else (speed_now, turn_now, heading, 0.0, 0.0, 0.0, math.fabs(speed_now))
+            )
+            overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
+            clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, radius[i] + margin_m[i] + overrun_m, unsure_m, gain[i], top, reach_m, accel, period_s, near, arena,
-                planes,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top + gain[i] * way, reach_m, near,
+                arena, planes,
             )  # fmt: skip
+            if way > 0.0:
+                shorten(planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, gain[i])
             if count < 0:
                 why = CROWDED
         if why != FREE:
@@ -259,6 +291,7 @@ class SafetyFilter:
     verdict : (n,) FREE, LIMITED, or why it brakes: a key of `EXPLAIN`
     given : the arrays of the last tick; None before the first one
     reach_m, bounds_m : how far obstacles are sensed; (4,) the arena
+    commands : those that have no effect yet; to be updated in each tick if there are `any`
     """
 
     def __init__(self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array) -> None:
@@ -274,9 +307,10 @@ class SafetyFilter:
         self._robots, self._planes = robots, HalfPlanes(*scratch)
         # Plain Python reads lists still faster than views.
         self._robots_viewed, self._planes_listed = views(robots), HalfPlanes._make(scratch.tolist())
+        self.commands = Commands(robots.dead_time_s, robots.accel, robots.turn_accel)
         self._deviation = deviation
         self.given: Given | None = None
-        self._viewed: Given
+        self._guard: Callable[[Measured, float, float], int]
 
     def apply(
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
@@ -289,21 +323,22 @@ class SafetyFilter:
             given is None or near is not given.near or obstacles is not given.arena.obstacles
             or requested is not given.requested or twist is not given.out.twist
         ):  # fmt: skip
-            given = self._take(requested, near, obstacles, twist)
+            self._take(requested, near, obstacles, twist)
         if guard.run is guard.plain:
-            given, measured = self._viewed, views(measured)
-        if guard.run(now_s, dt_s, self._tuning, measured, *given):
+            measured = views(measured)
+        if self._guard(measured, now_s, dt_s):
             self._log_braking(now_s)
 
-    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> Given:
-        """Keep these arrays and their views; they seldom are others than in the tick before, and views cost time."""
+    def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
+        """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
-        self.given = given = Given(self._robots, requested, near, arena, out, self._planes)
+        self.given = given = Given(self._robots, self.commands.underway, requested, near, arena, out, self._planes)
         if guard.run is guard.plain:
-            self._viewed = Given(
-                self._robots_viewed, views(requested), views(near), views(arena), views(out), self._planes_listed
-            )
-        return given
+            given = Given(
+                self._robots_viewed, views(self.commands.underway), views(requested), views(near), views(arena),
+                views(out), self._planes_listed,
+            )  # fmt: skip
+        self._guard = bound(partial(guard.run, self._tuning, *given))
 
     def note(self, row: int) -> str:
         """Return why the filter brakes robot `row`; empty when it does not."""

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.robot_controller import CODES, StopReason, explain_hazards
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -48,18 +49,22 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    limits : (n, 3) what each can do: m/s, rad/s, m/s²
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason],
+        ended: Sequence[Reason], limits: Array,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._ended = law_error, ended
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
 
-    def states(self, keys: Keys, cell_m: float, sequence: int, now_s: float) -> Iterator[tuple[str, RobotStates]]:
+    def states(
+        self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
+    ) -> Iterator[tuple[str, RobotStates]]:
         """Yield (key, message): one per grid cell that holds robots of this agent."""
         state, ids, host = self._state, self._fleet.ids, self._identity.host
         if state.reading is None:
@@ -75,6 +80,10 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
+        sigma_m: list[float] = []
+        sigma_rad: list[float] = []
+        if state.sigma.any():
+            sigma_m, sigma_rad = state.sigma.T.tolist()
         radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
         for cell, rows in cells.items():
             message = RobotStates(
@@ -89,7 +98,14 @@ class Reports:
                 turn_rad_s=_pick(turn_rad_s, rows),
                 radius_m=_pick(radius_m, rows),
                 teams=_pick(teams, rows),
+                speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
+                turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
+                accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
+                sigma_m=_pick(sigma_m, rows) if sigma_m else (),
+                sigma_rad=_pick(sigma_rad, rows) if sigma_rad else (),
+                core=clock.core,
+                offset_s=clock.offset_s,
             )
             yield keys.state(cell, host), message
 

@@ -241,7 +241,7 @@ def _run(order: FleetRequest, fleet: Fleet, plan: Plan, packages: dict[str, Supp
             named=order.release,
             target=order.target,
             packages=packages,
-            needs={each.id: extras_needed(each, fleet.config) for each in fleet.robots},
+            needs={each.id: extras_needed(each) for each in fleet.robots},
             public_key=public(fleet.keys.fleet_key()),
             guard_s=order.guard_s,
             force=order.force,

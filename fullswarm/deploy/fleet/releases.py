@@ -26,7 +26,7 @@ from fullswarm.errors import ConfigError, MessageError
 from fullswarm.files import replace_file
 
 if TYPE_CHECKING:
-    from fullswarm.config import RobotConfig, SwarmConfig
+    from fullswarm.config import RobotConfig
     from fullswarm.deploy.fleet.facts import Facts
     from fullswarm.deploy.release.store import Store
 
@@ -34,14 +34,12 @@ TARGET_OF = {"aarch64": "rpi-arm64", "x86_64": "x86_64"}
 GZIP_LEVEL = 6
 
 
-def extras_needed(robot: RobotConfig, config: SwarmConfig) -> frozenset[str]:
+def extras_needed(robot: RobotConfig) -> frozenset[str]:
     """Return the extras that a release must have for the robot's agent to start."""
     try:
-        driver = {make_of(robot.url).extra} & ONBOARD.keys()
+        return frozenset({make_of(robot.url).extra} & ONBOARD.keys())
     except ConfigError:
-        driver = set()  # its package is on board only: brought by `bundle --package`
-    fuses = {"estimation"} if config.agent.estimator == "ekf" else set()
-    return frozenset(driver | fuses)
+        return frozenset()  # its package is on board only: brought by `bundle --package`
 
 
 def choose_release(

@@ -31,7 +31,6 @@ from fullswarm.errors import ConfigError, MissingExtra, Unreachable, did_you_mea
 
 ONBOARD: Mapping[str, str] = {
     **{each.extra: each.robots for each in built_in() if each.extra and not each.simulated},
-    "estimation": "agent.estimator = 'ekf' (brings SciPy: 25 MB)",
     "core": "the behaviour `navigate` (brings SciPy and OSQP: 30 MB)",
 }
 """The extras that a robot may need, and what for. Simulators, plots and gamepads belong to the base."""
@@ -40,10 +39,10 @@ _LOWEST = re.compile(r">=\s*([0-9][0-9.]*)")
 _LEAVE = shutil.ignore_patterns(".*", "__pycache__", "build", "dist", "*.egg-info", "venv", "node_modules")
 NEVER = frozenset({"matplotlib", "numba", "pybullet"})
 """Never on a robot, whatever requires them."""
-HEAVY = {"scipy": ("core", "estimation")}
+HEAVY = {"scipy": ("core",)}
 """Only in a release with one of these extras."""
-UNNEEDED = ("lxml", "matplotlib")
-"""What pymavlink needs to generate dialects, and filterpy to draw: left out, unless an outside package names it."""
+UNNEEDED = ("lxml",)
+"""What pymavlink needs to generate dialects: left out, unless an outside package names it."""
 _ELF_MACHINES = {"aarch64": 183, "x86_64": 62}
 _PIN = re.compile(r"([A-Za-z0-9._-]+)==([^\s;]+)")
 _HERE = Path(sys.executable).parent

@@ -70,7 +70,7 @@ class Address:
         if self.device:
             return SerialPort(self.device, self.baud)
         if self.scheme == "mavlink+tcp":
-            return TcpPort(self.host, self.port)
+            return TcpPort(self.host, self.port, silence_s=None)
         return UdpPort(self.host, self.port, accepts=accepts if self.scheme == "mavlink+udp" else None)
 
     def __str__(self) -> str:

@@ -6,8 +6,9 @@ Each make's own part is the ``probe.py`` of its folder, named by its record.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -39,6 +40,16 @@ def serial_ports() -> list[SerialPort]:
     return sorted(ports, key=lambda port: (not port.path.startswith(str(BY_ID)), port.path))
 
 
+def _usual_addresses(clock: Clock) -> Iterator[tuple[str, Callable[[], Asked]]]:
+    """Yield questions to where the emulated robots of makes are whose probes know no other place to ask."""
+    for make in makes():
+        for model in make.emulation.models if make.emulation else ():
+            probe = make.load_probe()
+            if model.place != "path" and probe is not None and not hasattr(probe, "questions"):
+                url = model.driver_url("")
+                yield f"{model.place} {urlsplit(url).netloc}", partial(probe.ask_url, url, clock)
+
+
 def probes() -> list[Probe]:
     """Return the probes of all makes, each once, in the order of the makes."""
     targets = dict.fromkeys(each.probe for each in makes() if each.probe)
@@ -52,7 +63,8 @@ def questions(scope: Scope, clock: Clock) -> list[tuple[str, Callable[[], Asked]
     serial = serial_ports() if scope.everything else named
     return [
         *((_name(port), lambda port=port: ask_serial(port, clock)) for port in serial),
-        *(each for probe in probes() for each in probe.questions(scope, clock)),
+        *(each for probe in probes() if hasattr(probe, "questions") for each in probe.questions(scope, clock)),
+        *(_usual_addresses(clock) if scope.everything else ()),
     ]
 
 

@@ -1,14 +1,15 @@
-"""Claims a serial port and reads and writes it with deadlines, so that it can be asked what robot is there."""
+"""Talks to serial ports and TCP addresses with deadlines, so that they can be asked what robot is there."""
 
 from __future__ import annotations
 
 import select
+import socket
 from dataclasses import dataclass
 
 import serial
 
 from fullswarm.clock import Clock
-from fullswarm.drivers.ports import claim
+from fullswarm.drivers.ports import cannot_open, claim
 
 BAUDS = (115200, 57600)
 """Create 2 and autopilots over USB first, then Create 1 and telemetry radios (see ``create_oi/probe.py``)."""
@@ -71,3 +72,26 @@ class Line:
         while (left_s := end_s - self._clock.now_s()) > 0 and (size is None or len(received) < size):
             received += self.receive(left_s)
         return received
+
+
+def exchange(host: str, port: int, question: bytes, duration_s: float, clock: Clock) -> bytes:
+    """Connect by TCP, send a question, and return all that comes in `duration_s`.
+
+    Raises
+    ------
+    DriverError
+        Nothing accepts the connection, or it breaks.
+    """
+    received, end_s = b"", clock.now_s() + duration_s
+    try:
+        with socket.create_connection((host, port), timeout=duration_s) as link:
+            link.sendall(question)
+            while (left_s := end_s - clock.now_s()) > 0:
+                ready, _, _ = select.select([link], [], [], left_s)
+                data = link.recv(4096) if ready else b""
+                if not data:
+                    break
+                received += data
+    except OSError as error:
+        raise cannot_open(f"tcp {host}:{port}", error) from error
+    return received

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from fullswarm.drivers.make import Claim
-from fullswarm.errors import ConfigError, MessageError
+from fullswarm.errors import MessageError
 from fullswarm.kernels import Array
 
 MAX_BYTES = 65507  # of a UDP datagram's payload
@@ -118,14 +118,6 @@ def unpack_obstacles(data: bytes) -> Array:
     if len(data) % 48:
         raise MessageError(f"{len(data)} bytes are not rows of six doubles", where="simulator link")
     return np.frombuffer(data, dtype="<f8").reshape(-1, 6)
-
-
-def parse_address(text: str, where: str) -> tuple[str, int]:
-    """Return host and port of ``host:port`` (IPv4 or a name); `ConfigError` otherwise."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or ":" in host or not port.isascii() or not port.isdigit() or int(port) > 65535:
-        raise ConfigError(f"'{text}' is not an address", where=where, hint="write host:port, e.g. 127.0.0.1:7450")
-    return host, int(port)
 
 
 def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:

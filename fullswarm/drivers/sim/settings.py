@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fullswarm.config import DEFAULT_WORLD, WorldConfig
 from fullswarm.drivers.base import Description, Limits
-from fullswarm.drivers.sim.protocol import parse_address
+from fullswarm.drivers.ports import parse_address
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID
 
@@ -22,7 +22,12 @@ OPTIONS = (
     "radius_m",
     "watchdog_s",
 )
-"""Options of the URL that are fields of `WorldConfig`; besides, ``sensing_m``."""
+"""Options of the URL that are fields of `WorldConfig`; besides, ``sensing_m`` and `DELAYS`."""
+DELAYS = ("overrun_s", "overrun_m", "dead_time_s")
+"""Options of the URL that are fields of `Limits`."""
+
+WHEEL_BASE_RADII = 0.235 / 0.17
+"""Distance between the wheels over the radius of the body, of a Create 2 (its Open Interface specification)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +54,18 @@ def parse_url(url: str) -> SimUrl:
     if parts.scheme != "sim" or not ROBOT_ID.match(robot):
         raise ConfigError("not a simulated robot", where=url, hint="write sim://r1 or sim://127.0.0.1:7450/r1")
     host, port = parse_address(address, where=url)
-    numbers = dict.fromkeys((*OPTIONS, "sensing_m"), math.nan)
+    numbers = dict.fromkeys((*OPTIONS, *DELAYS, "sensing_m"), math.nan)
     for key, text in parse_qsl(parts.query, keep_blank_values=True):
         if key not in numbers:
             raise ConfigError(f"unknown option '{key}'", where=url, hint=did_you_mean(key, numbers))
         numbers[key] = _positive(text, key, url)
     sensing_m = numbers.pop("sensing_m")
+    overrun_s, overrun_m, dead_time_s = (max(0.0, numbers.pop(key)) for key in DELAYS)  # NaN: 0
     config = WorldConfig().model_copy(update={key: value for key, value in numbers.items() if value > 0})
-    return SimUrl(robot, host, port, describe(config), sensing_m if sensing_m > 0 else SENSING_M)
+    description = describe(config)
+    limits = replace(description.limits, overrun_s=overrun_s, overrun_m=overrun_m, dead_time_s=dead_time_s)
+    description = replace(description, limits=limits)
+    return SimUrl(robot, host, port, description, sensing_m if sensing_m > 0 else SENSING_M)
 
 
 def _positive(text: str, key: str, url: str) -> float:
@@ -70,17 +79,19 @@ def _positive(text: str, key: str, url: str) -> float:
 
 
 def describe(config: WorldConfig) -> Description:
-    """Return what the driver of a robot in this world offers."""
+    """Return what the driver of a robot in this world states of it."""
+    limits = Limits(
+        speed_m_s=config.speed_limit_m_s,
+        turn_rad_s=config.turn_limit_rad_s,
+        accel_m_s2=config.accel_limit_m_s2,
+        turn_accel_rad_s2=config.turn_accel_limit_rad_s2,
+    )
+    declared = config.engine == "drivetrain" and config.drivetrain.declared
     return Description(
         make="sim",
         model=config.engine,
-        radius_m=config.radius_m,
-        limits=Limits(
-            speed_m_s=config.speed_limit_m_s,
-            turn_rad_s=config.turn_limit_rad_s,
-            accel_m_s2=config.accel_limit_m_s2,
-            turn_accel_rad_s2=config.turn_accel_limit_rad_s2,
-        ),
+        radius_m=config.declared_radius_m or config.radius_m,
+        limits=_with_drivetrain(limits, config) if declared else limits,
         senses_pose=True,
         senses_obstacles=True,
         senses_bumps=True,
@@ -88,10 +99,38 @@ def describe(config: WorldConfig) -> Description:
     )
 
 
+def _with_drivetrain(limits: Limits, config: WorldConfig) -> Limits:
+    """Return the limits of a robot that states its drivetrain as it is.
+
+    From a command to standstill it goes L = v τ + v² / 2a with the dead time τ, and beyond that, at most: the motors'
+    time constant times v; the share by which a wheel is larger than the mean; and sideways what the heading is off
+    by, because the wheels differ (the share e of the way over the wheel base) and because turning stops late. All this
+    grows faster than the speed, so the share at full speed is enough below it.
+    """
+    wheels, speed = config.drivetrain, limits.speed_m_s
+    accel = wheels.brakes * limits.accel_m_s2
+    way_m = speed * wheels.dead_time_s + speed * speed / (2.0 * accel)
+    share = wheels.slip + wheels.unequal_wheels
+    off_rad = 0.5 * share * way_m / (WHEEL_BASE_RADII * config.radius_m) + wheels.lag_s * limits.turn_rad_s
+    overrun_m = wheels.lag_s * speed + way_m * (0.5 * wheels.unequal_wheels + off_rad)
+    return replace(
+        limits, accel_m_s2=accel, overrun_s=overrun_m / speed, overrun_m=overrun_m, dead_time_s=wheels.dead_time_s
+    )
+
+
+def _options(description: Description) -> dict[str, float]:
+    limits = description.limits
+    values = (
+        limits.speed_m_s, limits.turn_rad_s, limits.accel_m_s2, limits.turn_accel_rad_s2, description.radius_m,
+        description.watchdog_s,
+    )  # fmt: skip
+    return {**dict(zip(OPTIONS, values, strict=True)), **{key: getattr(limits, key) for key in DELAYS}}
+
+
 def url_for(config: WorldConfig, robot: str, sensing_m: float = SENSING_M) -> str:
     """Return the URL of a robot of this world; it names only what differs from the defaults."""
-    usual = WorldConfig()
-    options = {key: getattr(config, key) for key in OPTIONS if getattr(config, key) != getattr(usual, key)}
+    usual, own = _options(describe(WorldConfig())), _options(describe(config.of_body(robot)))
+    options = {key: value for key, value in own.items() if value != usual[key]}
     if sensing_m != SENSING_M:
         options["sensing_m"] = sensing_m
     place = "" if config.address == DEFAULT_WORLD else f"{config.address}/"

@@ -115,6 +115,11 @@ class EmulatedBase(Emulator):
         self.set_battery(1.0)
 
     @property
+    def motors_on(self) -> bool:
+        """Whether a wheel's controller is in closed loop."""
+        return self.left.energised or self.right.energised
+
+    @property
     def left(self) -> ODriveEmulator | VescEmulator:
         """The left wheel's controller."""
         return self.base.left

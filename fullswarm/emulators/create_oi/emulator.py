@@ -115,6 +115,11 @@ class CreateEmulator(Emulator):
         super().__init__(_OnLine(self.firmware, line), [line], body, clock, seeds=(seed, seed + 1))
 
     @property
+    def motors_on(self) -> bool:
+        """Whether it is in Safe or Full mode."""
+        return self.mode in (Mode.SAFE, Mode.FULL)
+
+    @property
     def mode(self) -> Mode:
         """The mode that the robot is in."""
         return self.firmware.mode

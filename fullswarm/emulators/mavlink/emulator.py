@@ -77,6 +77,11 @@ class _MavlinkEmulator(Emulator):
         self.urls = tuple(_url(port) for port in ports)
         self.url = self.urls[0]
 
+    @property
+    def motors_on(self) -> bool:
+        """Whether it is armed."""
+        return self.firmware.armed
+
     def pilot_mode(self, mode: int) -> None:
         """Turn the pilot's mode switch."""
         self.do(lambda: self.firmware.pilot_mode(mode))

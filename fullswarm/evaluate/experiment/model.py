@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Self, TypeVar
 
-from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from fullswarm.bus.network_faults import parse_network
-from fullswarm.config import AgentConfig, EngineName, NoiseConfig, PerformanceConfig, Section
+from fullswarm.config import (
+    AgentConfig,
+    DrivetrainConfig,
+    EngineName,
+    NoiseConfig,
+    PerformanceConfig,
+    Section,
+    WorldConfig,
+)
 from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
@@ -58,6 +67,26 @@ class Body(Section):
     accel_limit_m_s2: PositiveFloat = 2.0
     turn_accel_limit_rad_s2: PositiveFloat = 20.0
     radius_m: PositiveFloat = 0.17
+    declared_radius_m: PositiveFloat | None = None  # what the robots state; None: `radius_m`
+    # Of the engine "drivetrain", as in `DrivetrainConfig`; None: its defaults.
+    dead_time_s: NonNegativeFloat | None = None
+    lag_s: NonNegativeFloat | None = None
+    slip: NonNegativeFloat | None = None
+    unequal_wheels: NonNegativeFloat | None = None
+    brakes: PositiveFloat | None = None
+    declared: bool | None = None
+
+    @model_validator(mode="after")
+    def _fits_a_world(self) -> Self:
+        WorldConfig.model_validate(world_settings(self.model_dump(exclude_none=True)))
+        return self
+
+
+def world_settings(body: Mapping[str, Parameter]) -> dict[str, object]:
+    """Return the settings of a `Body` as those of a world, or of one robot's body in it."""
+    drivetrain = {name: value for name, value in body.items() if name in DrivetrainConfig.model_fields}
+    others: dict[str, object] = {name: value for name, value in body.items() if name not in drivetrain}
+    return {**others, "drivetrain": drivetrain} if drivetrain else others
 
 
 class Behaviour(Section):
@@ -133,6 +162,8 @@ class Experiment(Section):
     description: str = ""
     seeds: Seeds
     limits: dict[str, Body] = Field(min_length=1)
+    mixes: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """Limits that robots have in turn: ``[mixes]``, a list of names of limits for each name of a mix."""
     groups: tuple[Group, ...] = Field(min_length=1)
     small: Small = Small()
 
@@ -140,8 +171,15 @@ class Experiment(Section):
     def _named(self) -> Self:
         for group in self.groups:
             for name in group.limits:
+                if name not in self.limits and name not in self.mixes:
+                    names = (*self.limits, *self.mixes)
+                    raise ValueError(f"group '{group.name}': no [limits.{name}]; {did_you_mean(name, names)}")
+        for mix, names in self.mixes.items():
+            if mix in self.limits:
+                raise ValueError(f"mixes: '{mix}' is also the name of [limits.{mix}]")
+            for name in names:
                 if name not in self.limits:
-                    raise ValueError(f"group '{group.name}': no [limits.{name}]; {did_you_mean(name, self.limits)}")
+                    raise ValueError(f"mixes: '{mix}': no [limits.{name}]; {did_you_mean(name, self.limits)}")
         known = [group.name for group in self.groups]
         for name in (*(self.small.groups or ()), *(each for each in known if known.count(each) > 1)):
             if known.count(name) != 1:

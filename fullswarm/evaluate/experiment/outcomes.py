@@ -29,6 +29,10 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     deadlock_s: float = 0.0  # robot-seconds spent on stepping aside
     pairs_touched: int | None = None  # pairs of robots that touched at least once; None: not known
     robots_touched: int | None = None  # robots that touched anything
+    # per robot and second, as the robots measured it; None: not known
+    reversals_per_s: float | None = None  # of a wheel's commanded speed, mean of both wheels
+    speed_variation_m_s2: float | None = None  # total variation of the commanded speed
+    turn_variation_rad_s2: float | None = None  # and of the commanded turn rate
 
     @property
     def events(self) -> int:
@@ -107,6 +111,13 @@ class CellResult:
         """Seeds of the trials in which a robot did not arrive."""
         return [seed for seed, each in self.outcomes if each.arrived < each.robots]
 
+    def mean_of(self, name: str) -> float | None:
+        """Return the mean of a number of the outcomes, each weighted by its time; None when none has it."""
+        known = [(getattr(each, name), each.simulated_s) for _, each in self.outcomes]
+        known = [(value, time_s) for value, time_s in known if value is not None and time_s > 0.0]
+        total_s = sum(time_s for _, time_s in known)
+        return round(sum(value * time_s for value, time_s in known) / total_s, 4) if known else None
+
     def mean_s(self) -> float:
         """Return the mean simulated time until all had arrived; NaN when they never did."""
         times = [each.simulated_s for _, each in self.outcomes if each.arrived == each.robots]
@@ -142,6 +153,9 @@ class CellResult:
             "longest_s": max((each.simulated_s for each in outcomes), default=None),
             "deadlocks": sum(each.deadlocks for each in outcomes) if known else None,
             "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3) if known else None,
+            "reversals_per_s": self.mean_of("reversals_per_s"),
+            "speed_variation_m_s2": self.mean_of("speed_variation_m_s2"),
+            "turn_variation_rad_s2": self.mean_of("turn_variation_rad_s2"),
             "commands_above_limits": sum(each.above_limits for each in outcomes) if known else None,
             "unsafe_starts": len(apart),
             "unsafe_start_collisions": sum(each.events for each in apart),
@@ -214,7 +228,7 @@ def table(report: Report) -> Table:
     """Return the results for people."""
     grouped = differ_by_group(each.cell for each in report.cells)
     texts = (*["group"] * grouped, "behaviour", "scenario", "engine", "limits", "bad")
-    numbers = ("N", "seeds", "coll.", "pairs", "touched", "robots %", "trials %", "mean s", "blocked")
+    numbers = ("N", "seeds", "coll.", "pairs", "touched", "robots %", "trials %", "mean s", "blocked", "rev./s")
     view = output.plain_table(*texts, numbers=numbers)
     for cell in report.cells:
         view.add_row(*[cell.cell.group] * grouped, *_row(cell), style="red" if _is_bad(cell) else None)
@@ -242,6 +256,7 @@ def _row(cell: CellResult) -> tuple[str, ...]:
         _number(100 * cell.all_arrived_fraction, 0),
         _number(mean_s, 1),
         NONE if cell.is_empty else str(sum(each.deadlocks for _, each in cell.outcomes)),
+        NONE if (reversals := cell.mean_of("reversals_per_s")) is None else f"{reversals:.2f}",
     )
 
 

@@ -12,7 +12,7 @@ from typing import get_args
 from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import EngineName, WorldConfig
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.experiment.model import Experiment, Group, Parameter, Small, parse_seeds
+from fullswarm.evaluate.experiment.model import Experiment, Group, Parameter, Small, parse_seeds, world_settings
 from fullswarm.evaluate.scenarios import Scenario, load_scenario
 
 Settings = tuple[tuple[str, Parameter], ...]
@@ -57,6 +57,7 @@ class Trial:
     body: Settings  # of the world
     agent: Settings  # of the agents
     stop: Settings = ()  # termination conditions, as in a fleet file's table [performance]
+    bodies: tuple[Settings, ...] = ()  # which the robots have in turn, where they differ; the first is `body`
     arena: str = ""  # the scenario as JSON: its file may change or be elsewhere; empty: the cell's, by its name
 
     @property
@@ -109,10 +110,11 @@ def plan(
             fields = cell.fields()
             names |= fields.keys()
             if all(fits(fields, each) for each in filters):
-                body = tuple(experiment.limits[cell.limits].model_dump().items())
+                bodies = _bodies(experiment, cell.limits)
                 agent = tuple(group.agent.items())
                 few = wanted[: group.seeds_at_most]
-                settings = group.time_limit_s, body, agent, stop, arena(cell.scenario)
+                mixed = bodies if len(bodies) > 1 else ()
+                settings = group.time_limit_s, bodies[0], agent, stop, mixed, arena(cell.scenario)
                 trials += [Trial(cell, seed, *settings) for seed in few]
     for each in filters:
         field, equals, _ = each.partition("=")
@@ -121,6 +123,12 @@ def plan(
     if not trials:
         raise ConfigError(f"no cell of '{experiment.name}' fits", where=f"--cells {','.join(filters)}")
     return trials
+
+
+def _bodies(experiment: Experiment, limits: str) -> tuple[Settings, ...]:
+    """Return the settings of the bodies that a name of limits, or of a mix of them, stands for."""
+    names = experiment.mixes.get(limits, (limits,))
+    return tuple(tuple(experiment.limits[name].model_dump(exclude_none=True).items()) for name in names)
 
 
 def on_network(experiment: Experiment, conditions: str) -> Experiment:
@@ -177,7 +185,8 @@ def world_of(trial: Trial) -> WorldConfig:
     """Return the world of a trial, still without a scenario."""
     cell = trial.cell
     noise = {"position_m": cell.noise_m, "heading_rad": cell.noise_rad}
-    return WorldConfig.model_validate({**dict(trial.body), "engine": cell.engine, "noise": noise, "seed": trial.seed})
+    settings = {"engine": cell.engine, "noise": noise, "seed": trial.seed}
+    return WorldConfig.model_validate({**world_settings(dict(trial.body)), **settings})
 
 
 def arena_of(scenario: str) -> str:

@@ -44,6 +44,9 @@ WORK = Quantity(
     (("truth", "work.mean_m"), ("onboard", "work.mean_m")), "Distance per robot", "m"
 )  # the paper's work, made comparable between sizes
 COVERAGE = Quantity((("truth", "coverage.fraction"), ("onboard", "coverage.fraction")), "Arena covered", "%", 100.0)
+REVERSALS = Quantity((("outcome", "reversals_per_s"),), "Reversals of a wheel", "1/s", decimals=2)
+SPEED_VARIATION = Quantity((("outcome", "speed_variation_m_s2"),), "Variation of the speed", "m/s²", decimals=2)
+TURN_VARIATION = Quantity((("outcome", "turn_variation_rad_s2"),), "Variation of the turn rate", "rad/s²", decimals=2)
 SHOWN = (COLLISIONS, ARRIVED, TIME, WORK, COVERAGE)
 
 
@@ -72,7 +75,9 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "deadlocks": float(outcome.deadlocks),
         "deadlock_s": outcome.deadlock_s,
     }
-    for name in ("pairs_touched", "robots_touched"):
+    for name in (
+        "pairs_touched", "robots_touched", "reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2",
+    ):  # fmt: skip
         count = getattr(outcome, name)
         if count is not None:
             values[name] = float(count)

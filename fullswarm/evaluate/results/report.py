@@ -30,8 +30,11 @@ from fullswarm.evaluate.results.quantities import (
     COLLISIONS,
     COVERAGE,
     PAIRS,
+    REVERSALS,
+    SPEED_VARIATION,
     TIME,
     TOUCHED,
+    TURN_VARIATION,
     WORK,
     Quantity,
 )
@@ -305,6 +308,10 @@ class Grid:
         return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
+MEANS = (TIME, WORK, COVERAGE, REVERSALS, SPEED_VARIATION, TURN_VARIATION)
+"""The last columns of the cells' table."""
+
+
 def cells_grid(condition: Condition) -> Grid:
     """Return all cells with means, quartiles and 95 % confidence intervals."""
     headers = ["Scenario", "Behaviour", "Robots", "Trials", "Collisions per trial", "Median (quartiles)"]
@@ -315,7 +322,7 @@ def cells_grid(condition: Condition) -> Grid:
         "Robots that arrived [%]",
         "Trials in which all arrived [%]",
     ]
-    headers += [each.label for each in (TIME, WORK, COVERAGE)]
+    headers += [each.label for each in MEANS]
     return Grid(headers, [_cell_row(each) for each in condition.samples], words=2)
 
 
@@ -341,7 +348,7 @@ def _cell_row(sample: Sample) -> list[Entry]:
         Entry(_share(struck, count)),
         Entry(_mean(sample, ARRIVED)),
         Entry(_share(all_arrived, count)),
-        *(Entry(_mean(sample, each)) for each in (TIME, WORK, COVERAGE)),
+        *(Entry(_mean(sample, each)) for each in MEANS),
     ]
 
 

@@ -53,31 +53,35 @@ def boxes_for(scenario: Scenario, seed: int) -> tuple[Box, ...]:
     )
 
 
-def spawn(scenario: Scenario, n: int, seed: int, radius_m: float) -> Array:
+def spawn(scenario: Scenario, n: int, seed: int, radius_m: float | Array) -> Array:
     """Return start poses: x, y in metres, heading in [-π, π], shape (n, 3).
 
-    Centres are `spawn.spacing_m` apart at least, more if `radius_m` needs it, and robots are clear of boxes and
-    walls. The first k poses are the same for every n ≥ k that fits at the first attempt.
+    Centres are `spawn.spacing_m` apart at least, more if `radius_m`, of all or (n,), needs it, and robots are clear of
+    boxes and walls. The first k poses are the same for every n ≥ k that fits at the first attempt.
 
     Raises
     ------
     ConfigError
         So many robots do not fit, or `seed` is negative.
     """
-    spacing_m = max(scenario.spawn.spacing_m, 2.0 * radius_m + GAP_M)
+    radii_m = np.broadcast_to(np.asarray(radius_m, float), (n,))
+    spacing_m = scenario.spawn.spacing_m
     boxes = np.array(boxes_for(scenario, seed), float).reshape(-1, 5)
     if scenario.spawn.shape == "ellipse":
         poses = _on_ellipse(scenario, n)
-        if _closest(poses) >= spacing_m and all(_is_clear(scenario, boxes, pose, radius_m) for pose in poses):
+        clear = all(
+            _is_clear(scenario, boxes, pose, radius) for pose, radius in zip(poses, radii_m.tolist(), strict=True)
+        )
+        if clear and _spaced(poses, radii_m, spacing_m):
             return poses
     else:
         rng = _generator(seed, _ROBOTS)
         for _ in range(_ROUNDS):
-            poses = _scatter(scenario, boxes, n, radius_m, spacing_m, rng)
+            poses = _scatter(scenario, boxes, radii_m, spacing_m, rng)
             if len(poses) == n:
                 return poses
     raise ConfigError(
-        f"{n} robots of radius {radius_m} m, {spacing_m:.2f} m apart, do not fit",
+        f"{n} robots of radius {radii_m.max(initial=0.0):g} m, {spacing_m:.2f} m apart, do not fit",
         where=f"scenario {scenario.name}: spawn",
         hint=f"fewer robots, a larger region_m, or a smaller spacing_m ({MINIMUM_SPACING_M} m at least)",
     )
@@ -133,18 +137,18 @@ def _box_is_free(scenario: Scenario, placed: list[Box], box: Box) -> bool:
     return all(distance_to_box(x, y, fixed) > half_diagonal for fixed in scenario.boxes)
 
 
-def _scatter(
-    scenario: Scenario, boxes: Array, n: int, radius_m: float, spacing_m: float, rng: np.random.Generator
-) -> Array:
+def _scatter(scenario: Scenario, boxes: Array, radius_m: Array, spacing_m: float, rng: np.random.Generator) -> Array:
     """Place robots one after the other, each at the first free point drawn; fewer than n rows: it got stuck."""
     left, low, right, high = scenario.spawn.region_m
     fixed_heading = scenario.spawn.heading_rad
+    n = len(radius_m)
     poses = np.empty((n, 3))
     for i in range(n):
         for _ in range(_TRIES):
             x, y, heading = rng.uniform((left, low, -math.pi), (right, high, math.pi))
             apart = np.hypot(poses[:i, 0] - x, poses[:i, 1] - y)
-            if apart.min(initial=math.inf) >= spacing_m and _is_clear(scenario, boxes, (x, y), radius_m):
+            far = (apart >= np.maximum(spacing_m, radius_m[:i] + radius_m[i] + GAP_M)).all()
+            if far and _is_clear(scenario, boxes, (x, y), float(radius_m[i])):
                 poses[i] = x, y, heading if fixed_heading is None else fixed_heading
                 break
         else:
@@ -163,12 +167,12 @@ def _on_ellipse(scenario: Scenario, n: int) -> Array:
     return np.column_stack((x, y, inwards if heading is None else np.full(n, heading)))
 
 
-def _closest(poses: Array) -> float:
-    """Return the least distance between two robots; infinite for fewer than two."""
+def _spaced(poses: Array, radius_m: Array, spacing_m: float) -> bool:
+    """Return whether any two robots are `spacing_m` apart, and free of each other."""
     difference = poses[:, None, :2] - poses[None, :, :2]
     apart = np.hypot(difference[..., 0], difference[..., 1])
     np.fill_diagonal(apart, math.inf)
-    return float(apart.min(initial=math.inf))
+    return bool((apart >= np.maximum(spacing_m, radius_m[:, None] + radius_m + GAP_M)).all())
 
 
 def _is_clear(scenario: Scenario, boxes: Array, pose: Array | tuple[float, float], radius_m: float) -> bool:
