@@ -240,36 +240,24 @@ class AgentNode:
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
+        # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
+        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
+        ready = self._drivers.look()
+        if core_alive is not link.core_alive or hub_alive is not link.hub_alive or ready is not link.driver_ready:
+            self._link = link = Link(core_alive, hub_alive, ready)
+        sensed = self._sensed
+        if sensed is None or reading.stamp_s is not sensed.stamp_s or reading.hazards is not sensed.hazards:
+            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
+        doubt, jumped, foreign = self._doubt, self.reflexes.clock_jumped, self.pose_conflicts.frame_conflict
+        if jumped is not doubt.clock_jumped or foreign is not doubt.frame_conflict:
+            self._doubt = doubt = doubt._replace(clock_jumped=jumped, frame_conflict=foreign)
         # Judged for the middle of the period in which what is commanded now will be in force.
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
-        twists = self.controller.step(
-            now_s, dt_s, read_since_s, self._task, self._link_now(now_s), self._sensed_in(reading), self._doubt_now()
-        )
+        twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
-
-    # The controller's tuples are kept while nothing in them changed: to make them takes longer than to decide.
-    def _link_now(self, now_s: float) -> Link:
-        link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
-        ready = self._drivers.look()
-        if link.core_alive is not core_alive or link.hub_alive is not hub_alive or link.driver_ready is not ready:
-            self._link = link = Link(core_alive, hub_alive, ready)
-        return link
-
-    def _sensed_in(self, reading: FleetReading) -> Sensed:
-        sensed = self._sensed
-        if sensed is None or sensed.stamp_s is not reading.stamp_s or sensed.hazards is not reading.hazards:
-            self._sensed = sensed = Sensed(reading.stamp_s, reading.hazards)
-        return sensed
-
-    def _doubt_now(self) -> Doubt:
-        doubt, clock_jumped = self._doubt, self.reflexes.clock_jumped
-        frame_conflict = self.pose_conflicts.frame_conflict
-        if doubt.clock_jumped is not clock_jumped or doubt.frame_conflict is not frame_conflict:
-            self._doubt = doubt = doubt._replace(clock_jumped=clock_jumped, frame_conflict=frame_conflict)
-        return doubt
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:

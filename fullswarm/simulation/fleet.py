@@ -97,7 +97,7 @@ class SimFleet:
         reading, world = self._reading, self._world
         if self._open:
             reading.stamp_s.fill(self._now_s())
-            if sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
+            if len(self._seen) and sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
                 reading.obstacles = world.obstacles[self._seen]
         return reading
 

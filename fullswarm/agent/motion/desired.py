@@ -19,6 +19,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.kernels import sum_of
 from fullswarm.reasons import NONE, Code, reason
 
 log = structlog.get_logger()
@@ -113,8 +114,7 @@ class DesiredMotion:
         """
         try:
             desired = group.call(view, group.params)
-            # On board there is one robot, and reducing an array costs it five times as much as two numbers.
-            if not math.isfinite(sum(desired[0].tolist()) if len(desired) == 1 else np.add.reduce(desired, None)):
+            if not math.isfinite(sum_of(desired)):
                 raise ValueError("the law's answer is not finite")
         except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)

@@ -112,6 +112,8 @@ class Neighbours:
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
+        self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
+        self._kept: object = None  # what seldom changes, while the batch's rows hold it
         self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
         self._now_s, self._stale = 0.0, True
         self.count = 0
@@ -157,7 +159,16 @@ class Neighbours:
             return
         rows = self._rows(states.robots)
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
+        kept = (
+            states.teams, states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2, states.sigma_m,
+            states.sigma_rad,
+        )  # fmt: skip
         table = np.array(columns)
+        if kept == self._kept and math.isfinite(sum(map(sum, columns))):
+            self.states[self._place] = table.T
+            self.arrival_s[self._place] = now_s
+            return
+        self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
         limits = np.full((3, len(rows)), math.nan)
         if states.accel_m_s2:
@@ -168,7 +179,9 @@ class Neighbours:
         if states.sigma_rad:
             sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
-        if not finite.all():
+        if finite.all():
+            self._kept = kept
+        else:
             rows, table, teams = rows[finite], table[:, finite], teams[finite]
             limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
@@ -197,6 +210,7 @@ class Neighbours:
         row = self._row_of.get(states.robots[0])
         if row is None:
             row = int(self._rows(states.robots)[0])
+        self._kept = None
         received = self.states
         received[row, 0] = x_m
         received[row, 1] = y_m
@@ -322,7 +336,8 @@ class Neighbours:
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
-            self._batch = (robots, rows)
+            self._batch, self._kept = (robots, rows), None
+            self._place = slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
         return rows
 
     def _grow(self, count: int) -> None:

@@ -17,7 +17,7 @@ import structlog
 from fullswarm.agent.pose.pose_filter import UNSEEN_RAD, Fix, PoseEstimate, PoseFilter, Taken, breaks_of, fuse
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import POSE_SIGMA_M, Description, Fleet, FleetReading
-from fullswarm.kernels import Array
+from fullswarm.kernels import Array, sum_of
 
 log = structlog.get_logger()
 
@@ -93,7 +93,7 @@ class DirectEstimator:
                 self.sigma[0, 0] = self._sensed_sigma[0, 0] if math.isnan(stated_m) else stated_m
                 self.sigma[0, 1] = self._sensed_sigma[0, 1]
                 return pose
-        elif not math.isnan(pose.sum()):
+        elif not math.isnan(sum_of(pose)):
             return pose  # simulated robots: their sigma does not change
         return self._dead_reckon(reading)
 
