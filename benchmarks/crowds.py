@@ -145,7 +145,7 @@ class Judge:
 
     def __init__(self, world: World, case: Case) -> None:
         self._world, self._case = world, case
-        self._referee = Referee(world, world.description.limits)
+        self._referee = Referee(world, [each.limits for each in world.descriptions])
         self._steps = 0
         self._done_s = math.inf
 

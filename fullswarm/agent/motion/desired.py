@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import structlog
 
-from fullswarm.agent.motion.coordination import Coordination, Coordinator
+from fullswarm.agent.motion.coordination import Coordinator, Crowd
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
@@ -51,9 +51,8 @@ class DesiredMotion:
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
-        import os
-        v=[float(x) for x in os.environ.get("CRD","2,0.02,0.5").split(",")]
-        self._coordinator = Coordinator(Coordination(v[0], v[1], 0.02, v[2]))
+        crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
+        self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.law_error = [NONE] * count
 
     def near(self, now_s: float) -> Nearby:
@@ -93,11 +92,8 @@ class DesiredMotion:
             self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
-        if tasks.any_filtered:
-            self._coordinator.apply(
-                self._planar, tasks.lasting, pose, reading.twist, self._state.radius, tasks.margin_m,
-                self._controller.speed_limit, near,
-            )
+        if planar and tasks.any_filtered:
+            self._coordinator.apply(self._planar, pose, reading.twist, near)
         obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:

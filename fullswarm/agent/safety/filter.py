@@ -34,6 +34,8 @@ LONGEST_S = 0.1
 """A deviation counts for so long at most in its sum over time."""
 QUIET_S = 10.0
 FEW = 5
+APPROACH_S = 0.1
+"""The last part of an approach decays with this time constant; see ``barrier.approach_limit``."""
 
 
 class RobotParams(NamedTuple):
@@ -72,8 +74,8 @@ class Requested(NamedTuple):
     """What the filter is given of each robot's task.
 
     `velocity`: (n, 2) m/s, world frame, desired; NaN: there is none, the desired motion is the robot's twist.
-    `filtered`: (n,) behind the filter or straight through the paper's map. `gain`, `margin_m`: (n,) γ in 1/s, gap to
-    keep.
+    `filtered`: (n,) behind the filter or straight through the paper's map. `gain`, `margin_m`: (n,) γ in 1/s, 0: the
+    braking barrier; gap to keep.
     """
 
     velocity: Array
@@ -175,6 +177,7 @@ def guard(
         How many verdicts became or ceased to be one of those that brake.
     """
     period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
+    approach_s = max(APPROACH_S, 3.0 * period_s)
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m, dead_time_s = robots
     velocity, filtered, gain, margin_m = requested
     pose, motion, stamp_s, sigma = measured
@@ -214,11 +217,14 @@ def guard(
             overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top + gain[i] * way, reach_m, near,
-                arena, planes,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], accel, approach_s, top, way, reach_m,
+                near, arena, planes,
             )  # fmt: skip
             if way > 0.0:
-                shorten(planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, gain[i])
+                shorten(
+                    planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, gain[i], accel,
+                    approach_s,
+                )  # fmt: skip
             if count < 0:
                 why = CROWDED
         if why != FREE:
