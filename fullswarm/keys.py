@@ -11,9 +11,11 @@ key                                                     message                w
 ``<swarm>/robot/<id>/ack``                              ControlAck             agent → request handler
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
+``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
+``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
 ``<swarm>/obstacles/<host>``                            SeenObstacles          agent → agents
 ``<swarm>/health/<host>``                               HealthReport           agent → all
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
@@ -98,6 +100,10 @@ class Keys:
         """Where something outside sees a robot."""
         return f"{self.swarm}/robot/{robot}/pose_fix"
 
+    def object_fix(self, name: str = ANY) -> str:
+        """Where something outside sees an object that is no robot."""
+        return f"{self.swarm}/object/{name}"
+
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
         return f"{self.swarm}/state/{cell}/{host}"
@@ -109,6 +115,10 @@ class Keys:
     def relay(self, host: str = ANY) -> str:
         """States of others that a host does not receive directly."""
         return f"{self.swarm}/relay/{host}"
+
+    def searched(self, host: str = ANY) -> str:
+        """Where silent robots can still be, as the robots of a host have seen."""
+        return f"{self.swarm}/searched/{host}"
 
     def obstacles(self, host: str = ANY) -> str:
         """Static obstacles that the robots of a host have seen."""

@@ -263,6 +263,17 @@ class PoseFix(Message, frozen=True, kw_only=True):
     contacts: Count = 0  # bodies and obstacles that the source sees the robot touch now
 
 
+class ObjectFix(Message, frozen=True, kw_only=True):
+    """Where a source outside sees something that is no robot of the fleet and may move: a person, a cart."""
+
+    object: str
+    x_m: Metres
+    y_m: Metres
+    radius_m: Radius  # of a disc that holds it
+    source: str = ""
+    stamp_s: Stamp = 0.0
+
+
 class Heartbeat(Message, frozen=True, kw_only=True):
     """A process of the core or a centralised node is alive; with its active requests."""
 
@@ -316,6 +327,8 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     sigma_rad: Sigmas = ()  # of the heading
     core: str = ""  # the core process by whose clock `stamp_s` + `offset_s` is; empty: the offset is not known
     offset_s: Stamp = 0.0
+    aim_x_m: Places = ()  # where each is driving to next, its own place: nowhere; empty: not stated
+    aim_y_m: Places = ()
 
 
 class Reception(Message, frozen=True, kw_only=True):
@@ -359,6 +372,22 @@ class Interventions(Message, frozen=True, kw_only=True):
     x_m_s: Changes = ()
     y_m_s: Changes = ()
     reasons: Names = ()
+    stamp_s: Stamp = 0.0
+
+
+Disc = tuple[Count, Metres, Metres, HalfSize]
+
+
+class SearchedDiscs(Message, frozen=True, kw_only=True):
+    """Where silent robots can still be, as far as the robots of one host have looked; 2 Hz while there are any.
+
+    Rows: index of the robot in `robots`, x, y, radius (m) of a disc. A robot's centre is in one of its discs; one
+    without a disc is nowhere within the place in which it fell silent.
+    """
+
+    host: str
+    robots: Names
+    discs: Annotated[tuple[Disc, ...], Meta(max_length=MOST)] = ()
     stamp_s: Stamp = 0.0
 
 
@@ -507,7 +536,10 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
     CentralisedCommands: lambda m: len(m.robots) == len(m.linear_m_s) == len(m.angular_rad_s),
     RobotStates: lambda m: (
         len(m.robots) == len(m.x_m) == len(m.y_m) == len(m.heading_rad) == len(m.speed_m_s) == len(m.turn_rad_s)
-        == len(m.radius_m) and all(len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad))
+        == len(m.radius_m) and all(
+            len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
+        )
+        and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))
     ),

@@ -38,6 +38,8 @@ class Code(enum.StrEnum):
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
+    NO_WAY = "no_way"  # goal, needed_m, widest_m
+    GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
     ESTOP_ENGAGED = "estop_engaged"  # by
     ESTOP_RELEASED = "estop_released"  # by
@@ -61,6 +63,7 @@ class Code(enum.StrEnum):
     CAME_FIRST = "came_first"  # by: the id of the newer request
     OTHER_CORE = "other_core"
     NOT_REPEATED = "lapsed"  # after_s
+    SIMULATED_ONLY = "simulated_only"  # law
     PARAMETERS = "parameters"  # problems; the hint after them lists all parameters
 
 
@@ -86,6 +89,9 @@ TEXTS: dict[Code, str] = {
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
+    "continues when it knows a wider one",
+    Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
@@ -96,6 +102,8 @@ TEXTS: dict[Code, str] = {
     Code.SUPERSEDED: "superseded by {by}",
     Code.CAME_FIRST: "superseded by {by}, which came first",
     Code.OTHER_CORE: "another core commands this robot",
+    Code.SIMULATED_ONLY: "the law '{law}' lets robots collide: it runs on simulated robots only; ask for another "
+    "behaviour, for example move_to_goal_bc",
     Code.NOT_REPEATED: "the intent expired after {after_s} s without a repetition",
 }
 """The texts of this package; all others come with their codes from outside."""

@@ -43,12 +43,14 @@ LAWS = MappingProxyType(
         for name in (
             "move_to_goal",
             "navigate",
+            "navigate_each",
             "flocking",
             "rendezvous",
             "formation",
             "voronoi_coverage",
             "move",
             "drive",
+            "paper_bc",
             "stop",
         )
     }

@@ -11,6 +11,7 @@ board and the whole swarm in a lockstep trial, so both run the same control laws
 ``message_delay.py``  the delay of messages from a computer with another clock
 ``orders/``           incoming requests, commands, stops and e-stops; the tasks they create
 ``behaviours/``       one control law per file
+``navigation/``       ways on a map, exactly, and the order in which robots drive through narrow passages
 ``safety/``           the barrier filter, and the resolution of its deadlocks
 ``motion/``           from desired velocities to the set-points of the drivers
 ``pose/``             the estimated pose of each robot

@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.motion.desired import DesiredMotion
+from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.neighbours.reception import ReceptionReporter
+from fullswarm.agent.neighbours.silent import SilentSearch
 from fullswarm.agent.orders.inbox import Inbox
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
@@ -25,6 +28,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
+from fullswarm.agent.safety.startup import check_stopping
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
@@ -35,7 +39,7 @@ from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, RobotStates
+from fullswarm.messages import HealthReport, ObjectFix, RobotStates
 from fullswarm.perf.calculators import Calculators
 from fullswarm.runtime import LoopStats, Scheduler, Timer
 
@@ -68,6 +72,7 @@ class AgentNode:
         loop: Callable[[], LoopStats],
         thresholds: Thresholds | None = None,
     ) -> None:
+        check_stopping(config, fleet.descriptions)
         self._bus = bus = CountingBus(bus)
         self._scheduler, self._fleet = scheduler, fleet
         self._config = settings = config.agent
@@ -103,10 +108,20 @@ class AgentNode:
         )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
-        self.filter, self.deadlocks = _filter(config, fleet, self.controller), Deadlocks(fleet.ids)
+        range_m = min(each.bodies_range_m for each in fleet.descriptions)
+        self.objects = ObjectTracker(
+            self.neighbours, range_m, settings.object_speed_m_s, settings.object_accel_m_s2
+        )  # fmt: skip
+        self.silent_search = SilentSearch(bus, keys, identity.host, self.neighbours, range_m, state.radius)
+        self._object_subscription = bus.subscribe(keys.object_fix(), ObjectFix, self._on_object, latest=True)
+        self.filter, self.deadlocks = _filter(config, fleet, self.controller, self.objects), Deadlocks(fleet.ids)
+        evasion = Evasion(
+            self.objects.objects, state.radius + settings.safety_margin_m, self.controller.speed_limit,
+            self.controller.turn_limit,
+        )  # fmt: skip
         self.desired = DesiredMotion(
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
-            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller,
+            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
@@ -134,7 +149,7 @@ class AgentNode:
         )
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
-            law_error=self.desired.law_error, ended=self.inbox.ended,
+            law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
@@ -202,6 +217,9 @@ class AgentNode:
         state.twist = reading.twist
         self.standstill.update(reading)
         self.reflexes.update(reading, state.pose)
+        if self.fixes.any_unsettled:
+            self.reflexes.pose_uncertain |= self.fixes.unsettled
+        self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz
@@ -255,6 +273,8 @@ class AgentNode:
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.news:
+            self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
@@ -266,9 +286,15 @@ class AgentNode:
         if not self.reception.alone:
             self.reception.note(states, now_s)
 
+    def _on_object(self, fix: ObjectFix) -> None:
+        self.objects.tell(fix, self._scheduler.now_s())
+
     def _follow(self) -> None:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
-        self._state_subscriptions.follow(self._state.pose[:, :2], max([self._config.sensing_radius_m, *reaches_m]))
+        # What comes within reach before the next call must be subscribed already.
+        way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
+        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
@@ -283,6 +309,11 @@ class AgentNode:
             self.metrics.sample(now_s)
         except Exception as error:
             self._measurement_failed(error)
+        known = reading.obstacles if self.desired.sees_obstacles else self.obstacle_map.given
+        self.objects.obstacles = known
+        if reading.bodies is not None and self.neighbours.silent:
+            strange = self.objects.strange(reading.bodies, now_s)
+            self.silent_search.look(now_s, self._state.pose[:, :2], reading.bodies, strange, known)
         self._obstacle_sharing.add_sensed(
             now_s, self._state.pose[:, :2], reading.obstacles, self._config.sensing_radius_m
         )
@@ -354,6 +385,8 @@ class AgentNode:
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()
+        self._object_subscription.close()
+        self.silent_search.close()
         self.fixes.close()
         self.inbox.close()
         self._fleet.close()
@@ -391,7 +424,7 @@ def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 
 
-def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> SafetyFilter:
+def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController, tracker: ObjectTracker) -> SafetyFilter:
     settings = config.agent
     tuning = Tuning(
         period_s=1.0 / settings.control_rate_hz,
@@ -401,4 +434,4 @@ def _filter(config: SwarmConfig, fleet: Fleet, controller: RobotController) -> S
         confidence=settings.pose_confidence_sigma,
     )
     robots = robot_params(fleet.descriptions, controller.speed_limit, controller.turn_limit, controller.reverse)
-    return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m))
+    return SafetyFilter(fleet.ids, robots, tuning, np.array(config.bounds_m), tracker.objects)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +36,8 @@ class AgentState:
     battery_low : (n,) too low to drive; by ``Reflexes``
     at_standstill, standstill_since_s : (n,) see ``Standstill``, which writes them
     driver_ready : (n,) drivers READY or ACTIVE in the last tick; by ``DriverWatch``
+    aim : (n, 2) m, where each control law says that it is driving to next, NaN where it says nothing; by
+        ``DesiredMotion``
     """
 
     radius: Array
@@ -49,8 +52,10 @@ class AgentState:
     twist: Array = field(init=False)
     setpoints: Array = field(init=False)
     driver_ready: Flags = field(init=False)
+    aim: Array = field(init=False)
 
     def __post_init__(self) -> None:
         count = len(self.pose)
         self.sigma, self.twist, self.setpoints = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2))
         self.driver_ready = np.zeros(count, bool)
+        self.aim = np.full((count, 2), math.nan)

@@ -16,6 +16,7 @@ from fullswarm.drivers.base import NO_OBSTACLES
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.messages import Value
+from fullswarm.reasons import Reason
 
 
 class Params:
@@ -65,6 +66,11 @@ def nothing_known(_row: int, _source: str) -> Array:
     return NO_OBSTACLES
 
 
+def none_standing(_row: int) -> Array:
+    """Return no obstacles."""
+    return NO_OBSTACLES
+
+
 class View:
     """The world as n robots sense it at one moment. World frame, SI units.
 
@@ -79,6 +85,16 @@ class View:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     bounds_m : x_min, y_min, x_max, y_max of the arena
     known : ``known(row, source)`` returns the static obstacles (k, 6) that a robot knows, see `ObstacleMap`
+    speed_limit : (n,) m/s; None: there is none
+    aims : (m, 2) m, where the robots received say that they are driving to, see `Neighbours`; None: none says
+    margin_m : (n,) m, the gap that the safety filter keeps where it runs; None: none
+    standing : ``standing(row)`` returns the robots at standstill that are not on their way, as obstacles (k, 6), `row`
+        itself left out
+
+    Attributes
+    ----------
+    aim : (n, 2) m, out: where the control law is driving to next, for the neighbours; None or NaN: it does not say
+    blocked : out: by robot, why the control law knows no way
     """
 
     def __init__(
@@ -91,10 +107,19 @@ class View:
         states: Array,
         bounds_m: tuple[float, float, float, float],
         known: Callable[[int, str], Array] = nothing_known,
+        speed_limit: Array | None = None,
+        aims: Array | None = None,
+        margin_m: Array | None = None,
+        standing: Callable[[int], Array] = none_standing,
     ) -> None:
+        self.speed_limit = np.full(len(position), math.inf) if speed_limit is None else speed_limit
         self.position, self.heading, self.radius = position, heading, radius
         self.bounds_m = bounds_m
-        self.known = known
+        self.known, self.standing = known, standing
+        self.aims = np.full((len(states), 2), math.nan) if aims is None else aims
+        self.margin_m = np.zeros(len(position)) if margin_m is None else margin_m
+        self.aim: Array | None = None
+        self.blocked: dict[int, Reason] = {}
         self._near = near
         self._predicted, self._states = predicted, states
         # Filled when first asked for. Plain slots: functools.cached_property takes a lock on Python 3.11.
@@ -147,9 +172,25 @@ class View:
         return self._pairs()[3]
 
     @property
+    def neighbour_radius(self) -> Array:
+        """Footprint of the neighbour, (e,) m."""
+        radius: Array = self._states[self.other, 5]
+        return radius
+
+    @property
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
+
+    @property
+    def predicted(self) -> Array:
+        """Positions of all robots received, predicted to now, (m, 2) m; `other` names its rows."""
+        return self._predicted
+
+    @property
+    def states(self) -> Array:
+        """States of all robots as received, (m, 6)."""
+        return self._states
 
     def sum(self, values: Array) -> Array:
         """Add up values of pairs (e, 2) over the neighbours of each robot: (n, 2)."""
@@ -174,6 +215,10 @@ class View:
             self._states,
             self.bounds_m,
             lambda row, source: self.known(int(rows[row]), source),
+            self.speed_limit[rows],
+            self.aims,
+            self.margin_m[rows],
+            lambda row: self.standing(int(rows[row])),
         )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from fullswarm import output
+from fullswarm.config import SwarmConfig
+from fullswarm.errors import ConfigError
 
 Status = Literal["ok", "warning", "failure"]
 
@@ -49,3 +51,17 @@ def show(checks: Iterable[Check], *, as_json: bool, about: dict[str, Any] | None
 def took(seconds: float) -> str:
     """Return a duration as people write it: ``3.4 ms``, ``1.25 s``."""
     return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
+
+
+def stopping(config: SwarmConfig) -> Iterator[Check]:
+    """Check that a fleet's robots sense each other early enough to stop, and filter noisy poses."""
+    from fullswarm.launch.stopping import check_fleet
+
+    try:
+        needed, warning = check_fleet(config)
+    except ConfigError as error:
+        yield Check("stopping distance", "failure", error.what, error.hint)
+        return
+    yield Check("stopping distance", "ok", needed)
+    if warning:
+        yield Check("estimator", "warning", warning, "agent.estimator = 'auto'")

@@ -60,6 +60,7 @@ def _checks(config: SwarmConfig | None) -> Iterator[Check]:
     yield network_time()
     if config is not None:
         yield from _frame(config)
+        yield from checks.stopping(config)
         yield from _evidence(config)
         yield _hub(config)
         for robot in config.robot:

@@ -21,6 +21,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import typer
 
 from fullswarm import __version__, output
+from fullswarm.bringup import checks
 from fullswarm.bringup.checks import Check, Status, show, took
 from fullswarm.bringup.preflight_ssh import RobotComputer, computer, inspect
 from fullswarm.bus.endpoint import host_of, is_loopback
@@ -145,6 +146,7 @@ def _checks(config: SwarmConfig, robot: RobotConfig, agree: Agree | None, reache
         line, view, bus = _listen(config, robot, stack)
         ways = Ways(bus, _look(config, robot))
         reached["bus"], reached["ssh"] = ways.received, isinstance(ways.ssh, RobotComputer)
+        yield from checks.stopping(config)
         yield _by_ssh(ways)
         if isinstance(ways.ssh, RobotComputer):
             port, net = port_of(robot)

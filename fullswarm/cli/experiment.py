@@ -77,6 +77,14 @@ def run_experiment(
     insecure_network: Annotated[
         bool, typer.Option("--insecure-network", help="With --fleet: listen beyond this machine.")
     ] = False,
+    evidence: Annotated[
+        str | None,
+        typer.Option(
+            metavar="always|contacts|never",
+            help="Keep the motion of all trials, of those with a contact, or of none, for `results audit`"
+            " (default: the file's, else contacts).",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> int:
     """Run an experiment. Exit code 0: none failed, and none collided except where the file expects it; 1 otherwise."""
@@ -101,6 +109,7 @@ def run_experiment(
         fleet=fleet,
         yes=yes,
         insecure_network=insecure_network,
+        evidence=evidence,
     )
     return experiment.run(options)
 
@@ -112,12 +121,15 @@ def run_trial(
     folder: Annotated[
         Path | None, typer.Option("--out", metavar="FOLDER", help="Keep the trial here, in FOLDER/trials.")
     ] = None,
+    evidence: Annotated[
+        str, typer.Option(metavar="always|contacts|never", help="Keep its motion, for `results audit`.")
+    ] = "contacts",
     as_json: Json = False,
 ) -> int:
     """Run one trial again, from its file alone. Exit code 1: it failed, or collided where that is not expected."""
     from fullswarm.evaluate.experiment import run as experiment
 
-    return experiment.run_again(file, folder, as_json)
+    return experiment.run_again(file, folder, as_json, evidence)
 
 
 @experiment_app.command()

@@ -110,6 +110,19 @@ def report(
 
 @results_app.command()
 @shell_command()
+def audit(
+    folder: Folder,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Number of processes.")] = 2,
+    as_json: AsJson = False,
+) -> int:
+    """Recount contacts, arrivals and commands from the stored motion. Exit code 1: a result differs."""
+    from fullswarm.evaluate.results.audit import audit as audit_folder
+
+    return audit_folder(folder, as_json, jobs)
+
+
+@results_app.command()
+@shell_command()
 def index(folder: Folder, as_json: AsJson = False) -> int:
     """Rebuild the SQLite index from the trials' directories. Exit code 1: some cannot be read."""
     from fullswarm.evaluate.results import commands as results

@@ -116,6 +116,10 @@ class AgentConfig(Section):
     measurement_rate_hz: float = Field(2.0, ge=0.2, le=50.0)
     state_delay_s: float = Field(0.05, ge=0.0, le=2.0)  # of a neighbour's state on the network, where none is measured
     sensing_radius_m: float = Field(3.0, gt=0.0, le=1000.0)
+    # what moves and is no robot of the fleet (people, carts): assumed limits, and whether robots step aside
+    object_speed_m_s: float = Field(2.0, ge=0.0, le=100.0)
+    object_accel_m_s2: float = Field(2.0, ge=0.0, le=100.0)
+    evade: bool = True
     state_cell_m: float | None = Field(None, ge=0.0, le=1e4)  # cells of the states, 0: all on one key; see below
     neighbour_timeout_s: float = Field(1.0, gt=0.0, le=60.0)
     command_ttl_s: float = Field(0.3, gt=0.0, le=2.0)
@@ -144,6 +148,8 @@ class AgentConfig(Section):
     fix_max_delay_s: float = Field(0.3, ge=0.0, le=2.0)  # a fix later than the fastest ones by more is refused
     fix_latency_s: float = Field(0.0, ge=0.0, le=1.0)  # what even the fastest fix takes from the camera to the agent
     fix_gate_sigma: float = Field(4.0, ge=1.0, le=1000.0)  # a fix further off, in standard deviations, is an outlier
+    # so many of the first fixes must agree, unless they fit the start pose of this file
+    fix_first_count: int = Field(3, ge=1, le=10_000)
     fix_reanchor_count: int = Field(5, ge=2, le=10_000)  # so many outliers that agree, one after the other,
     fix_reanchor_s: float = Field(0.5, ge=0.0, le=60.0)  # over so long: the robot was carried, the pose jumps to them
     start_sigma_m: float = Field(0.1, gt=0.0, le=100.0)  # how well a robot is put on the start pose of this file
@@ -158,6 +164,24 @@ class NoiseConfig(Section):
 
     position_m: float = Field(0.0, ge=0.0, le=100.0)  # standard deviation
     heading_rad: float = Field(0.0, ge=0.0, le=10.0)
+
+
+class SightConfig(Section):
+    """How simulated robots see other bodies, robots and movers alike, within the sensing radius and line of sight."""
+
+    bodies: bool = True  # False: they see none
+    noise_m: float = Field(0.0, ge=0.0, le=10.0)  # standard deviation of a seen body's place, per axis
+    dropout: float = Field(0.0, ge=0.0, le=1.0)  # share of the looks in which a body is missed
+
+
+class MoverConfig(Section):
+    """A body of the simulated world that no agent commands: a person, a cart, a robot without a filter."""
+
+    waypoints: Annotated[tuple[Point, ...], Field(min_length=1)]  # m; it starts at the first one
+    speed_m_s: float = Field(1.0, ge=0.0, le=10.0)
+    radius_m: float = Field(0.25, gt=0.0, le=50.0)
+    start_s: float = Field(0.0, ge=0.0, le=1e6)  # simulated time at which it leaves
+    repeat: Literal["back", "loop", "once"] = "back"  # at the last waypoint: return the same way, go to the first, stay
 
 
 class DrivetrainConfig(Section):
@@ -210,6 +234,8 @@ class WorldConfig(Section):
     drivetrain: DrivetrainConfig = DrivetrainConfig()  # of the engine "drivetrain"
     bodies: dict[RobotId, BodyConfig] = {}  # [world.bodies.<robot>]: what differs from the above
     noise: NoiseConfig = NoiseConfig()
+    sight: SightConfig = SightConfig()
+    movers: tuple[MoverConfig, ...] = ()
     seed: int = 0
 
     def of_body(self, robot: str) -> WorldConfig:

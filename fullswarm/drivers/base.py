@@ -129,6 +129,7 @@ class Description:
     own_frame: bool = False  # that pose counts from a place of its own; ``origin=lat,lon`` in the URL mends it
     senses_obstacles: bool = False
     senses_bumps: bool = False
+    bodies_range_m: float = 0.0  # of the sense of `Reading.bodies`; 0: it has none
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
@@ -151,6 +152,11 @@ class Reading:
     """Sensed static obstacles, shape (k, 6): centre x, y (m), half sizes x, y (m), yaw (rad), corner radius (m).
 
     A disc is half sizes 0 with its radius as corner radius; a wall is a long box."""
+    bodies: Array | None = None
+    """Bodies seen around the robot that may move, shape (k, 3): centre x, y, radius (m), world frame, without identity.
+
+    All whose rim is within `bodies_range_m` of the robot's centre and that nothing hides; other robots are among
+    them. None: the robot did not look; no rows: it saw that nothing is there."""
 
 
 class Driver(Protocol):
@@ -240,6 +246,7 @@ class FleetReading:
     obstacles: Array  # (k, 6) as in Reading; of all robots together
     position_sigma_m: Array  # (n,) as in Reading, NaN where the driver states none
     odometry_breaks: NDArray[np.int64] | None = None  # (n,) as in Reading; None: never any
+    bodies: Array | None = None  # (k, 3) as in Reading; of all robots together, without themselves
 
 
 class Fleet(Protocol):

@@ -90,6 +90,7 @@ class OneRobot:
         rows.contacts[0] = new.contacts
         rows.battery[0] = -1.0 if new.battery is None else new.battery
         rows.obstacles = new.obstacles
+        rows.bodies = new.bodies
         rows.position_sigma_m[0] = math.nan if new.position_sigma_m is None else new.position_sigma_m
         return rows
 

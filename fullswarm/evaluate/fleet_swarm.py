@@ -24,13 +24,14 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError, SafetyStop
+from fullswarm.evaluate.experiment.model import EvidenceMode
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of, world_of
 from fullswarm.evaluate.live_swarm import LiveSwarm
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.scenarios.maps import text_map
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld, TrialStopped
-from fullswarm.evaluate.trial import Keeper, TrialRequest, drive, request_of, terms, world_witness
+from fullswarm.evaluate.trial import Keeper, KeepingEvidence, TrialRequest, drive, request_of, terms, world_witness
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import ReportedWitness, Witness, in_safe_set
 from fullswarm.geometry import wrap
@@ -55,7 +56,7 @@ RELEASE = "release it with `fullswarm up` and `fullswarm estop --clear`, then ru
 
 def run_fleet(
     trials: Sequence[Trial], fleet: Path | SwarmConfig, experiment: str, out: Path | None, *, yes: bool = False,
-    insecure_network: bool = False, typed: Lines | None = None,
+    insecure_network: bool = False, typed: Lines | None = None, evidence: EvidenceMode = "contacts",
 ) -> Iterator[tuple[Trial, TrialResult]]:  # fmt: skip
     """Yield the trials that the fleet can run, each with its result as it ends; what is left out is printed on stderr.
 
@@ -64,6 +65,7 @@ def run_fleet(
     out : folder of the results; None: nothing is kept
     yes : skip both confirmations: robots stand in their places, and it is safe to drive
     typed : where confirmations are read; by default standard input
+    evidence : of which trials the motion is kept
 
     Raises
     ------
@@ -83,7 +85,7 @@ def run_fleet(
     for number, trial in enumerate(fits, 1):
         output.progress(f"trial {number} of {len(fits)}: {trial.label}")
         try:
-            result = Keeper(out, experiment, runner, RUNNER)(trial)
+            result = Keeper(out, experiment, KeepingEvidence(runner, evidence), RUNNER)(trial)
         except Over as over:
             raise over.error from None
         yield trial, result
@@ -179,7 +181,9 @@ class FleetRunner:
                 swarm.start()
             config = swarm.config
             request = request_of(trial, scenario, goals, config, limit, _safe(config))
-            reported = ReportedWitness(swarm.bus, config)
+            reported = ReportedWitness(
+                swarm.bus, config, swarm.runtime.now_s, request.goals, scenario.goal.radius_m
+            )  # fmt: skip
             try:
                 swarm.until(lambda: not np.isnan(reported.pose).any(), POSES_S)
                 self._check_places(config, reported)

@@ -15,7 +15,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import CHECK_PERIOD_S, SAMPLE_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed, TrialHeld
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.keys import Keys
@@ -33,6 +33,8 @@ from fullswarm.simulation.world import World
 START_S = 60.0
 """A dozen interpreters start at once on a machine that may have other work."""
 CHECK_S = 0.02
+WATCH_S = 0.02
+"""How often onlookers are called where no world is stepped."""
 FRESH_S = 1.0
 STEADY_S = 0.3
 UP = ("READY", "ACTIVE")
@@ -179,7 +181,7 @@ class LiveSwarm:
     def watch(self, on_step: Callable[[], None]) -> None:
         """Call `on_step` after each step of the world, so that none is missed on a busy machine; else by time."""
         if self.world is None:
-            self._watch_timer = self.runtime.every(SAMPLE_S, on_step)
+            self._watch_timer = self.runtime.every(WATCH_S, on_step)
         else:
             self.world.world.watchers.append(on_step)
 

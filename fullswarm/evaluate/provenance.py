@@ -113,3 +113,4 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     packages: dict[str, str] = {}  # name → version of what computes figures
     configuration: str = ""  # sha256 of trial.toml
     runner: str = "pool"  # pool, dask, live, fleet
+    evidence: str = ""  # sha256 of the arrays of evidence.npz

@@ -7,7 +7,7 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,21 @@ from numpy.typing import NDArray
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import AgentConfig, BodyConfig, SwarmConfig
 from fullswarm.errors import FullswarmError
-from fullswarm.evaluate.experiment.model import world_settings
+from fullswarm.evaluate.experiment.model import EvidenceMode, world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
 from fullswarm.evaluate.provenance import Provenance, provenance
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
-from fullswarm.evaluate.trial_folder import FAILED, Measurement, Record, Trajectory, launch_text, trial_id, write_trial
+from fullswarm.evaluate.trial_folder import (
+    FAILED,
+    Measurement,
+    Record,
+    Trajectory,
+    launch_text,
+    trial_id,
+    write_trial,
+)
 from fullswarm.evaluate.witness import Witness, WorldWitness, in_safe_set
 from fullswarm.kernels import Array
 from fullswarm.messages import Value
@@ -121,7 +129,7 @@ def drive(
         reason = _run(swarm, request, witness, stopped)
         outcome = _outcome(swarm, request, witness)
         track.end()
-        evidence = witness.evidence()
+        evidence, nearest = witness.evidence(), witness.nearest()
     finally:
         swarm.stop()
     # The robots measure until they stand, and so does the truth beside it.
@@ -138,7 +146,9 @@ def drive(
         truth=witness.values(),
         per_robot=joined(report.per_robot, witness.per_robot()),
         trajectory=track.trajectory(),
-        contacts=evidence,
+        evidence=evidence,
+        watched=witness.source,
+        approaches=nearest,
         coverage=report.coverage,
     )
 
@@ -253,6 +263,24 @@ def attempt(trial: Trial, run: Measure) -> Measurement | str:
         return str(error)
     except Exception as error:  # a behaviour or an engine is outside code: one trial must not end the experiment
         return f"{type(error).__name__}: {error}"
+
+
+@dataclass(frozen=True, slots=True)
+class KeepingEvidence:
+    """A `Measure` that leaves of a trial's evidence what `mode` keeps.
+
+    Parameters
+    ----------
+    run : measures a trial; importable by its name
+    """
+
+    run: Measure
+    mode: EvidenceMode
+
+    def __call__(self, trial: Trial) -> Measurement:
+        """Measure a trial."""
+        found = self.run(trial)
+        return found if found.evidence is None else replace(found, evidence=found.evidence.kept(self.mode))
 
 
 # ---------------------------------------------------------------------------------------------------- settings
@@ -371,6 +399,8 @@ def record_of(trial: Trial, experiment: str, found: Measurement | str) -> Record
         end_reason=end_reason,
         onboard=dict(measured.onboard) if measured else {},
         truth=dict(measured.truth) if measured else {},
+        watched=measured.watched if measured else "",
+        approaches=dict(measured.approaches) if measured else {},
         per_robot={key: dict(values) for key, values in measured.per_robot.items()} if measured else {},
     )
 

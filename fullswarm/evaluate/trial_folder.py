@@ -4,7 +4,7 @@
                       result.json       a `Record`: the same bytes whenever and wherever the trial is run
                       provenance.json   a `Provenance`: when, where, with what, how long
                       trajectory.npz    where all bodies were, see `Trajectory`
-                      contacts.npz      contacts between bodies, and how near each pair came: `Contacts`
+                      evidence.npz      how near bodies came, and by the `EvidenceMode` how they moved: `Evidence`
                       coverage.npz      `frame` (5,) origin x, y, cell in m, rows, columns; `covered` (rows, columns)
                                         0 or 1: what the swarm's own summarizer has joined
 
@@ -23,7 +23,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -37,7 +37,7 @@ from pydantic import ValidationError
 from fullswarm.clock import wall_time_s
 from fullswarm.config.toml_errors import parse_toml
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.experiment.model import Parameter
+from fullswarm.evaluate.experiment.model import EvidenceMode, Parameter
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.provenance import Provenance
@@ -49,12 +49,21 @@ from fullswarm.perf.coverage import GridFrame
 FORMAT = "fullswarm.trial/1"
 TRIALS = "trials"
 TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE = "trial.toml", "result.json", "provenance.json"
-TRAJECTORY_FILE, COVERAGE_FILE, CONTACTS_FILE = "trajectory.npz", "coverage.npz", "contacts.npz"
-GRAIN_M = 1e-5
-"""Positions in `Contacts` are whole numbers of this."""
+TRAJECTORY_FILE, COVERAGE_FILE, EVIDENCE_FILE = "trajectory.npz", "coverage.npz", "evidence.npz"
+GRAIN = 1e-5
+"""Positions, headings and commands in `Evidence` are whole numbers of this (m, rad, m/s, rad/s)."""
+EVIDENCE_FORMAT = "fullswarm.evidence/1"
 ID_HASH = 8
 ID_WORDS = 120
 """The hash keeps ids apart; a name of a directory may have 255 letters, also with host and process behind it."""
+
+
+class Approach(msgspec.Struct, frozen=True, kw_only=True):
+    """What came nearest, or soonest to a contact, in a trial."""
+
+    value: float  # m, or s
+    at_s: float  # the end of the step in which it was, since the request
+    who: tuple[str, str]  # a robot, and a robot or an obstacle
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,6 +78,8 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     end_reason: str = ""  # "all arrived", "time limit", a termination condition's name, or "failed"
     onboard: dict[str, float] = {}  # from the swarm's summarizers: "work.total_m", "coverage.fraction", …
     truth: dict[str, float] = {}  # the same names where it is known of the true bodies too
+    watched: str = "world"  # what contacts, `truth` and `approaches` are from, see `Evidence.source`
+    approaches: dict[str, Approach] = {}  # of "separation.min_m", "clearance.min_m" and "time_to_contact.min_s"
     per_robot: dict[str, dict[str, float]] = {}  # "onboard work.distance_m" or "truth …" → robot → value
 
 
@@ -95,39 +106,77 @@ class Trajectory:
         ConfigError
             There is none, or it is damaged.
         """
-        with _arrays(path, "trajectory") as fields:
-            ids, goal_radius_m = tuple(fields.pop("ids").tolist()), float(fields.pop("goal_radius_m"))
-            return cls(ids=ids, goal_radius_m=goal_radius_m, **fields)
+        with _arrays(path, "trajectory") as kept:
+            ids, goal_radius_m = tuple(kept.pop("ids").tolist()), float(kept.pop("goal_radius_m"))
+            return cls(ids=ids, goal_radius_m=goal_radius_m, **kept)
 
 
 @dataclass(frozen=True, slots=True)
-class Contacts:
-    """What is needed to count contacts again: in the file, the fields by their names, ids as text.
+class Evidence:
+    """What is needed to count contacts, arrivals and commands again: in the file, the fields by their names.
 
-    Two robots, or a robot and an obstacle, touch in a step when their rims come within `touch_m` anywhere on their
-    paths. Step s (from 1) leads from position s - 1 to s of `xy`; a robot that touched nothing in it went straight,
-    one that touched went by way of its row in `bend`. Positions are kept for trials with a contact only, in whole
-    grains of 10 µm and as changes, which compress well.
+    Two bodies, or a body and an obstacle, touch in a step when their rims come within `touch_m` anywhere on their
+    paths. Step s (from 1) leads from row s - 1 to row s of `xy`; a body that touched nothing in it went straight, or
+    on an arc that its headings tell; one that touched went by way of its row in `bend`. `xy` to `bend` are kept by
+    the `EvidenceMode`, in whole grains and as changes, which compress well.
     """
 
+    source: str  # "world": the bodies themselves; "fixes", "reported": poses of real robots, by fixes or by themselves
+    engine: str  # its name; empty: real robots
     ids: tuple[str, ...]
     radius_m: NDArray[np.float64]  # (n,)
     obstacles: NDArray[np.float64]  # (k, 6) centre x, y, half sizes, yaw, 0: boxes, then walls
+    limits: NDArray[np.float64]  # (n, 2) m/s, rad/s that commands are held against; inf: commands are not seen
+    goals: NDArray[np.float64]  # (n, 2)
+    goal_radius_m: float
     touch_m: float
     step_s: float
+    part_s: NDArray[np.float64]  # (p,) when the parts of a step end, since its start
     closest_m: NDArray[np.float32]  # (n (n - 1) / 2,) least gap of the pairs (0, 1), (0, 2), …, (1, 2), …; inf: no step
     closest_s: NDArray[np.float64]  # when: the end of the step, since the request
-    part_s: NDArray[np.float64]  # (p,) when the parts of a step end, since its start
+    wall_m: NDArray[np.float32]  # (n, k) the same for bodies and obstacles
+    wall_s: NDArray[np.float64]
+    soonest: NDArray[np.float64]  # (4,) least time to contact in s (inf: none), when, row, and other row or -1-k
     xy: NDArray[np.int32]  # (t, n, 2) the first position, then changes from step to step
+    heading: NDArray[np.int32]  # (t, n) likewise
+    command: NDArray[np.int32]  # (t, n, 2) m/s, rad/s likewise, rounded towards zero; row s was obeyed in step s
+    above: NDArray[np.float64]  # (a, 4) the commands above the limits, not rounded: step, robot, m/s, rad/s
     bend_step: NDArray[np.int32]  # (b,)
     bend_robot: NDArray[np.int32]  # (b,)
     bend: NDArray[np.int32]  # (b, p, 2) changes from part to part, the first from where the step began
+    format: str = EVIDENCE_FORMAT
+
+    @property
+    def has_contact(self) -> bool:
+        """Whether anything touched."""
+        return len(self.bend) > 0
+
+    def kept(self, mode: EvidenceMode) -> Evidence:
+        """Return what a trial keeps of it."""
+        if mode == "always" or (mode == "contacts" and self.has_contact):
+            return self
+        motion = ("xy", "heading", "command", "above", "bend_step", "bend_robot", "bend")
+        return replace(self, **{name: getattr(self, name)[:0] for name in motion})
 
 
-def save_arrays(kept: Trajectory | Contacts, path: Path) -> None:
-    """Write the file of a trajectory or of contacts."""
-    fields = {name: getattr(kept, name) for name in kept.__slots__ if name != "ids"}
-    np.savez_compressed(path, ids=np.array(kept.ids), **fields)
+def arrays_of(kept: Trajectory | Evidence) -> dict[str, NDArray[Any]]:
+    """Return what the file of a trajectory or of evidence holds."""
+    return {name: np.asarray(getattr(kept, name)) for name in kept.__slots__}
+
+
+def save_arrays(kept: Trajectory | Evidence, path: Path) -> None:
+    """Write the file of a trajectory or of evidence."""
+    np.savez_compressed(path, **arrays_of(kept))  # type: ignore[arg-type]  # no array is called allow_pickle
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return a hash of arrays and their names, whatever file they are in."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
 
 
 def trial_id(trial: Trial) -> str:
@@ -261,10 +310,12 @@ def fill(folder: Path, record: Record, about: Provenance, found: Measurement | s
     """Write the files of a trial into a folder."""
     (folder / TRIAL_FILE).write_text(launch_text(record.trial, record.experiment), "utf-8")
     (folder / RESULT_FILE).write_bytes(_pretty(record))
+    if isinstance(found, Measurement) and found.evidence is not None:
+        about = msgspec.structs.replace(about, evidence=digest_of(arrays_of(found.evidence)))
     (folder / PROVENANCE_FILE).write_bytes(_pretty(about))
     if not isinstance(found, Measurement):
         return
-    for file, kept in ((TRAJECTORY_FILE, found.trajectory), (CONTACTS_FILE, found.contacts)):
+    for file, kept in ((TRAJECTORY_FILE, found.trajectory), (EVIDENCE_FILE, found.evidence)):
         if kept is not None:
             save_arrays(kept, folder / file)
     if found.coverage is not None:
@@ -394,6 +445,21 @@ def read_coverage(folder: Path) -> Coverage:
         return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
 
 
+def read_evidence(folder: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a trial's evidence, by their names in `Evidence`.
+
+    Raises
+    ------
+    ConfigError
+        There is none, it is damaged, or other code has written it.
+    """
+    with _arrays(folder / EVIDENCE_FILE, "evidence") as file:
+        missing = {each.name for each in fields(Evidence)} - file.keys()
+        if missing or str(file["format"]) != EVIDENCE_FORMAT:
+            raise ValueError(f"format '{file.get('format', '')}' is not {EVIDENCE_FORMAT}")
+        return file
+
+
 @contextmanager
 def _arrays(path: Path, what: str) -> Iterator[dict[str, Any]]:
     """Yield the arrays of an NPZ file; what is wrong with it or with them is a `ConfigError`."""
@@ -452,4 +518,6 @@ class Measurement:
     per_robot: Mapping[str, Numbers] = field(default_factory=dict)
     trajectory: Trajectory | None = None
     coverage: Coverage | None = None  # the swarm's own
-    contacts: Contacts | None = None
+    evidence: Evidence | None = None
+    watched: str = "world"
+    approaches: Mapping[str, Approach] = field(default_factory=dict)

@@ -1,14 +1,15 @@
-"""Watches the bodies of a trial: through their world where it is simulated, else by what the robots report.
+"""Watches the bodies of a trial: through their world where it is simulated, else by pose fixes and reports.
 
-A world knows where bodies are and which of them touch, whatever noise or network faults are injected. Robots report
-poses from their estimator and contacts from their bumpers; what they touched is then inferred from the distance to the
-nearest robot.
+A world knows where bodies are and which of them touch, whatever noise or network faults are injected. Of real robots
+the same referee judges the newest poses, `REPORTED_HZ` times a second: of fixes where something sees them, else of
+their estimators. Contacts that their bumpers report are counted too; which kind they were is inferred from the distance
+to the nearest robot.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -19,94 +20,16 @@ from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.swarm import Numbers, finite
-from fullswarm.evaluate.trial_folder import GRAIN_M, Contacts
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.evaluate.trial_folder import GRAIN, Approach, Evidence
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, RobotHealth, RobotStates
+from fullswarm.messages import HealthReport, PoseFix, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
+from fullswarm.simulation.approaches import SPAN, Approaches
+from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 from fullswarm.simulation.world import World
-
-
-@kernel
-def pair_index(i: int, j: int, n: int) -> int:
-    """Return where the pair `i` < `j` of `n` robots stands in the order (0, 1), (0, 2), …, (1, 2), … of all pairs."""
-    return i * n - i * (i + 1) // 2 + j - i - 1
-
-
-@kernel
-def approach(
-    time_s: float, before: Array, pose: Array, radius: Array, near: Index, gaps: Array, least: Array, at_s: Array,
-    judged: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """Take in one step: pairs in `near` came as close as `gaps`, others moved straight from `before` to `pose`."""
-    n = pose.shape[0]
-    furthest = 0.0
-    for i in range(n):
-        dx, dy = pose[i, 0] - before[i, 0], pose[i, 1] - before[i, 1]
-        furthest = max(furthest, dx * dx + dy * dy)
-    slack = 2.0 * math.sqrt(furthest)
-    for m in range(near.shape[0]):
-        if near[m, 1] >= 0:
-            pair = pair_index(min(near[m, 0], near[m, 1]), max(near[m, 0], near[m, 1]), n)
-            judged[pair] = True
-            if gaps[m] < least[pair]:
-                least[pair], at_s[pair] = gaps[m], time_s
-    pair = -1
-    for i in range(n):
-        for j in range(i + 1, n):
-            pair += 1
-            if judged[pair]:
-                judged[pair] = False
-                continue
-            both = radius[i] + radius[j]
-            x, y = pose[j, 0] - pose[i, 0], pose[j, 1] - pose[i, 1]
-            far = least[pair] + both + slack
-            if x * x + y * y >= far * far:
-                continue
-            x, y = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
-            along_x = pose[j, 0] - pose[i, 0] - x
-            along_y = pose[j, 1] - pose[i, 1] - y
-            length = along_x * along_x + along_y * along_y
-            if length > 0.0:
-                part = min(1.0, max(0.0, -(x * along_x + y * along_y) / length))
-                x += part * along_x
-                y += part * along_y
-            gap = math.sqrt(x * x + y * y) - both
-            if gap < least[pair]:
-                least[pair], at_s[pair] = gap, time_s
-    for i in range(n):
-        before[i, 0], before[i, 1] = pose[i, 0], pose[i, 1]
-
-
-class Approaches:
-    """The closest approach of each pair of n robots, from `pose` (n, 3) on.
-
-    Attributes
-    ----------
-    least_m, at_s : (n (n - 1) / 2,) gap between the rims, and the end of the step in which it was; pairs in the order
-        (0, 1), (0, 2), …, (1, 2), …
-    """
-
-    def __init__(self, pose: Array, radius_m: Array) -> None:
-        n = len(pose)
-        self._before, self._radius_m = np.array(pose[:, :2]), np.array(radius_m, float)
-        self.least_m, self.at_s = np.full(n * (n - 1) // 2, math.inf), np.zeros(n * (n - 1) // 2)
-        self._judged = np.zeros(n * (n - 1) // 2, np.bool_)
-
-    def sample(self, time_s: float, pose: Array, near: Index, gaps_m: Array) -> None:
-        """Take in one step.
-
-        Parameters
-        ----------
-        time_s : its end
-        pose : (n, 3) true
-        near, gaps_m : (m, 2), (m,) pairs that a referee followed within the step (the second row < 0: no robot)
-        """
-        approach.run(
-            time_s, self._before, pose, self._radius_m, near, gaps_m, self.least_m, self.at_s, self._judged
-        )  # fmt: skip
-
 
 TOLERANCE = 1e-9
 ENDLESS = Limits(speed_m_s=np.inf, turn_rad_s=np.inf, accel_m_s2=np.inf, turn_accel_rad_s2=np.inf)
@@ -114,15 +37,61 @@ NEAR_M = 0.1
 """A robot whose bumper is pressed has met another one when the gap between their estimated poses is below this."""
 USUAL_RADIUS_M = 0.17
 """Of a robot that has not reported its radius yet."""
+FIX_S = 0.25
+"""A pose fix that is older does not show where a robot is now: what it reports itself counts."""
+REPORTED_HZ = 20.0
+"""How often poses of real robots are judged: as often as they report them."""
+FAR_M = 1e6
+NOWHERE = 2e9  # grains, of a pose that is not known
+WALLS = ("west wall", "east wall", "south wall", "north wall")
+
+
+class Bodies(Protocol):
+    """n bodies and the referee of their steps; `World` is one."""
+
+    ids: tuple[str, ...]
+    dt_s: float
+    pose: Array  # (n, 3)
+    target: Array  # (n, 2) commands, m/s and rad/s
+    radius_m: Array  # (n,)
+    obstacles: Array  # (k, 6) rows of ``Reading.obstacles``: boxes, then four walls or none
+    referee: ContactReferee
+
+
+@dataclass(frozen=True, slots=True)
+class Standard:
+    """What the motion of a trial is held against, and what it is known from.
+
+    Attributes
+    ----------
+    limits : (n, 2) m/s, rad/s that each robot's driver states; inf: its commands are not seen
+    goals : (n, 2), each reached within `goal_radius_m`
+    walls : the last four obstacles are the arena's walls
+    source, engine : as in `Evidence`
+    """
+
+    limits: Array
+    goals: Array
+    goal_radius_m: float
+    walls: bool
+    source: str = "world"
+    engine: str = ""
+
+    @classmethod
+    def of_world(cls, world: World, goals: Array, goal_radius_m: float, emulated: bool = False) -> Standard:
+        """Return that of a simulated world; `emulated`: firmware stands between the commands and the bodies."""
+        stated = [ENDLESS if emulated else each.limits for each in world.descriptions]
+        return cls(
+            limits=np.array([(each.speed_m_s, each.turn_rad_s) for each in stated], float).reshape(-1, 2),
+            goals=goals,
+            goal_radius_m=goal_radius_m,
+            walls=world.config.walls,
+            engine=world.config.engine,
+        )
 
 
 class Referee:
-    """Counts contacts and commands above the limits, after each step of the world, and keeps what proves the count.
-
-    Parameters
-    ----------
-    world : its bodies are watched
-    limits : what the driver of each robot reports as its limits
+    """Counts contacts and commands above the limits after each step, and keeps what proves the count.
 
     Attributes
     ----------
@@ -130,28 +99,45 @@ class Referee:
     touched : (n,) which robots have touched anything
     """
 
-    def __init__(self, world: World, limits: Sequence[Limits]) -> None:
-        count = len(world.ids)
-        self._world = world
-        self._most = np.array([(each.speed_m_s, each.turn_rad_s) for each in limits]) * (1.0 + TOLERANCE)
+    def __init__(self, bodies: Bodies, standard: Standard) -> None:
+        count = len(bodies.ids)
+        self._bodies, self._standard = bodies, standard
+        self._most = standard.limits * (1.0 + TOLERANCE)
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
-        self._counts = np.zeros((2, count), np.int64)
+        self._counts, self._touching = np.zeros((2, count), np.int64), False
         self._steps = 0
-        self._approaches = Approaches(world.pose, world.radius_m)
-        self._xy = [world.pose[:, :2].copy()]
+        self._approaches = Approaches(bodies.referee.solids, bodies.referee.touch_m, bodies.dt_s)
+        # The steps of the present span: row 0 is where it began.
+        self._row = 0
+        self._pose, self._command = np.zeros((SPAN + 1, count, 3)), np.zeros((SPAN + 1, count, 2))
+        self._pose[0], self._command[0] = bodies.pose, bodies.target
+        self._near: list[tuple[int, Index, Array]] = []
+        self._motion = [_grains(self._pose[:1], self._command[:1])]  # (t, n, 5) x, y, heading, command
         self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
-        self.above_limits = 0
+        self._above: list[Array] = []
 
     def sample(self) -> None:
         """Take in the last step."""
-        world, counts, found = self._world, self._counts, self._world.referee
+        bodies, found = self._bodies, self._bodies.referee
         self._steps += 1
-        self._xy.append(world.pose[:, :2].copy())
-        self._approaches.sample(self._steps * world.dt_s, world.pose, found.near, found.near_gap_m)
+        time_s = self._steps * bodies.dt_s
+        self._row += 1
+        self._pose[self._row], self._command[self._row] = bodies.pose, bodies.target
+        if len(found.near):
+            self._near.append((self._row, found.near.copy(), found.near_gap_m.copy()))
+        if len(found.pairs) or self._touching:
+            self._count(time_s)
+        if self._row == SPAN:
+            self._end_span()
+
+    def _count(self, time_s: float) -> None:
+        """Take in the contacts of the last step, or that there is none any more."""
+        counts, found = self._counts, self._bodies.referee
         counts[:] = 0
-        if len(found.pairs):
+        self._touching = len(found.pairs) > 0
+        if self._touching:
             for first, second in found.pairs.tolist():
                 if second >= 0:
                     counts[0, first] += 1
@@ -162,42 +148,123 @@ class Referee:
             rows = np.flatnonzero(found.contacts)
             self.touched[rows] = True
             self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
-        self.robots.update(world.time_s, counts[0])
-        self.obstacles.update(world.time_s, counts[1])
-        if (np.abs(world.target) > self._most).any():
-            self.above_limits += int((np.abs(world.target) > self._most).any(axis=1).sum())
+        self.robots.update(time_s, counts[0])
+        self.obstacles.update(time_s, counts[1])
+
+    def _end_span(self) -> None:
+        """Take in the steps of the present span, and begin a new one."""
+        steps, pose, command = self._row, self._pose[: self._row + 1], self._command[: self._row + 1]
+        if not steps:
+            return
+        first = self._steps - steps
+        entries = [np.column_stack([np.full(len(near), row), near]) for row, near, _ in self._near]
+        gaps = [each for _, _, each in self._near]
+        if entries:
+            self._approaches.take(first, pose, np.concatenate(entries), np.concatenate(gaps))
+        else:
+            self._approaches.take(first, pose, np.zeros((0, 3), np.int64), np.zeros(0))
+        self._motion.append(_grains(pose[1:], command[1:]))
+        above = np.abs(command[1:]) > self._most
+        if above.any():
+            rows, robots = np.nonzero(above.any(axis=2))
+            self._above.append(np.column_stack([rows + first + 1, robots, command[rows + 1, robots]]))
+        self._pose[0], self._row = pose[-1], 0
+        self._near.clear()
 
     @property
-    def closest_m(self) -> float:
-        """The least gap between two robots so far; inf: there is one, or no step yet."""
-        return float(self._approaches.least_m.min(initial=np.inf))
+    def above_limits(self) -> int:
+        """How many commands were above the limits so far."""
+        self._end_span()
+        return sum(map(len, self._above))
 
-    def evidence(self) -> Contacts:
-        """Return what is needed to count the contacts again."""
-        world, found = self._world, self._world.referee
+    @property
+    def approaches(self) -> Approaches:
+        """How near they came so far."""
+        self._end_span()
+        return self._approaches
+
+    def evidence(self) -> Evidence:
+        """Return what is needed to count everything again."""
+        bodies, found, standard, nearest = self._bodies, self._bodies.referee, self._standard, self.approaches.nearest
+        motion = np.concatenate(self._motion)
         bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
-        xy = _grains(np.array(self._xy)) if bends else np.zeros((0, len(world.ids), 2), np.int32)
         steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))
-        ways = _grains(np.array([way for *_, way in bends]).reshape(-1, len(found.part_s), 2))
-        starts = xy[steps - 1, rows].reshape(-1, 1, 2)
-        return Contacts(
-            ids=world.ids,
-            radius_m=world.radius_m.copy(),
-            obstacles=np.array(world.obstacles),
+        ways = np.round(np.array([way for *_, way in bends]).reshape(-1, len(found.part_s), 2) / GRAIN).astype(np.int32)
+        starts = motion[steps - 1, rows, :2].reshape(-1, 1, 2)
+        motion = np.diff(motion, axis=0, prepend=np.int32(0))
+        return Evidence(
+            source=standard.source,
+            engine=standard.engine,
+            ids=bodies.ids,
+            radius_m=bodies.radius_m.copy(),
+            obstacles=np.array(bodies.obstacles),
+            limits=standard.limits.copy(),
+            goals=np.array(standard.goals, float),
+            goal_radius_m=standard.goal_radius_m,
             touch_m=found.touch_m,
-            step_s=world.dt_s,
-            closest_m=self._approaches.least_m.astype(np.float32),
-            closest_s=np.round(self._approaches.at_s, 6),
+            step_s=bodies.dt_s,
             part_s=found.part_s,
-            xy=np.diff(xy, axis=0, prepend=np.int32(0)),
+            closest_m=nearest.gap.astype(np.float32),
+            closest_s=np.round(nearest.at, 6),
+            wall_m=nearest.wall_gap.astype(np.float32),
+            wall_s=np.round(nearest.wall_at, 6),
+            soonest=np.array([*nearest.soonest, *nearest.who], float),
+            xy=motion[:, :, :2],
+            heading=motion[:, :, 2],
+            command=motion[:, :, 3:],
+            above=np.concatenate([np.zeros((0, 4)), *self._above]),
             bend_step=steps,
             bend_robot=rows,
             bend=np.diff(ways, axis=1, prepend=starts),
         )
 
+    def values(self) -> dict[str, float]:
+        """Return how near the robots came; what never came near anything is left out."""
+        nearest = self.approaches.nearest
+        return finite(
+            {
+                "separation.min_m": float(nearest.gap.min(initial=np.inf)),
+                "clearance.min_m": float(nearest.wall_gap.min(initial=np.inf)),
+                "time_to_contact.min_s": float(nearest.soonest[0]),
+            }
+        )
 
-def _grains(at_m: Array) -> NDArray[np.int32]:
-    return np.round(at_m / GRAIN_M).astype(np.int32)
+    def per_robot(self) -> dict[str, dict[str, float]]:
+        """Return the same by robot."""
+        ids, near = self._bodies.ids, self.approaches
+        columns = {"separation.gap_m": near.apart_m, "clearance.gap_m": near.clear_m}
+        return {name: finite(dict(zip(ids, each.tolist(), strict=True))) for name, each in columns.items()}
+
+    def nearest(self) -> dict[str, Approach]:
+        """Return what came nearest, and soonest to a contact, with when and who."""
+        nearest, count, found = self.approaches.nearest, len(self._bodies.ids), dict[str, Approach]()
+        if np.isfinite(nearest.gap).any():
+            pair = int(nearest.gap.argmin())
+            first, second = (int(rows[pair]) for rows in np.triu_indices(count, 1))
+            found["separation.min_m"] = self._approach(nearest.gap[pair], nearest.at[pair], first, second)
+        if np.isfinite(nearest.wall_gap).any():
+            row, k = divmod(int(nearest.wall_gap.argmin()), nearest.wall_gap.shape[1])
+            found["clearance.min_m"] = self._approach(nearest.wall_gap[row, k], nearest.wall_at[row, k], row, -1 - k)
+        if np.isfinite(nearest.soonest[0]):
+            first, second = nearest.who.tolist()
+            found["time_to_contact.min_s"] = self._approach(nearest.soonest[0], nearest.soonest[1], first, second)
+        return found
+
+    def _approach(self, value: float, at_s: float, row: int, other: int) -> Approach:
+        ids = self._bodies.ids
+        name = ids[other] if other >= 0 else self._obstacle(-1 - other)
+        return Approach(value=float(value), at_s=round(float(at_s), 6), who=(ids[row], name))
+
+    def _obstacle(self, k: int) -> str:
+        boxes = len(self._bodies.obstacles) - len(WALLS) * self._standard.walls
+        return WALLS[k - boxes] if k >= boxes else f"box {k}"
+
+
+def _grains(pose: Array, command: Array) -> NDArray[np.int32]:
+    """Return poses (t, n, 3) and commands (t, n, 2) in whole grains, commands rounded towards zero, (t, n, 5)."""
+    grains = np.concatenate([np.round(pose / GRAIN), np.trunc(command / GRAIN)], axis=2)
+    grains[np.isnan(grains)] = NOWHERE
+    return grains.astype(np.int32)
 
 
 class ContactTally(NamedTuple):
@@ -239,8 +306,17 @@ class Witness(Protocol):
         """Return what has been counted so far."""
         ...
 
-    def evidence(self) -> Contacts | None:
-        """Return what is needed to count the contacts again; None: not known."""
+    def evidence(self) -> Evidence:
+        """Return what is needed to count everything again."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """What it sees, as in `Evidence`."""
+        ...
+
+    def nearest(self) -> Mapping[str, Approach]:
+        """Return what came nearest, and soonest to a contact."""
         ...
 
     def values(self) -> Numbers:
@@ -262,20 +338,22 @@ class WorldWitness:
     emulated : firmware stands between the commands and the bodies, so commands are not seen here
     """
 
+    source = "world"
+
     def __init__(self, world: World, goals: Array, goal_radius_m: float, cell_m: float, emulated: bool = False) -> None:
         self._world, self._steps = world, 0
-        self._limits = [ENDLESS if emulated else each.limits for each in world.descriptions]
+        self._standard = Standard.of_world(world, goals, goal_radius_m, emulated)
         self._touched = np.zeros(len(world.ids), bool)
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
         Truth(*about).sample(0.0, world.pose, world.twist, world.dt_s, world.contacts)
-        Referee(world, self._limits).sample()
+        Referee(world, self._standard).sample()
         self.truth: Truth = Truth(*about)
-        self._referee = Referee(world, self._limits)
+        self._referee = Referee(world, self._standard)
 
     def begin(self) -> None:
         """Watch from where the bodies are now."""
-        self._referee = Referee(self._world, self._limits)
+        self._referee = Referee(self._world, self._standard)
 
     def sample(self) -> None:
         """Take in one step of the world."""
@@ -311,33 +389,88 @@ class WorldWitness:
             above_limits=found.above_limits,
         )
 
-    def evidence(self) -> Contacts:
+    def evidence(self) -> Evidence:
         """Return the referee's."""
         return self._referee.evidence()
 
+    def nearest(self) -> dict[str, Approach]:
+        """Return the referee's."""
+        return self._referee.nearest()
+
     def values(self) -> dict[str, float]:
-        """Return the true numbers; the smallest gap is the referee's, which looks into each step."""
-        return finite({**self.truth.values(), "separation.min_m": self._referee.closest_m})
+        """Return the true numbers; gaps are the referee's, which looks into each step."""
+        return finite({**self.truth.values(), **self._referee.values()})
 
     def per_robot(self) -> dict[str, dict[str, float]]:
         """Return the same by robot."""
-        return self.truth.per_robot()
+        return {**self.truth.per_robot(), **self._referee.per_robot()}
+
+
+class ReportedBodies:
+    """Real robots as bodies that a referee can judge: their newest poses, in steps of `dt_s`.
+
+    A pose may be as old as the period of its fixes or states. So two bodies may be nearer than it seems by their speeds
+    times that age, besides the error of the poses.
+    """
+
+    def __init__(self, config: SwarmConfig) -> None:
+        world, count = config.world_or_default, len(config.robots)
+        self.ids, self.dt_s = tuple(config.robots), 1.0 / REPORTED_HZ
+        self.pose = np.full((count, 3), np.nan)
+        self.target = np.zeros((count, 2))
+        self.obstacles = static_obstacles(world)
+        radius_m = np.full(count, USUAL_RADIUS_M)
+        self.referee = ContactReferee(world, with_trigonometry(self.obstacles), radius_m, np.array([self.dt_s]))
+        self.radius_m = self.referee.radius_m
+        self.referee.path[:] = np.nan
+
+    def step(self) -> None:
+        """Let the referee judge the ways from the poses of the last step to those of now."""
+        path = self.referee.path
+        path[0] = path[1]
+        path[1] = self.pose[:, :2]
+        known: NDArray[np.bool_] = np.isfinite(path[0, :, 0] + path[1, :, 0])
+        moved = np.where(known, np.hypot(*(path[1] - path[0]).T), 0.0)
+        # Where a robot is not known, it is far from all others.
+        seen = np.where(known[:, None], path[0], FAR_M * (1.0 + np.arange(len(known)))[:, None])
+        self.referee.look_ahead(seen, float(moved.max(initial=0.0)))
+        self.referee.judge()
 
 
 class ReportedWitness:
-    """Takes what robots report, in their states and health reports, from the moment it is made."""
+    """Watches real robots from the moment it is made, by pose fixes and by their states and health reports.
 
-    def __init__(self, bus: Bus, config: SwarmConfig) -> None:
+    Parameters
+    ----------
+    now_s : time of this process
+    goals : (n, 2), each reached within `goal_radius_m`; without it none is known
+    """
+
+    def __init__(
+        self, bus: Bus, config: SwarmConfig, now_s: Callable[[], float], goals: Array | None = None,
+        goal_radius_m: float = 0.0,
+    ) -> None:  # fmt: skip
         count = len(config.robots)
         self._rows = {robot: row for row, robot in enumerate(config.robots)}
-        self._pose = np.full((count, 3), np.nan)
-        self._radius_m = np.full(count, USUAL_RADIUS_M)
+        self._bodies, self._now_s = ReportedBodies(config), now_s
+        self._pose, self._radius_m = self._bodies.pose, self._bodies.radius_m
+        self._fixed_s = np.full(count, -np.inf)
+        self._only_fixes = True
+        self._began_s, self._steps = now_s(), 0
+        self._standard = Standard(
+            limits=np.full((count, 2), np.inf),
+            goals=np.full((count, 2), np.nan) if goals is None else goals,
+            goal_radius_m=goal_radius_m,
+            walls=config.world_or_default.walls,
+        )
+        self._referee = Referee(self._bodies, self._standard)
         self._touched = np.zeros(count, bool)
         self._reported = np.full(count, -1, np.int64)  # collisions in the newest report; -1: none yet
         self._events = np.zeros((2, count), np.int64)
         keys = Keys(config.swarm)
         self._subscriptions = [
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
+            bus.subscribe(keys.pose_fix(), PoseFix, self._on_fix),
             bus.subscribe(keys.health(), HealthReport, self._on_health),
         ]
 
@@ -345,18 +478,34 @@ class ReportedWitness:
         """Forget the contacts from before."""
         self._events[:] = 0
         self._touched[:] = False
+        self._only_fixes = True
+        self._bodies.step()
+        self._referee = Referee(self._bodies, self._standard)
+        self._began_s, self._steps = self._now_s(), 0
 
     def sample(self) -> None:
-        """Do nothing: messages arrive by themselves."""
+        """Judge the ways of the steps that have ended since the last call."""
+        now_s = self._now_s()
+        while (self._steps + 1) * self._bodies.dt_s <= now_s - self._began_s:
+            self._steps += 1
+            self._only_fixes &= bool((now_s - self._fixed_s <= FIX_S).all())
+            self._bodies.step()
+            self._referee.sample()
+            self._touched |= self._bodies.referee.contacts > 0
 
     def touched(self) -> NDArray[np.bool_]:
-        """Return which robots have reported a contact since this was asked last."""
+        """Return which robots have touched anything since this was asked last."""
         found, self._touched = self._touched, np.zeros(len(self._touched), bool)
         return found
 
     @property
+    def source(self) -> str:
+        """Where all poses since `begin` are from."""
+        return "fixes" if self._only_fixes else "reported"
+
+    @property
     def pose(self) -> Array:
-        """The robots' own estimates."""
+        """The newest fixes and estimates."""
         return self._pose
 
     @property
@@ -365,20 +514,30 @@ class ReportedWitness:
         return self._radius_m
 
     def tally(self) -> ContactTally:
-        """Return what the robots have counted, by what was nearest at the time; a bumper does not tell the pair."""
-        return ContactTally(self._events[0], self._events[1], None, int(self._events.any(axis=0).sum()), 0)
+        """Return what was counted, by bumpers or from poses, whichever saw more of a robot's contacts.
 
-    def evidence(self) -> None:
-        """Robots keep none."""
-        return
+        A bumper does not tell the pair: what it met is inferred from what was near at the time.
+        """
+        judged = self._referee
+        robots = np.maximum(self._events[0], judged.robots.events)
+        obstacles = np.maximum(self._events[1], judged.obstacles.events)
+        return ContactTally(robots, obstacles, len(judged.pairs), int(((robots > 0) | (obstacles > 0)).sum()), 0)
+
+    def evidence(self) -> Evidence:
+        """Return the poses that were judged; what bumpers reported is not in it."""
+        return replace(self._referee.evidence(), source=self.source)
+
+    def nearest(self) -> dict[str, Approach]:
+        """Return what came nearest by these poses."""
+        return self._referee.nearest()
 
     def values(self) -> dict[str, float]:
-        """Return nothing: robots can be wrong about themselves."""
-        return {}
+        """Return how near they came by these poses."""
+        return self._referee.values()
 
     def per_robot(self) -> dict[str, dict[str, float]]:
-        """Return nothing, for the same reason."""
-        return {}
+        """Return the same by robot."""
+        return self._referee.per_robot()
 
     def close(self) -> None:
         """Subscribe to nothing more."""
@@ -390,8 +549,16 @@ class ReportedWitness:
         for robot, x_m, y_m, heading_rad, radius_m in columns:
             row = self._rows.get(robot)
             if row is not None:
-                self._pose[row] = x_m, y_m, heading_rad
-                self._radius_m[row] = radius_m
+                if self._radius_m[row] != radius_m:
+                    self._radius_m[row] = radius_m
+                    self._bodies.referee.allocate(len(self._bodies.referee.candidates.pairs))
+                if self._now_s() - self._fixed_s[row] > FIX_S:
+                    self._pose[row] = x_m, y_m, heading_rad
+
+    def _on_fix(self, fix: PoseFix) -> None:
+        row = self._rows.get(fix.robot)
+        if row is not None:
+            self._pose[row], self._fixed_s[row] = (fix.x_m, fix.y_m, fix.heading_rad), self._now_s()
 
     def _on_health(self, report: HealthReport) -> None:
         for health in report.robots:

@@ -9,6 +9,7 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``lockstep.py``     all nodes in one process on a simulated clock
 ``supervisor.py``   starts the processes of a fleet file, watches them, restarts them, ends them
 ``up.py``           `fullswarm up`: the supervisor in a terminal
+``stopping.py``     checks a fleet file before a start: can its robots stop in time?
 ``web_console.py``  the web console as one more process beside a swarm
 ``network.py``      an emulated bad network between a process and its bus; ports: of emulated robots, free ones beside
                     another swarm

@@ -11,6 +11,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.launch.network import with_network
+from fullswarm.launch.stopping import check_fleet
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, missing_extra
 from fullswarm.output import INTERRUPTED, progress
@@ -51,6 +52,8 @@ def run(config: SwarmConfig, insecure_network: bool, network: str | None = None,
     check_frames(config)
     check_endpoint(config.hub.endpoint, insecure_network)
     config = with_network(config, network)
+    if warning := check_fleet(config)[1]:
+        progress(f"warning: {warning}")
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network)

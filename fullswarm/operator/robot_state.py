@@ -34,6 +34,8 @@ _STOPS: dict[str, str] = _CAUSES | {
     Code.BATTERY: "Charge it, or drive it there by hand.",
     Code.CLOCK: "Its computer is overloaded or was suspended: close other work there.",
     Code.POSE: "Check that pose fixes arrive for this robot, and that its cameras or the motion capture see it.",
+    Code.NO_WAY: "Widen the way, lower the behaviour's safety_margin_m, or give it another goal.",
+    Code.GOAL_CLOSED: "Give it a goal farther from the obstacle, or a larger arrive_radius_m.",
     Code.GEOFENCE: "Drive it back by hand, or give it a goal inside the arena.",
 }
 

@@ -11,7 +11,10 @@ drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its ma
 ``pybullet_engine.py``  PyBullet, velocity-driven cylinders: the default
 ``pybullet_wheels.py``  PyBullet, wheel-driven bodies on a floor with friction
 ``contacts.py``         Decides which bodies touched during a step, in the same way for every engine
+``approaches.py``       Follows how near bodies come to each other and to obstacles, and the least time to contact
 ``obstacles.py``        Boxes and walls as rows of numbers, and the distance of a point to one
+``movers.py``           Bodies that no agent commands, on their way from waypoint to waypoint
+``sight.py``            Which other bodies a robot sees, and what hides them
 ``starts.py``           Start poses: a spaced grid for robots without one, and a check of all
 
 Three interfaces of a world:

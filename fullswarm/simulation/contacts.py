@@ -43,7 +43,7 @@ class Candidates(NamedTuple):
 
     pairs: Index  # (m, 4) row, other row or -1-k, two columns of scratch
     used: Index  # (1,) how many rows of it are
-    slack: Array  # (2,) m: that bodies have moved since the list was made; gap up to which pairs are on it, -1: no list
+    slack: Array  # (2,) m: moved since the list was made; gap up to which pairs are on it, -1: no list
     anchor: Array  # (n, 2) where bodies were then
     grid: Index  # (8 n + 64,) scratch
 
@@ -122,6 +122,13 @@ class ContactReferee:
             contacts=self.contacts,
             found=np.zeros(2, np.int64),
         )
+
+    def place_movers(self, places: Array) -> None:
+        """Put the last of the obstacles at `places` (m, 2)."""
+        rows = self.solids.obstacles[len(self.solids.obstacles) - len(places) :]
+        way_m = float(np.hypot(*(places - rows[:, :2]).T).max(initial=0.0))
+        self.candidates.slack[0] += way_m
+        rows[:, :2] = places
 
     def reach_m(self, furthest_m: float) -> float:
         """Return the gap from which bodies can touch in a step in which the fastest one drives `furthest_m`."""
@@ -274,19 +281,12 @@ def closest_bodies(path: Array, at: int, i: int, j: int) -> float:
 
 
 @kernel
-def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, stop_m: float) -> float:
-    """Return the smallest gap of body `i`'s centre to obstacle `k` from point `at` of the path to the next.
+def closest_on_way(x: float, y: float, along_x: float, along_y: float, obstacles: Array, k: int) -> float:
+    """Return the smallest gap of a point to obstacle `k` on its straight way from (x, y).
 
-    The gap to a convex shape has one minimum on a straight way, which halving finds. A way that ends further from
-    `stop_m` than it is long is not searched: its smaller end is returned.
+    The gap to a convex shape has one minimum on a straight way, which halving finds.
     """
-    x, y = path[at, i, 0], path[at, i, 1]
-    along_x, along_y = path[at + 1, i, 0] - x, path[at + 1, i, 1] - y
-    first = obstacle_gap(x, y, obstacles, k)[0]
-    last = obstacle_gap(x + along_x, y + along_y, obstacles, k)[0]
-    least = min(first, last)
-    if least <= stop_m or max(first, last) - math.sqrt(along_x * along_x + along_y * along_y) > stop_m:
-        return least
+    least = min(obstacle_gap(x, y, obstacles, k)[0], obstacle_gap(x + along_x, y + along_y, obstacles, k)[0])
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         third = (high - low) / 3.0
@@ -298,6 +298,22 @@ def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, sto
         else:
             low += third
     return least
+
+
+@kernel
+def closest_obstacle(path: Array, at: int, i: int, obstacles: Array, k: int, stop_m: float) -> float:
+    """Return the smallest gap of body `i`'s centre to obstacle `k` from point `at` of the path to the next.
+
+    A way that ends further from `stop_m` than it is long is not searched: its smaller end is returned.
+    """
+    x, y = path[at, i, 0], path[at, i, 1]
+    along_x, along_y = path[at + 1, i, 0] - x, path[at + 1, i, 1] - y
+    first = obstacle_gap(x, y, obstacles, k)[0]
+    last = obstacle_gap(x + along_x, y + along_y, obstacles, k)[0]
+    least = min(first, last)
+    if least <= stop_m or max(first, last) - math.sqrt(along_x * along_x + along_y * along_y) > stop_m:
+        return least
+    return closest_on_way(x, y, along_x, along_y, obstacles, k)
 
 
 @kernel
@@ -318,7 +334,7 @@ def may_touch(
         dx, dy = pose[i, 0] - listed.anchor[i, 0], pose[i, 1] - listed.anchor[i, 1]
         moved = max(moved, dx * dx + dy * dy)
         marked[i] = False
-    if 2.0 * math.sqrt(moved) + reach > listed.slack[1]:
+    if 2.0 * math.sqrt(moved) + listed.slack[0] + reach > listed.slack[1]:
         if not list_near(pose, solids, 2.0 * reach, listed):
             return -1
         for i in range(n):

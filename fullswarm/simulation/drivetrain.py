@@ -98,6 +98,10 @@ class DrivetrainEngine:
         np.subtract(self._plane.twist, turning.moved, out=self.twist)
         self.twist += turning.encoders
 
+    def place_movers(self, places: Array) -> None:
+        """Put the movers there before the next step."""
+        self._plane.place_movers(places)
+
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
 

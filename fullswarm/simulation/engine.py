@@ -25,6 +25,10 @@ class Engine(Protocol):
         """Advance by one world step of ``1 / rate_hz`` seconds with the set-points `twists` (n, 2)."""
         ...
 
+    def place_movers(self, places: Array) -> None:
+        """Put the movers (the last obstacles of the referee) at `places` (m, 2) before the next step."""
+        ...
+
     def close(self) -> None:
         """Release the physics. Closing twice is fine."""
         ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,9 @@ class SimFleet:
         self.ids = world.ids[rows]
         n = len(self.ids)
         self.urls = tuple(f"sim://{robot}" for robot in self.ids)
-        self.descriptions = world.descriptions[rows]
+        sees_m = float(sensing_radius_m) if world.config.sight.bodies else 0.0
+        self.descriptions = tuple(replace(each, bodies_range_m=sees_m) for each in world.descriptions[rows])
+        self._row = row
         self._world, self._now_s, self._sensing_radius_m = world, now_s, float(sensing_radius_m)
         # Views: the world's arrays are the same objects for its life.
         self._pose, self._limits = world.pose[rows], world.limits[rows]
@@ -99,6 +102,8 @@ class SimFleet:
             reading.stamp_s.fill(self._now_s())
             if len(self._seen) and sense.run(self._pose, world.shapes, self._sensing_radius_m, self._seen):
                 reading.obstacles = world.obstacles[self._seen]
+            if self._row is not None or len(world.movers):
+                reading.bodies = world.seen_bodies(self._row, self._sensing_radius_m)
         return reading
 
     def command(self, twists: Array, active: NDArray[np.bool_]) -> Array:

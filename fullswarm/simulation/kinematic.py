@@ -11,16 +11,18 @@ other row or -1-k for obstacle k, unused, scratch). Bodies are of equal mass: bo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 import fullswarm
 from fullswarm.config import WorldConfig
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, Index, bound, kernel
 from fullswarm.simulation.contacts import Candidates, ContactReferee, Judged, Solids, list_near, radii_of, sweep
-from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
+from fullswarm.simulation.movers import solid_rows
+from fullswarm.simulation.obstacles import obstacle_gap, with_trigonometry
 
 SCRATCH_COLUMNS = 8
 SETTLED_M = 1e-5  # an overlap that need not be pushed out within the same substep
@@ -44,12 +46,15 @@ class KinematicEngine:
         self.firmware = f"kinematic {fullswarm.__version__}"
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        obstacles = with_trigonometry(static_obstacles(config))
+        obstacles = with_trigonometry(solid_rows(config))
         self._substeps = int(config.substeps)
         self._dt_s = 1.0 / config.rate_hz
+        self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
         self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s)
+        self._candidates: Candidates | None = None
+        self._run: Callable[[float, int, float, Array], bool]
         self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))
 
     def step(self, twists: Array) -> None:
@@ -61,10 +66,16 @@ class KinematicEngine:
 
     def _advance(self, twists: Array) -> bool:
         referee = self.referee
-        return advance.run(
-            self._moving, twists, referee.solids, referee.candidates, referee.judged, referee.touch_m,
-            self._dt_s, self._substeps,
-        )  # fmt: skip
+        if referee.candidates is not self._candidates:
+            self._candidates = referee.candidates
+            self._run = bound(
+                partial(advance.run, self._moving, referee.solids, referee.candidates, referee.judged, referee.touch_m)
+            )
+        return self._run(self._dt_s, self._substeps, self._movers_m_s, twists)
+
+    def place_movers(self, places: Array) -> None:
+        """Put the movers there before the next step."""
+        self.referee.place_movers(places)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -178,10 +189,14 @@ def note(pose: Array, path: Array, at: int) -> None:
 
 @kernel
 def advance(
-    moving: Moving, twists: Array, solids: Solids, listed: Candidates, judged: Judged, touch: float, dt: float,
-    substeps: int,
+    moving: Moving, solids: Solids, listed: Candidates, judged: Judged, touch: float, dt: float, substeps: int,
+    movers_m_s: float, twists: Array,
 ) -> bool:  # fmt: skip
     """Advance all bodies by `dt` seconds in `substeps` parts, and judge their paths (see `sweep`).
+
+    Parameters
+    ----------
+    movers_m_s : no obstacle was moved by more than `dt` of this speed since the last call
 
     Returns
     -------
@@ -190,7 +205,7 @@ def advance(
     """
     pose, path, scratch, pairs = moving.pose, moving.path, moving.scratch, listed.pairs
     n = pose.shape[0]
-    fastest = prepare(pose, twists, scratch, dt / substeps)
+    fastest = max(prepare(pose, twists, scratch, dt / substeps), movers_m_s)
     # A pushed body moves no faster than the one that pushes: twice the free way covers it.
     ahead = 2.0 * fastest * dt + 1e-3
     if 2.0 * (listed.slack[0] + ahead) > listed.slack[1] and not list_near(pose, solids, 2.5 * ahead, listed):

@@ -21,7 +21,8 @@ import numpy as np
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee, radii_of
-from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
+from fullswarm.simulation.movers import solid_rows
+from fullswarm.simulation.obstacles import with_trigonometry
 
 HEIGHT_M = 0.2
 SOLVER_ITERATIONS = 30  # a pile of 32 stays below 0.1 mm of penetration
@@ -76,13 +77,16 @@ class BulletClient:
         return np.arange(1, self._substeps + 1, dtype=np.float64) * (self._step_s / self._substeps)
 
     def add_obstacles(self, obstacles: Array, floor_z_m: float) -> list[int]:
-        """Add static boxes (rows as in ``Reading.obstacles``); return Bullet's body ids."""
+        """Add static boxes and discs (rows as in ``Reading.obstacles``); return Bullet's body ids."""
         api, client = self.api, self.id
         bodies: list[int] = []
-        for x, y, half_x, half_y, yaw, _ in obstacles.tolist():
-            shape = api.createCollisionShape(
-                api.GEOM_BOX, halfExtents=[half_x, half_y, OBSTACLE_HEIGHT_M / 2], physicsClientId=client
-            )
+        for x, y, half_x, half_y, yaw, corner in obstacles.tolist():
+            disc = half_x == half_y == 0.0
+            kind = (
+                {"shapeType": api.GEOM_CYLINDER, "radius": corner, "height": OBSTACLE_HEIGHT_M} if disc
+                else {"shapeType": api.GEOM_BOX, "halfExtents": [half_x, half_y, OBSTACLE_HEIGHT_M / 2]}
+            )  # fmt: skip
+            shape = api.createCollisionShape(**kind, physicsClientId=client)
             body = api.createMultiBody(
                 baseMass=0,
                 baseCollisionShapeIndex=shape,
@@ -94,6 +98,12 @@ class BulletClient:
             api.changeDynamics(body, -1, lateralFriction=0.0, restitution=0.0, physicsClientId=client)
             bodies.append(body)
         return bodies
+
+    def place(self, bodies: Sequence[int], places: Array) -> None:
+        """Put bodies at `places` (k, 2) m; their height and yaw stay."""
+        for body, (x, y) in zip(bodies, places.tolist(), strict=True):
+            (_, _, z), turn = self.api.getBasePositionAndOrientation(body, self.id)
+            self.api.resetBasePositionAndOrientation(body, [x, y, z], turn, self.id)
 
     def step(self, bodies: Sequence[int], rows: Sequence[int], path: Array) -> None:
         """Advance by one world step; write into `path` (substeps + 1, n, 2) the ways of the `bodies` in `rows`.
@@ -129,6 +139,12 @@ class BulletClient:
             self.api.disconnect(self.id)
 
 
+def place_movers(client: BulletClient, solid: list[int], referee: ContactReferee, places: Array) -> None:
+    """Put the movers, the last ones of the `solid` bodies and of the referee's obstacles, at `places` (m, 2)."""
+    client.place(solid[len(solid) - len(places) :], places)
+    referee.place_movers(places)
+
+
 class PyBulletEngine:
     """An :class:`~fullswarm.simulation.engine.Engine` on Bullet's rigid bodies."""
 
@@ -136,12 +152,13 @@ class PyBulletEngine:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        obstacles = static_obstacles(config)
+        obstacles = solid_rows(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
         self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
         self.firmware = self._client.firmware
-        self._client.add_obstacles(obstacles, -HEIGHT_M)
+        self._solid = self._client.add_obstacles(obstacles, -HEIGHT_M)
+        self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
         self._bodies = [
             self._add_body(body.mass_kg, body.radius_m, pose)
             for body, pose in zip(bodies, self.pose.tolist(), strict=True)
@@ -191,7 +208,7 @@ class PyBulletEngine:
         push = self._client.api.resetBaseVelocity
         for body, linear, angular in zip(self._bodies, velocity.tolist(), self._spin.tolist(), strict=True):
             push(body, linear, angular, client)
-        near = self.referee.look_ahead(pose, float(np.abs(speed).max(initial=0.0)) * self._dt_s)
+        near = self.referee.look_ahead(pose, float(np.abs(speed).max(initial=self._movers_m_s)) * self._dt_s)
         self._client.step(self._bodies, near, self.referee.path)
         self.referee.judge()
         get = self._client.api.getBasePositionAndOrientation
@@ -205,6 +222,10 @@ class PyBulletEngine:
         self.twist[:, 1] = twists[:, 1]
         pose[:, :2] = new[:, :2]
         pose[:, 2] = heading
+
+    def place_movers(self, places: Array) -> None:
+        """Put the movers there before the next step."""
+        place_movers(self._client, self._solid, self.referee, places)
 
     def close(self) -> None:
         """End the physics server."""

@@ -15,8 +15,9 @@ import numpy as np
 from fullswarm.config import WorldConfig
 from fullswarm.kernels import Array
 from fullswarm.simulation.contacts import ContactReferee, radii_of
-from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
-from fullswarm.simulation.pybullet_engine import BulletClient
+from fullswarm.simulation.movers import solid_rows
+from fullswarm.simulation.obstacles import with_trigonometry
+from fullswarm.simulation.pybullet_engine import BulletClient, place_movers
 
 CREATE_RADIUS_M = 0.17
 CREATE_MASS_KG = 3.6
@@ -71,7 +72,7 @@ class WheelsEngine:
         n = len(starts)
         self.pose = np.array(starts, dtype=float).reshape(n, 3)
         self.twist = np.zeros((n, 2))
-        self._dt_s, obstacles = 1.0 / config.rate_hz, static_obstacles(config)
+        self._dt_s, obstacles = 1.0 / config.rate_hz, solid_rows(config)
         chassis = [chassis_of(body) for body in bodies]
         self._base_m = np.array([each.base_m for each in chassis])
         self._wheel_radius_m = np.array([each.wheel_radius_m for each in chassis])
@@ -90,7 +91,9 @@ class WheelsEngine:
         plane = api.createCollisionShape(api.GEOM_PLANE, physicsClientId=client)
         floor = api.createMultiBody(baseMass=0, baseCollisionShapeIndex=plane, physicsClientId=client)
         api.changeDynamics(floor, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
-        for body in self._client.add_obstacles(obstacles, 0.0):
+        self._solid = self._client.add_obstacles(obstacles, 0.0)
+        self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
+        for body in self._solid:
             api.changeDynamics(body, -1, lateralFriction=SHELL_FRICTION, physicsClientId=client)
         self._fastest_m_s = 0.0
         shapes = {each: self._shapes_of(each) for each in dict.fromkeys(chassis)}
@@ -168,7 +171,7 @@ class WheelsEngine:
                 body, [0, 1], api.VELOCITY_CONTROL, targetVelocities=speeds, forces=force, physicsClientId=client
             )
         # A body that slides drives on faster than its wheels turn.
-        fastest = max(float(np.abs(twists[:, 0]).max(initial=0.0)), self._fastest_m_s)
+        fastest = max(float(np.abs(twists[:, 0]).max(initial=self._movers_m_s)), self._fastest_m_s)
         near = self.referee.look_ahead(self.pose, fastest * self._dt_s)
         self._client.step(self._bodies, near, self.referee.path)
         self.referee.judge()
@@ -180,6 +183,10 @@ class WheelsEngine:
             self.pose[row] = at[0], at[1], heading
             self._fastest_m_s = max(self._fastest_m_s, math.hypot(linear[0], linear[1]))
             self.twist[row] = linear[0] * math.cos(heading) + linear[1] * math.sin(heading), angular[2]
+
+    def place_movers(self, places: Array) -> None:
+        """Put the movers there before the next step."""
+        place_movers(self._client, self._solid, self.referee, places)
 
     def close(self) -> None:
         """End the physics server."""

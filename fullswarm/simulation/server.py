@@ -180,6 +180,7 @@ class WorldServer:
         x, y, heading = world.sensed_pose[row].tolist()
         odometry_x, odometry_y, odometry_heading = world.odometry[row].tolist()
         v, w = world.twist[row].tolist()
+        seen = world.seen_bodies(row, peer.sensing_m)
         return protocol.BodyReading(
             robot=robot,
             session=peer.session,
@@ -189,7 +190,8 @@ class WorldServer:
             twist=(v, w),
             contacts=int(world.contacts[row]),
             hazards=int(world.hazards[row]),
-            obstacles=protocol.pack_obstacles(world.sensed_obstacles(row, peer.sensing_m)),
+            obstacles=protocol.pack_rows(world.sensed_obstacles(row, peer.sensing_m)),
+            bodies=None if seen is None else protocol.pack_rows(seen),
         )
 
     def close(self) -> None:

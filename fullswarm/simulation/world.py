@@ -19,7 +19,9 @@ from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.kernels import Array, kernel
 from fullswarm.simulation.engine import make_engine
-from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
+from fullswarm.simulation.movers import Movers
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles
+from fullswarm.simulation.sight import look
 from fullswarm.simulation.starts import fill_starts
 
 BUMP_BIT = int(Hazard.BUMP)  # as a number that a compiled kernel can hold
@@ -41,6 +43,8 @@ class World:
     radius_m : (n,) of the bodies, which their drivers may state otherwise
     bodies, descriptions : the settings of each body, and what its driver states
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
+    shapes : (k + m, 8) the same with trigonometry, then the movers where they are
+    movers : bodies that no robot's agent commands
     watchers : called after each step
 
     Raises
@@ -79,7 +83,11 @@ class World:
         self.target, self.drive = np.zeros((n, 2)), np.zeros((n, 2))
         self.commanded_s = np.full(n, -math.inf)
         self.limits = np.array([body_limits(body) for body in self.bodies], float).reshape(n, 4)
-        self.shapes = with_trigonometry(self.obstacles)
+        self.movers = Movers(config.movers)
+        self.shapes = self.referee.solids.obstacles
+        self._discs = np.zeros((n + len(self.movers), 3))
+        self._discs[:n, 2], self._discs[n:] = self.radius_m, self.movers.bodies()
+        self._sight_rng = np.random.default_rng((config.seed, 1))
         self._rng = np.random.default_rng(config.seed)
         self._sigma = np.array([config.noise.position_m, config.noise.position_m, config.noise.heading_rad])
         self._steps = 0
@@ -130,6 +138,9 @@ class World:
             self.config.watchdog_s,
             self.dt_s,
         )
+        if len(self.movers):
+            self.movers.set_time((self._steps + 1) * self.dt_s)
+            self.engine.place_movers(self.movers.place)
         self.engine.step(self.drive)
         self._steps += 1
         dead_reckon.run(self.odometry, self.twist, self.dt_s)
@@ -156,6 +167,33 @@ class World:
         seen = np.zeros(len(self.obstacles), np.bool_)
         sense(self.pose[row : row + 1], self.shapes, radius_m, seen)
         return self.obstacles[seen]
+
+    def seen_bodies(self, row: int | None, range_m: float) -> Array | None:
+        """Return the bodies that robot `row` sees, (k, 3): x, y, radius in m; None: the movers that any robot sees.
+
+        A fleet that carries all robots knows where they are without seeing them. Returns None if robots see no bodies.
+        """
+        sight, n = self.config.sight, len(self.ids)
+        if not sight.bodies:
+            return None
+        bodies = self._discs
+        bodies[:n, :2], bodies[n:, :2] = self.pose[:, :2], self.movers.place
+        seen = np.zeros(len(bodies), np.bool_)
+        if row is None:
+            marks = np.zeros(len(bodies), np.bool_)
+            for eye, (x, y, _) in enumerate(self.pose.tolist()):
+                if look.run(x, y, eye, bodies, self.shapes, len(self.obstacles), range_m, marks):
+                    seen |= marks
+            seen[:n] = False
+        else:
+            x, y, _ = self.pose[row].tolist()
+            look.run(x, y, row, bodies, self.shapes, len(self.obstacles), range_m, seen)
+        if sight.dropout > 0.0:
+            seen &= self._sight_rng.random(len(seen)) >= sight.dropout
+        found = bodies[seen]
+        if sight.noise_m > 0.0:
+            found[:, :2] += self._sight_rng.normal(0.0, sight.noise_m, (len(found), 2))
+        return found
 
     def close(self) -> None:
         """Release the physics. Closing twice is fine."""
@@ -222,9 +260,9 @@ def front_bumps(pose: Array, pairs: NDArray[np.int64], obstacles: Array, hazards
 
 @kernel
 def sense(pose: Array, obstacles: Array, radius: float, seen: NDArray[np.bool_]) -> int:
-    """Mark in `seen` (k,) the obstacles whose surface is within `radius` of any pose; return how many changed."""
+    """Mark in `seen` (k,) which of the first k obstacles are within `radius` of any pose; return how many changed."""
     changed = 0
-    for k in range(obstacles.shape[0]):
+    for k in range(seen.shape[0]):
         near = False
         far = obstacles[k, 7] + radius
         for i in range(pose.shape[0]):

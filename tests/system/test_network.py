@@ -94,7 +94,7 @@ def test_robots_that_do_not_receive_each_other_pass() -> None:
     """A cut link between two robots, real processes: the core relays their states, and they swap places untouched."""
     places, touched = [[6.0, 10.0], [10.0, 10.0]], 0
     fleet = {
-        "world": {"engine": "kinematic", "bounds_m": [0, 0, 16, 20]},
+        "world": {"engine": "kinematic", "bounds_m": [0, 0, 16, 20], "sight": {"bodies": False}},
         "robot": [{"id": "r0", "pose": [*places[0], 0.0]}, {"id": "r1", "pose": [*places[1], math.pi]}],
         "network": {"conditions": "partition=r0|r1"},
     }

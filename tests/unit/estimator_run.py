@@ -72,6 +72,11 @@ class Run:
         seen = np.array(truth) + off + self.rng.normal(0.0, [FIX_M, FIX_M, FIX_RAD])
         return self.estimator.take(0, Fix(at_s, Pose(seen[0], seen[1], wrap(seen[2])), FIX_M, FIX_RAD)).verdict
 
+    def find(self) -> None:
+        """Take so many fixes that the first ones are believed."""
+        while self.fix() is not Verdict.ACCEPTED:
+            pass
+
     def error(self) -> np.ndarray:
         error = np.array(self.pose) - self.truth
         error[2] = wrap(error[2])

@@ -16,6 +16,7 @@ from fullswarm.agent.motion.coordination import (
     Coordinator,
     Crowd,
     Lines,
+    Motion,
     coordinate,
     least_violation,
     nearest,
@@ -57,8 +58,9 @@ def test_two_that_keep_to_their_halves_stay_apart_for_the_horizon(seed: int) -> 
     angle, distance_m = rng.uniform(-math.pi, math.pi), both_m + rng.uniform(0.001, 2.0)
     offset = distance_m * np.array([math.cos(angle), math.sin(angle)])
     vx, vy, other_vx, other_vy = rng.uniform(-TOP, TOP, 4).tolist()
-    *first, limit = reciprocal(*offset, vx, vy, other_vx, other_vy, both_m, HORIZON_S, PERIOD_S, 0.5)
-    *second, other_limit = reciprocal(*-offset, other_vx, other_vy, vx, vy, both_m, HORIZON_S, PERIOD_S, 0.5)
+    dx, dy = offset.tolist()
+    *first, limit = reciprocal(dx, dy, vx, vy, other_vx, other_vy, both_m, HORIZON_S, PERIOD_S, 0.5)
+    *second, other_limit = reciprocal(-dx, -dy, other_vx, other_vy, vx, vy, both_m, HORIZON_S, PERIOD_S, 0.5)
     relative = inside(rng, np.array(second), other_limit) - inside(rng, np.array(first), limit)
     times = np.linspace(0.0, HORIZON_S, 400)
     apart = np.linalg.norm(offset + times[:, None] * relative, axis=1)
@@ -72,7 +74,8 @@ def test_two_that_overlap_part_in_the_time_given(seed: int) -> None:
     angle, distance_m = rng.uniform(-math.pi, math.pi), rng.uniform(0.05, 0.39)
     offset = distance_m * np.array([math.cos(angle), math.sin(angle)])
     velocity, other = rng.uniform(-TOP, TOP, (2, 2))
-    *normal, limit = reciprocal(*offset, *velocity, *other, 0.4, HORIZON_S, 1.0, 1.0)
+    (dx, dy), (vx, vy), (other_vx, other_vy) = offset.tolist(), velocity.tolist(), other.tolist()
+    *normal, limit = reciprocal(dx, dy, vx, vy, other_vx, other_vy, 0.4, HORIZON_S, 1.0, 1.0)
     # The whole share: the other keeps its velocity, and one on the border just parts from it.
     border = velocity + (limit - velocity @ normal) * np.array(normal)
     assert np.linalg.norm(offset + (other - border) * 1.0) == pytest.approx(0.4, abs=1e-6)
@@ -98,7 +101,8 @@ def test_the_velocity_found_is_allowed_and_none_is_nearer(seed: int, count: int)
     rng = np.random.default_rng(seed)
     normals, limits = half_planes(rng, count, -0.1, 0.5)
     aim = rng.uniform(-TOP, TOP, 2)
-    x, y, fulfilled = nearest(count, *normals.T.copy(), limits, TOP, *aim.tolist(), False)
+    normal_x, normal_y = normals.T.copy()
+    x, y, fulfilled = nearest(count, normal_x, normal_y, limits, TOP, float(aim[0]), float(aim[1]), False)
     others = disc()
     allowed = others[(others @ normals.T <= limits + 1e-9).all(axis=1)]
     if fulfilled < count:
@@ -146,7 +150,7 @@ class Meeting:
     def desired(self, x: float, y: float, speed: float = TOP) -> Array:
         desired = np.array([[x, y]])
         self.coordinator.apply(desired, np.zeros((1, 3)), np.array([[speed, 0.0]]), self.near)
-        return desired[0]
+        return np.array(desired[0])
 
 
 def test_one_that_comes_towards_is_passed_and_one_behind_is_ignored() -> None:
@@ -177,8 +181,8 @@ def test_plain_and_compiled_agree_in_any_crowd(seed: int, count: int) -> None:
     other, top = desired.copy(), max(TOP, float(np.hypot(*desired[0])))
     pose, twist = np.array([[0.0, 0.0, rng.uniform(-3.0, 3.0)]]), np.array([[rng.uniform(-TOP, TOP), 0.0]])
     meeting.coordinator.apply(desired, pose, twist, meeting.near)
-    rules, lines = meeting.coordinator._rules, Lines(*np.zeros((len(Lines._fields), MAX_LINES)))  # noqa: SLF001
-    coordinate.plain(rules, meeting.crowd, meeting.near, lines, other, pose, twist)
+    rules, lines = meeting.coordinator._rules, Lines(*np.zeros((len(Lines._fields), MAX_LINES)))
+    coordinate.plain(rules, meeting.crowd, meeting.near, lines, Motion(other, pose, twist))
     assert desired == pytest.approx(other, abs=1e-9)
     assert np.hypot(*desired[0]) <= top + 1e-6
 

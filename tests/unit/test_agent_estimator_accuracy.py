@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator, Estimator
 from fullswarm.agent.pose.pose_filter import Fix, Verdict
 from fullswarm.drivers.base import Pose
-from tests.unit.estimator_run import FIX_M, MAKES, TICK_S, Run, both, reading
+from tests.unit.estimator_run import CONFIG, FIX_M, MAKES, TICK_S, Run, both, reading
 
 
 def covariance(estimator: Estimator) -> np.ndarray:
@@ -77,7 +77,8 @@ def test_a_fix_between_two_readings_counts_for_its_own_moment(make: Callable[[],
         estimator = make()
         for tick in range(1, 51):
             estimator.update(reading(tick * TICK_S, [0.5 * tick * TICK_S, 0.0, 0.0], (0.5, 0.0)), TICK_S)
-        estimator.take(0, Fix(at_s, Pose(3.0 + 0.5 * at_s, 1.0, 0.0), 0.001, 0.001))
+        for _ in range(CONFIG.fix_first_count):
+            estimator.take(0, Fix(at_s, Pose(3.0 + 0.5 * at_s, 1.0, 0.0), 0.001, 0.001))
         pose = estimator.update(reading(1.02, [0.51, 0.0, 0.0]), TICK_S)[0]
         assert pose == pytest.approx([3.51, 1.0, 0.0], abs=1e-3)
 

@@ -11,7 +11,7 @@ import pytest
 from fullswarm.agent.pose.estimator import DirectEstimator, Estimator
 from fullswarm.agent.pose.pose_filter import Fix, Verdict
 from fullswarm.drivers.base import Pose
-from tests.unit.estimator_run import FIX_M, FIX_RAD, MAKES, TICK_S, Run, both, reading
+from tests.unit.estimator_run import CONFIG, FIX_M, FIX_RAD, MAKES, TICK_S, Run, both, reading
 
 
 # ---------------------------------------------------------------- odometry alone
@@ -19,7 +19,10 @@ from tests.unit.estimator_run import FIX_M, FIX_RAD, MAKES, TICK_S, Run, both, r
 def test_before_the_first_fix_it_is_odometry_on_the_start_pose_and_then_the_fix(make: Callable[[], Estimator]) -> None:
     estimator = make()
     assert estimator.update(reading(1.0, [1.0, 0.5, 0.1]), TICK_S)[0] == pytest.approx([1.0, 0.5, 0.1])
-    assert estimator.take(0, Fix(1.0, Pose(7.0, 8.0, 2.0), 0.01, 0.01)).verdict is Verdict.ACCEPTED
+    verdicts = [
+        estimator.take(0, Fix(1.0, Pose(7.0, 8.0, 2.0), 0.01, 0.01)).verdict for _ in range(CONFIG.fix_first_count)
+    ]
+    assert verdicts == [Verdict.PENDING] * (CONFIG.fix_first_count - 1) + [Verdict.ACCEPTED]
     assert estimator.update(reading(1.0, [1.0, 0.5, 0.1]), TICK_S)[0] == pytest.approx([7.0, 8.0, 2.0])
 
 
@@ -28,7 +31,7 @@ def test_without_fixes_the_doubt_grows_as_the_error_does(make: Callable[[], Esti
     ratios = []
     for seed in range(20):
         run = Run(make(), seed)
-        run.fix()
+        run.find()
         sigmas = []
         for tick in range(500):
             run.tick()
@@ -65,7 +68,9 @@ def test_a_pose_that_a_driver_no_longer_senses_is_carried_on() -> None:
 def test_nobody_knows_where_a_robot_is_that_nobody_has_placed() -> None:
     estimator = DirectEstimator(np.zeros((1, 3)), placed=[False])
     assert estimator.known_sigma(0) == (-1.0, -1.0)
-    estimator.take(0, Fix(0.0, Pose(1.0, 1.0, 1.0), 0.01, 0.02))
+    for number in range(CONFIG.fix_first_count):
+        assert estimator.known_sigma(0) == (-1.0, -1.0)
+        estimator.take(0, Fix(0.01 * number, Pose(1.0, 1.0, 1.0), 0.01, 0.02))
     assert estimator.known_sigma(0) == pytest.approx((0.01, 0.02))
 
 
@@ -83,6 +88,8 @@ def test_a_heading_that_nobody_saw_is_found_by_the_way_that_the_robot_took() -> 
 def test_the_direct_estimator_keeps_its_own_heading_then() -> None:
     estimator = MAKES[0]()
     estimator.update(reading(1.0, [0.0, 0.0, 0.7]), TICK_S)
+    for _ in range(CONFIG.fix_first_count):
+        estimator.take(0, Fix(1.0, Pose(1.0, 2.0, 0.0), 0.01, math.pi))
     for x_m in (1.0, 1.01):
         assert estimator.take(0, Fix(1.0, Pose(x_m, 2.0, 0.0), 0.01, math.pi)).verdict is Verdict.ACCEPTED
     assert estimator.update(reading(1.0, [0.0, 0.0, 0.7]), TICK_S)[0] == pytest.approx([1.01, 2.0, 0.7])

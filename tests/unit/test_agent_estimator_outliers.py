@@ -21,7 +21,7 @@ from tests.unit.estimator_run import CONFIG, TICK_S, Run, both, reading
 @given(seed=st.integers(0, 2**32 - 1))
 def test_outliers_do_not_move_it(make: Callable[[], Estimator], seed: int) -> None:
     run = Run(make(), seed)
-    run.fix()
+    run.find()
     verdicts: list[Verdict] = []
     for tick in range(1, 201):
         run.tick()
@@ -39,6 +39,7 @@ def test_outliers_do_not_move_it(make: Callable[[], Estimator], seed: int) -> No
 @both
 def test_a_robot_that_was_carried_is_found_after_enough_fixes_that_agree(make: Callable[[], Estimator]) -> None:
     run = Run(make(), 5, speed_m_s=0.0)
+    run.find()
     for _ in range(50):
         run.tick()
         assert run.fix() is Verdict.ACCEPTED
@@ -58,7 +59,7 @@ def test_a_robot_that_was_carried_is_found_after_enough_fixes_that_agree(make: C
 @both
 def test_it_takes_a_number_of_fixes_too_not_only_a_time(make: Callable[[], Estimator]) -> None:
     run = Run(make(), 6, speed_m_s=0.0)
-    run.fix()
+    run.find()
     run.truth = [5.0, 5.0, -1.0]
     verdicts = []
     for _ in range(CONFIG.fix_reanchor_count):
@@ -71,7 +72,7 @@ def test_it_takes_a_number_of_fixes_too_not_only_a_time(make: Callable[[], Estim
 @both
 def test_fixes_that_disagree_with_each_other_never_win(make: Callable[[], Estimator]) -> None:
     run = Run(make(), 7, speed_m_s=0.0)
-    run.fix()
+    run.find()
     for number in range(60):
         run.tick()
         assert run.fix(off=(3.0, 3.0 if number % 2 else -3.0, 0.0)) is Verdict.OUTLIER
@@ -104,3 +105,36 @@ def test_it_stays_with_a_robot_whose_wheels_slip_or_that_is_pushed(
         assert worst_m < 0.03 + 0.5 * TICK_S * rate_ticks
     else:
         assert worst_m < 0.7
+
+
+# ---------------------------------------------------------------- the first fixes
+@both
+def test_one_wrong_first_fix_is_not_believed_and_does_not_keep_out_true_ones(make: Callable[[], Estimator]) -> None:
+    run = Run(make(), 8, speed_m_s=0.0)  # put 2 m from where the file says
+    assert run.fix(off=(2.0, 0.0, 0.0)) is Verdict.PENDING
+    assert run.tick() == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    verdicts = [run.fix() for _ in range(CONFIG.fix_first_count)]
+    assert verdicts == [Verdict.PENDING] * (CONFIG.fix_first_count - 1) + [Verdict.ACCEPTED]
+    run.tick()
+    assert run.error_m() < 0.1
+
+
+@both
+def test_a_first_fix_that_fits_the_start_pose_counts_at_once(make: Callable[[], Estimator]) -> None:
+    run = Run(make(), 9, speed_m_s=0.0)
+    run.truth, run.past = [0.1, -0.1, 0.05], [(run.now_s, [0.1, -0.1, 0.05])]
+    assert run.fix() is Verdict.ACCEPTED
+
+
+@both
+def test_a_wrong_first_cluster_is_left_again(make: Callable[[], Estimator]) -> None:
+    run = Run(make(), 10, speed_m_s=0.0)
+    for _ in range(CONFIG.fix_first_count):
+        last = run.fix(off=(4.0, 1.0, 0.0))
+    assert last is Verdict.ACCEPTED
+    began_s = run.now_s
+    while run.fix() is not Verdict.REANCHORED:
+        run.tick()
+    run.tick()
+    assert run.error_m() < 0.1
+    assert run.now_s - began_s < CONFIG.fix_reanchor_s + 0.2

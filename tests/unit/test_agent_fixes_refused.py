@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fullswarm.drivers.null.driver import LIMITS
 from tests.unit import fix_lab
-from tests.unit.fix_lab import START, Lab, seen
+from tests.unit.fix_lab import START, TIMEOUT_S, Lab, seen
 
 lab = fix_lab.lab
 
@@ -140,3 +140,22 @@ def test_whatever_is_sent_the_pose_stays_a_pose(numbers: list[tuple[float, ...]]
             assert -math.pi <= lab.pose[2] <= math.pi
     finally:
         lab.agent.close()
+
+
+def test_a_robot_does_not_drive_while_its_first_fixes_contradict_its_start_pose() -> None:
+    lab = Lab()
+    assert not lab.agent.reflexes.pose_uncertain[0]
+    lab.say(x_m=5.0)
+    lab.run(0.1)
+    assert lab.agent.reflexes.pose_uncertain[0], "one of both is wrong"
+    for _ in range(3):
+        lab.say()
+    lab.run(0.1)
+    assert not lab.agent.reflexes.pose_uncertain[0]
+
+
+def test_a_single_contradiction_does_not_bar_a_robot_for_ever() -> None:
+    lab = Lab()
+    lab.say(x_m=5.0)
+    lab.run(TIMEOUT_S + 0.3)
+    assert not lab.agent.reflexes.pose_uncertain[0]

@@ -17,6 +17,7 @@ from fullswarm import kernels
 from fullswarm.agent.behaviours import voronoi_coverage
 from fullswarm.agent.motion.robot_controller import decide
 from fullswarm.agent.neighbours import estimates
+from fullswarm.agent.neighbours.objects import no_objects
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.dead_time import Underway
 from fullswarm.agent.safety.filter import Filtered, Measured, Requested, RobotParams, Tuning, guard
@@ -125,6 +126,8 @@ def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
     start, other = np.zeros(count + 1, np.int64), np.zeros(count * count, np.int64)
     estimates.all_pairs(places, np.arange(count), places, count, 3.0, start, other)
     twists, deviation, zeros = np.zeros((count, 2)), np.zeros((count, 4)), np.zeros(count)
+    moving = no_objects()
+    moving.rows[0], moving.used[0], moving.limits[:] = (1.0, 1.0, 0.5, 0.5, 0.3, 0.1), 1, (2.0, 2.0)
     run(
         Tuning(period_s=0.02, reach_m=3.0, speed_gain=1.0, turn_gain_per_s=3.0),
         RobotParams(*(np.full(count, each) for each in (0.17, 0.5, -0.5, 4.0, 2.0, 20.0, 0.0, 0.0, 0.0))),
@@ -132,6 +135,7 @@ def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
         Requested(rng.uniform(-1, 1, (count, 2)), np.ones(count, bool), np.full(count, 2.0), np.full(count, 0.03)),
         estimates.Nearby(start, other, places, heard, zeros, zeros, zeros),
         barrier.Arena(np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0])),
+        moving,
         Filtered(twists, deviation, np.zeros(count, np.int64)),
         barrier.HalfPlanes(*np.empty((5, barrier.MAX_ROWS))),
         Measured(pose, np.zeros((count, 2)), zeros, np.zeros((count, 2))), 0.0, 0.02,

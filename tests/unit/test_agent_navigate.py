@@ -57,18 +57,6 @@ def test_a_robot_too_close_to_a_box_first_gets_away() -> None:
     assert velocity[0] < 0.0
 
 
-@given(st.floats(0.5, 9.5), st.floats(0.5, 9.5))
-def test_the_next_waypoint_is_seen_in_a_straight_line(x: float, y: float) -> None:
-    field = navigate.build((8.0, 2.0), WALL, BOUNDS, 0.3)
-    to_x, to_y = navigate.waypoint(
-        x, y, field.x_min, field.y_min, field.cell_m, field.free, field.next_cell, field.distance_m, 8.0, 2.0, 6.0
-    )
-    row, column = int(y / field.cell_m), int(x / field.cell_m)
-    near = math.hypot(to_x - x, to_y - y) <= 2.0 * field.cell_m * math.sqrt(2.0)
-    if field.free[row, column] and not near:
-        assert navigate.sees(x, y, to_x, to_y, field.x_min, field.y_min, field.cell_m, field.free)
-
-
 # ---------------------------------------------------------------- what is known
 BOXES = np.array([[2.0, 2.0, 0.5, 0.5, 0.0, 0.0], [8.0, 8.0, 0.5, 0.5, 0.0, 0.0]])
 

@@ -23,11 +23,11 @@ DATABASE: dict[str, Any] = {"agent/safety_margin_m": 0.03, "world/bounds": [[0.0
 
 def test_the_file_holds_what_the_paper_names_each_with_its_filtered_twin() -> None:
     plain = {"move_to_goal", "navigate", "flocking", "rendezvous", "formation", "voronoi_coverage", "drive"}
-    plain |= {"formation_assigned"}
+    plain |= {"formation_assigned", "navigate_each"}
     plain |= {"voronoi_centralised", "teleop_centroid"} | {
         f"move_{way}" for way in ("forward", "backward", "left", "right")
     }
-    assert set(RECORDS) == plain | {f"{name}_bc" for name in plain} | {"stop"}
+    assert set(RECORDS) == plain | {f"{name}_bc" for name in plain} | {"stop", "paper_bc"}
     for name in plain:
         base, filtered = RECORDS[name], RECORDS[f"{name}_bc"]
         assert filtered.filtered

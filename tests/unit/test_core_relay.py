@@ -24,6 +24,7 @@ from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys()
 CUT = "partition=r0|r1"
+BLIND = {"bodies": False}  # or the robots would see each other
 CREATE = {"speed_limit_m_s": 0.5, "turn_limit_rad_s": 4.25, "accel_limit_m_s2": 2.0}
 PAPER = {"speed_limit_m_s": 4.0, "turn_limit_rad_s": 0.785, "accel_limit_m_s2": 8.0}
 
@@ -36,7 +37,7 @@ class Meeting:
         self.lockstep = Lockstep(
             SwarmConfig.model_validate(
                 {
-                    "world": {"engine": "kinematic", "bounds_m": [0, 0, 20, 20], **limits},
+                    "world": {"engine": "kinematic", "bounds_m": [0, 0, 20, 20], "sight": BLIND, **limits},
                     "robot": [{"id": f"r{row}", "pose": place} for row, place in enumerate(places)],
                     "network": {"conditions": conditions},
                 }

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.bus.local import LocalBus
 from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.evaluate.witness import ReportedWitness, WorldWitness
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, RobotHealth, RobotStates
+from fullswarm.messages import HealthReport, PoseFix, RobotHealth, RobotStates
 from fullswarm.runtime import Mailbox
 from fullswarm.simulation.world import World
 
@@ -23,10 +24,12 @@ class Robots:
     """Say where they are and what they touch."""
 
     def __init__(self) -> None:
-        self.mailbox = Mailbox()
+        self.mailbox, self.now_s = Mailbox(), 0.0
         self.bus = LocalBus(self.mailbox)
         self.witness = ReportedWitness(
-            self.bus, SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS]})
+            self.bus,
+            SwarmConfig.model_validate({"robot": [{"id": robot} for robot in ROBOTS], "world": {"walls": False}}),
+            lambda: self.now_s,
         )
 
     def stand(self, robot: str, x_m: float, y_m: float) -> None:
@@ -35,6 +38,14 @@ class Robots:
             speed_m_s=(0.0,), turn_rad_s=(0.0,), radius_m=(0.2,),
         )  # fmt: skip
         self.bus.publish(Keys().state("0_0", robot), states)
+        self.mailbox.drain()
+
+    def fix(self, robot: str, x_m: float, y_m: float) -> None:
+        fix = PoseFix(
+            robot=robot, x_m=x_m, y_m=y_m, heading_rad=0.0, position_sigma_m=0.001, heading_sigma_rad=0.01,
+            source="camera", stamp_s=self.now_s,
+        )  # fmt: skip
+        self.bus.publish(Keys().pose_fix(robot), fix)
         self.mailbox.drain()
 
     def report(self, robot: str, collisions: int, contacts: int = 0) -> None:
@@ -163,5 +174,69 @@ def test_contacts_and_commands_above_the_limits_of_a_world(emulated: bool) -> No
         assert obstacle_events.tolist() == [0, 0]
         assert witness.touched().all()
         assert (witness.tally().above_limits > 0) is not emulated
+    finally:
+        world.close()
+
+
+def pass_by(robots: Robots, aside_m: float, fixes: bool = False) -> None:
+    """Let two robots pass each other along x, at 1 m/s each, and report 20 times a second."""
+    robots.witness.begin()
+    for step in range(41):
+        x_m = 1.0 - 0.05 * step
+        for robot, x, y in (("a", x_m, 0.0), ("b", -x_m, aside_m), ("c", 5.0, 5.0)):
+            if fixes:
+                robots.fix(robot, x, y)
+                y += 9.0  # a robot that is lost says otherwise
+            robots.stand(robot, x, y)
+        robots.now_s += 0.05
+        robots.witness.sample()
+
+
+def test_a_pass_of_real_robots_is_judged_by_the_referee_between_their_reports(robots: Robots) -> None:
+    pass_by(robots, 0.41)
+    assert robots.witness.source == "reported"
+    assert not robots.witness.tally().robot_events.any()
+    nearest = robots.witness.nearest()["separation.min_m"]
+    assert nearest.who == ("a", "b")
+    assert nearest.value == pytest.approx(0.41 - 0.4, abs=1e-3)
+    assert nearest.at_s == pytest.approx(1.0, abs=0.1)
+    assert 0.0 < robots.witness.values()["time_to_contact.min_s"] < 0.3
+
+
+def test_an_overlap_of_reported_poses_counts_although_no_bumper_was_pressed(robots: Robots) -> None:
+    pass_by(robots, 0.39)
+    tally = robots.witness.tally()
+    assert tally.robot_events.tolist() == [1, 1, 0]
+    assert (tally.pairs_touched, tally.robots_touched) == (1, 2)
+    assert robots.witness.evidence().has_contact
+
+
+def test_fixes_count_more_than_what_robots_say(robots: Robots) -> None:
+    pass_by(robots, 0.39, fixes=True)
+    assert robots.witness.source == "fixes"
+    assert robots.witness.tally().robot_events.tolist() == [1, 1, 0]
+    assert robots.witness.evidence().source == "fixes"
+
+
+def test_what_came_nearest_is_named_with_walls_and_boxes() -> None:
+    config = WorldConfig.model_validate(
+        {"engine": "kinematic", "bounds_m": (0.0, 0.0, 4.0, 4.0), "boxes": [(3.0, 3.0, 0.4, 0.4, 0.3)]}
+    )
+    world = World(config, ["a", "b"], [(0.5, 1.0, 0.0), (2.0, 3.0, 0.0)])
+    try:
+        witness = WorldWitness(world, np.full((2, 2), 2.0), 0.5, 0.1)
+        witness.begin()
+        for _ in range(60):
+            world.set_twists(np.array([[-0.1, 0.0], [0.3, 0.0]]))
+            world.step()
+            witness.sample()
+        nearest = witness.nearest()
+        assert nearest["clearance.min_m"].who == ("a", "west wall")
+        assert nearest["clearance.min_m"].value == pytest.approx(world.pose[0, 0] - 0.17)
+        soonest = nearest["time_to_contact.min_s"]
+        assert soonest.who == ("b", "box 0")
+        gap_m = box_gap(world.pose[1, 0], world.pose[1, 1], world.obstacles, 0)[0] - 0.17
+        assert soonest.value == pytest.approx(gap_m / 0.3, rel=0.05)  # it drives at it, not along a side
+        assert witness.per_robot()["clearance.gap_m"]["b"] == pytest.approx(gap_m, abs=1e-6)
     finally:
         world.close()

@@ -26,6 +26,7 @@ def test_every_option_arrives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     monkeypatch.setattr(experiment, "run", run)
     words = f"run paper --seeds 0-3 --cells robots=4 --cells empty --small --jobs 3 --trial-timeout 9 --out {tmp_path}"
     more = "--json --engine kinematic --shard 2/5 --retries 0 --live --emulate create --fleet x.toml --yes"
+    more += " --evidence never"
     code, _ = call(*words.split(), *more.split())
     assert code == 7
     assert asked == [
@@ -45,6 +46,7 @@ def test_every_option_arrives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
             emulate="create",
             fleet=Path("x.toml"),
             yes=True,
+            evidence="never",
         )
     ]
 
@@ -57,8 +59,8 @@ def test_one_trial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         return 0
 
     monkeypatch.setattr(experiment, "run_again", run)
-    assert call("trial", "a/trial.toml", "--out", str(tmp_path), "--json") == (0, "")
-    assert asked == [(Path("a/trial.toml"), tmp_path, True)]
+    assert call("trial", "a/trial.toml", "--out", str(tmp_path), "--json", "--evidence", "always") == (0, "")
+    assert asked == [(Path("a/trial.toml"), tmp_path, True, "always")]
 
 
 @pytest.mark.parametrize(
@@ -67,6 +69,7 @@ def test_one_trial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         ("run papre", "did you mean 'paper'"),
         ("run paper --engine kinematik", "did you mean 'kinematic'"),
         ("run paper --shard 5/4", "write 1/4"),
+        ("run paper --evidence allways", "did you mean 'always'"),
         ("run paper --live --dask local", "choose one of --dask, --live"),
         ("run paper --emulate create", "--emulate: it needs --live"),
         ("trial nowhere.toml", "nowhere.toml: cannot read the trial"),

@@ -18,7 +18,7 @@ from fullswarm.evaluate.experiment.run import Options, run
 from fullswarm.evaluate.lockstep_swarm import run_trial, widened
 from fullswarm.evaluate.results.folder import read_records
 from fullswarm.evaluate.trial_folder import RESULT_FILE, TRIALS
-from fullswarm.evaluate.witness import Referee, in_safe_set
+from fullswarm.evaluate.witness import Referee, Standard, in_safe_set
 from fullswarm.simulation.world import World
 from tests.unit.experiment_work import answer, misbehave
 
@@ -43,6 +43,10 @@ def world(*poses: tuple[float, float, float], **changes: object) -> World:
     return World(config, [f"r{row}" for row in range(len(poses))], np.array(poses))
 
 
+def referee_of(body: World) -> Referee:
+    return Referee(body, Standard.of_world(body, body.pose[:, :2].copy(), 0.5))
+
+
 def drive(body: World, referee: Referee, steps: int, twists: list[list[float]]) -> None:
     for _ in range(steps):
         body.set_twists(np.array(twists))
@@ -52,7 +56,7 @@ def drive(body: World, referee: Referee, steps: int, twists: list[list[float]]) 
 
 def test_a_meeting_counts_once_for_each_robot() -> None:
     body = world((1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
-    referee = Referee(body, [each.limits for each in body.descriptions])
+    referee = referee_of(body)
     drive(body, referee, 250, [[0.5, 0.0], [0.5, 0.0]])
     assert referee.robots.events.tolist() == [1, 1]
     assert referee.obstacles.events.tolist() == [0, 0]
@@ -60,7 +64,7 @@ def test_a_meeting_counts_once_for_each_robot() -> None:
 
 def test_parting_and_meeting_again_counts_again() -> None:
     body = world((1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
-    referee = Referee(body, [each.limits for each in body.descriptions])
+    referee = referee_of(body)
     drive(body, referee, 150, [[0.5, 0.0], [0.5, 0.0]])
     drive(body, referee, 60, [[-0.3, 0.0], [0.0, 0.0]])
     drive(body, referee, 60, [[0.5, 0.0], [0.0, 0.0]])
@@ -69,7 +73,7 @@ def test_parting_and_meeting_again_counts_again() -> None:
 
 def test_walls_and_boxes_count_apart() -> None:
     body = world((1.0, 1.0, 0.0), (1.0, 3.0, 0.0), boxes=[(2.0, 1.0, 0.5, 0.5, 0.0)])
-    referee = Referee(body, [each.limits for each in body.descriptions])
+    referee = referee_of(body)
     drive(body, referee, 400, [[0.5, 0.0], [0.5, 0.0]])
     assert referee.robots.events.tolist() == [0, 0]
     assert referee.obstacles.events.tolist() == [1, 1]
@@ -80,7 +84,7 @@ def test_commands_above_the_limits_are_seen() -> None:
     limits = body.descriptions[0].limits
     for row in range(2):
         body.set_limits(row, widened(limits))
-    referee = Referee(body, [limits, limits])
+    referee = referee_of(body)
     drive(body, referee, 3, [[limits.speed_m_s, -limits.turn_rad_s], [0.0, 0.0]])
     assert referee.above_limits == 0
     drive(body, referee, 2, [[limits.speed_m_s + 1e-3, 0.0], [0.0, limits.turn_rad_s + 1e-3]])

@@ -69,10 +69,10 @@ def test_another_version_or_field_is_refused() -> None:
 
 def test_obstacles_come_back() -> None:
     rows = np.arange(18.0).reshape(3, 6)
-    assert protocol.unpack_obstacles(protocol.pack_obstacles(rows)).tolist() == rows.tolist()
-    assert protocol.unpack_obstacles(b"").shape == (0, 6)
+    assert protocol.unpack_rows(protocol.pack_rows(rows), 6).tolist() == rows.tolist()
+    assert protocol.unpack_rows(b"", 6).shape == (0, 6)
     with pytest.raises(MessageError):
-        protocol.unpack_obstacles(b"12345")
+        protocol.unpack_rows(b"12345", 6)
 
 
 def test_urls() -> None:

@@ -25,8 +25,12 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "formation": {"target": [1.0, 2.0], "gain": 1.0},
     "voronoi_coverage": {"gain": 1.0, "hearing_m": 30.0, "reach_m": 30.0},
     "navigate": {"goal": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "map": "shared"},
+    "navigate_each": {"target": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "map": "shared"},
     "move": {"magnitude": 0.5, "speed_m_s": 0.5, "direction": [0.0, 1.0]},
     "drive": {"linear": 0.3, "angular": -0.4, "speed_m_s": 0.5, "turn_rad_s": 2.0},
+    "paper_bc": {
+        "goal": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "safety_margin_m": 0.03, "barrier_gain_per_s": 2.0,
+    },
     "stop": {},
 }  # fmt: skip
 

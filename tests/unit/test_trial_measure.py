@@ -163,16 +163,16 @@ def test_an_outsider_counts_the_same_contacts_from_what_is_stored(cell: str, lim
     engine = "pybullet" if "pybullet" in cell else "kinematic"
     (one,) = plan(load_experiment("paper"), (2,), (cell,), engine=engine)
     found = measure(replace(one, time_limit_s=limit_s))
-    assert found.contacts is not None
-    save_arrays(found.contacts, tmp_path / "contacts.npz")
-    again, outcome = recounted(tmp_path / "contacts.npz"), found.outcome
+    assert found.evidence is not None
+    save_arrays(found.evidence, tmp_path / "evidence.npz")
+    again, outcome = recounted(tmp_path / "evidence.npz"), found.outcome
     assert outcome.pairs_touched is not None
     assert outcome.pairs_touched > 3
     assert outcome.robots_touched == found.truth["collisions.robots_touched"]
     for name in ("robot_events", "obstacle_events", "pairs_touched", "robots_touched"):
         assert again[name] == getattr(outcome, name), name
-    stored = found.contacts.closest_m
-    assert (stored <= found.contacts.touch_m).sum() == outcome.pairs_touched
+    stored = found.evidence.closest_m
+    assert (stored <= found.evidence.touch_m).sum() == outcome.pairs_touched
     near = again["closest"] < 0.05
     np.testing.assert_allclose(stored[near], again["closest"][near], atol=1e-3)
     # Ways within a step are taken as straight for pairs that are far from each other.
@@ -180,10 +180,14 @@ def test_an_outsider_counts_the_same_contacts_from_what_is_stored(cell: str, lim
     assert found.truth["separation.min_m"] == pytest.approx(float(stored.min()))
 
 
-def test_without_a_contact_the_closest_approaches_are_stored_alone() -> None:
-    contacts = measure(trial()).contacts
-    assert contacts is not None
-    assert contacts.xy.size == contacts.bend.size == 0
-    assert len(contacts.closest_m) == 8 * 7 // 2
-    assert contacts.closest_m.min() > contacts.touch_m
-    assert contacts.closest_s.max() <= 20.0
+def test_without_a_contact_the_closest_approaches_are_kept_alone_unless_all_is_asked_for() -> None:
+    evidence = measure(trial()).evidence
+    assert evidence is not None
+    assert not evidence.has_contact
+    assert len(evidence.xy) == len(evidence.command) > 100
+    assert evidence.kept("always") is evidence
+    less = evidence.kept("contacts")
+    assert less.xy.size == less.heading.size == less.command.size == less.bend.size == 0
+    assert len(less.closest_m) == 8 * 7 // 2
+    assert less.closest_m.min() > less.touch_m
+    assert less.closest_s.max() <= 20.0

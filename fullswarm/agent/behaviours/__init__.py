@@ -18,6 +18,9 @@ Files:
 ``move_to_goal.py``      Move to goal: a proportional control law (paper III.A.1)
 ``navigate.py``          Navigate: to a goal around the known obstacles, at which a proportional control law gets stuck
                          (paper IV.A, scenario 4)
+``navigate_each.py``     Navigate, each robot to its own target
+``paper_bc.py``          Move to goal behind the paper's own filter, which lets unicycles collide: for comparison, on
+                         simulated robots only
 ``rendezvous.py``        Rendezvous: meet at a common point (paper III.A.3)
 ``stop.py``              Stop: zero velocity
 ``voronoi_coverage.py``  Voronoi static coverage: Lloyd's law on exact bounded cells (paper III.A.5)

@@ -54,6 +54,14 @@ class Crowd(NamedTuple):
     speed_limit: Array
 
 
+class Motion(NamedTuple):
+    """Desired velocity (n, 2), in and out, m/s, NaN: none; pose (n, 3) and measured twist (n, 2)."""
+
+    desired: Array
+    pose: Array
+    twist: Array
+
+
 class Lines(NamedTuple):
     """Half-planes ``normal[k]·u <= limit[k]`` of one robot, and room for those of :func:`least_violation`."""
 
@@ -100,9 +108,8 @@ def on_line(
             return 0.0, 0.0, False
     along = -ny * aim_x + nx * aim_y
     if direction:
-        along = high if along > 0.0 else low
-    else:
-        along = low if along < low else (high if along > high else along)
+        along = math.copysign(math.inf, along)
+    along = low if along < low else min(high, along)
     return base_x - ny * along, base_y + nx * along, True
 
 
@@ -206,21 +213,18 @@ def reciprocal(
 
 
 @kernel
-def coordinate(
-    rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, desired: Array, pose: Array, twist: Array
-) -> None:
+def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: Motion) -> None:
     """Replace desired velocities (n, 2) by the nearest ones with which all pairs stay apart for the horizon.
 
     Parameters
     ----------
-    desired : in and out, m/s; NaN: the robot has none
-    pose, twist : (n, 3) m, m, rad; (n, 2) m/s, rad/s
     lines : room for one robot's half-planes
     """
     most_s, enlarged_m, share, period_s, reach_m = rules
     takes_part, radius, margin_m, speed_limit = crowd
     start, other, places, states, spread_m, _, _ = near
     normal_x, normal_y, limits, _, _, _ = lines
+    desired, pose, twist = motion
     for i in range(desired.shape[0]):
         aim_x = desired[i, 0]
         aim_y = desired[i, 1]
@@ -287,7 +291,7 @@ class Coordinator:
         # Plain Python reads lists and views faster than arrays.
         self._lines, self._listed = Lines(*scratch), Lines._make(scratch.tolist())
         self._near: Nearby | None = None
-        self._run: Callable[[Array, Array, Array], None]
+        self._run: Callable[[Motion], None]
 
     def apply(self, desired: Array, pose: Array, twist: Array, near: Nearby) -> None:
         """Replace desired velocities (n, 2) of robots that take part; see :func:`coordinate`."""
@@ -296,6 +300,5 @@ class Coordinator:
             self._near = near
             given = (views(self._crowd), views(near), self._listed) if plain else (self._crowd, near, self._lines)
             self._run = bound(partial(coordinate.run, self._rules, *given))
-        if plain:
-            desired, pose, twist = memoryview(desired), memoryview(pose), memoryview(twist)
-        self._run(desired, pose, twist)
+        motion = Motion(desired, pose, twist)
+        self._run(views(motion) if plain else motion)

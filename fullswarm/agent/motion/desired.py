@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 import structlog
 
 from fullswarm.agent.motion.coordination import Coordinator, Crowd
+from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
+from fullswarm.agent.neighbours.standing import Standing
 from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter
@@ -20,7 +23,7 @@ from fullswarm.agent.view import View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
 from fullswarm.kernels import sum_of
-from fullswarm.reasons import NONE, Code, reason
+from fullswarm.reasons import NONE, Code, Reason, reason
 
 log = structlog.get_logger()
 
@@ -33,27 +36,34 @@ class DesiredMotion:
     Attributes
     ----------
     law_error : the last failure of each robot's control law, false if it never failed
+    blocked : by robot, why its control law knows no way to where it is to drive
+    news : `blocked` has changed since this was last set to False
+    sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     """
 
     def __init__(
         self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
         neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
-        controller: RobotController,
+        controller: RobotController, evasion: Evasion,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
         self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
+        self._evasion = evasion
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
-        self._sees_obstacles = senses_obstacles
+        self.sees_obstacles = senses_obstacles
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
+        self._standing = Standing(neighbours)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
         self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.law_error = [NONE] * count
+        self.blocked: dict[int, Reason] = {}
+        self.news = False
 
     def near(self, now_s: float) -> Nearby:
         """Return which robots each one senses (``Neighbours.around``), of the last tick if asked then."""
@@ -69,6 +79,9 @@ class DesiredMotion:
         if self._filter.commands.any:
             self._filter.commands.update(self._state.setpoints, now_s)
         settings, tasks = self._config, self._tasks
+        if self.blocked:
+            for row in [row for row in self.blocked if not tasks.active[row]]:
+                del self.blocked[row]
         if not groups and not tasks.any_filtered:
             return
         pose, neighbours = self._state.pose, self._neighbours
@@ -76,12 +89,14 @@ class DesiredMotion:
         neighbours.set_time(now_s)
 
         self._planar.fill(math.nan)
+        self._state.aim.fill(math.nan)
         planar = False
         for group in groups:
             reach_m = group.hearing_m or settings.sensing_radius_m
             view = View(
                 position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
                 neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+                self._controller.speed_limit, neighbours.aims, tasks.margin_m, self._standing.around,
             )  # fmt: skip
             whole = len(group.rows) == len(position)
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
@@ -94,7 +109,9 @@ class DesiredMotion:
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         if planar and tasks.any_filtered:
             self._coordinator.apply(self._planar, pose, reading.twist, near)
-        obstacles = reading.obstacles if self._sees_obstacles else self._obstacle_map.given
+        obstacles = reading.obstacles if self.sees_obstacles else self._obstacle_map.given
+        if tasks.any_filtered and settings.evade:
+            self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
         if pose is not measured.pose or reading.twist is not measured.twist or reading.stamp_s is not measured.stamp_s:
             self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
@@ -120,7 +137,25 @@ class DesiredMotion:
         (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
+        if view.aim is not None:
+            self._state.aim[rows] = view.aim
+        if view.blocked or self.blocked:
+            self._note_blocked(group, view.blocked)
         return group.planar
+
+    def _note_blocked(self, group: Group, found: Mapping[int, Reason]) -> None:
+        """Keep and log which robots of a group know no way, and which know one again."""
+        for place, row in enumerate(group.rows.tolist()):
+            why, before = found.get(place, NONE), self.blocked.get(row, NONE)
+            if why == before:
+                continue
+            self.news, robot = True, self._neighbours.ids[row]
+            if why:
+                self.blocked[row] = why
+                log.warning("a robot stands: it knows no way to its goal", robot=robot, reason=why.text)
+            else:
+                del self.blocked[row]
+                log.info("a robot knows a way to its goal again", robot=robot)
 
     def _law_failed(self, group: Group, error: Exception) -> None:
         why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}")

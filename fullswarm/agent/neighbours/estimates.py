@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
-from fullswarm.kernels import Array, Index, bound, kernel, views
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
 from fullswarm.messages import RobotStates
 
@@ -45,7 +45,9 @@ class Received(NamedTuple):
 
     `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
     that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
-    `delay_s`: (m,) how old each was on its arrival.
+    `delay_s`: (m,) how old each was on its arrival. `confined` (m, 4): a disc (x, y, radius in m) that holds a silent
+    robot's centre, and the arrival of its last state; NaN for x: it is nowhere near. It counts while no newer state
+    arrives.
     """
 
     states: Array
@@ -53,6 +55,7 @@ class Received(NamedTuple):
     limits: Array
     sigma: Array
     delay_s: Array
+    confined: Array
 
 
 class Assumed(NamedTuple):
@@ -94,6 +97,7 @@ class Neighbours:
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
     limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
     teams : (m,) of which team each is, as received; 0: none
+    aims : (m, 2) m, where each says that it is driving to next, its own place: nowhere; NaN: it does not say
     arrival_s : (m,) when, on this machine's clock
     sigma : (m, 2) standard deviations (m, rad) of position and heading, as received; zero: not stated
     delay_s : (m,) how old each state was on its arrival
@@ -103,26 +107,31 @@ class Neighbours:
         fell silent stays in them until it is received again or its cell is not subscribed
     silent : how many of those there are
     names : (m,) ids of the robots
+    now_s : time of the last `set_time`
+    ids : (n,) ids of the own robots
     own_frame_host, own_frame_s : the host that last sent poses in a frame of its own, and when they were received
     """
 
     def __init__(self, ids: tuple[str, ...], timeout_s: float, assumed: Assumed = UNMOVED) -> None:
-        self._own, self._assumed = ids, assumed
+        self.ids, self._assumed = ids, assumed
         self._alone = ids if len(ids) == 1 else None
         self._timeout_s = timeout_s
         self._row_of: dict[str, int] = {}
         self._batch: tuple[tuple[str, ...], Index] | None = None
         self._place: Index | slice = slice(0, 0)  # the rows of the batch, as a slice where they are one
+        self._aimed = False  # some of the batch's rows hold an aim
         self._kept: object = None  # what seldom changes, while the batch's rows hold it
         self._newest: dict[str, tuple[int, float, float]] = {}  # by host: sequence, its clock, ours
-        self._now_s, self._stale = 0.0, True
+        self.now_s, self._stale = 0.0, True
         self.count = 0
         self.names: list[str] = []
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
         self.limits = np.zeros((0, 3))
+        self._confined = np.zeros((0, 4))
         self.teams = np.zeros(0, np.int64)
+        self.aims = np.zeros((0, 2))
         self.arrival_s = np.zeros(0)
         self.sigma = np.zeros((0, 2))
         self.delay_s = np.zeros(0)
@@ -167,6 +176,9 @@ class Neighbours:
         if kept == self._kept and math.isfinite(sum(map(sum, columns))):
             self.states[self._place] = table.T
             self.arrival_s[self._place] = now_s
+            if states.aim_x_m or self._aimed:
+                self.aims[self._place] = _aims(states).T
+                self._aimed = bool(states.aim_x_m)
             return
         self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
@@ -179,14 +191,16 @@ class Neighbours:
         if states.sigma_rad:
             sigma[1] = states.sigma_rad
         finite = np.isfinite(table.sum(axis=0))
+        aims, self._aimed = _aims(states), bool(states.aim_x_m)
         if finite.all():
             self._kept = kept
         else:
-            rows, table, teams = rows[finite], table[:, finite], teams[finite]
+            rows, table, teams, aims = rows[finite], table[:, finite], teams[finite], aims[:, finite]
             limits, sigma = limits[:, finite], sigma[:, finite]
         self.states[rows] = table.T
         self.limits[rows] = limits.T
         self.teams[rows] = teams
+        self.aims[rows] = aims.T
         self.arrival_s[rows] = now_s
         self.sigma[rows] = sigma.T
         self.delay_s[rows] = self.delay_of(states, now_s)
@@ -226,6 +240,9 @@ class Neighbours:
             limits[row, 1] = states.turn_limit_rad_s[0]
             limits[row, 2] = states.accel_m_s2[0]
         self.teams[row] = states.teams[0] if states.teams else 0
+        aims = self.aims
+        aims[row, 0] = states.aim_x_m[0] if states.aim_x_m else math.nan
+        aims[row, 1] = states.aim_y_m[0] if states.aim_y_m else math.nan
         self.arrival_s[row] = now_s
         self.delay_s[row] = self.delay_of(states, now_s)
         self.sigma[row, 0] = states.sigma_m[0] if states.sigma_m else 0.0
@@ -233,11 +250,17 @@ class Neighbours:
 
     def set_time(self, now_s: float) -> None:
         """Have `within` and `around` answer for `now_s` from here on."""
-        self._now_s, self._stale = now_s, True
+        self.now_s, self._stale = now_s, True
+
+    def refresh(self, now_s: float) -> None:
+        """Predict to `now_s` now, unless that has been done."""
+        if self._stale or self.now_s != now_s:
+            self.now_s = now_s
+            self._predict()
 
     def _predict(self) -> None:
         """Predict all positions to the time of the last `set_time`, on use."""
-        self._stale, now_s = False, self._now_s
+        self._stale, now_s = False, self.now_s
         self.silent = self._run_predict(self.count, now_s, self._timeout_s)
 
     def around(self, position: Array, reach_m: float) -> Nearby:
@@ -272,6 +295,27 @@ class Neighbours:
             fastest_m_s = self._assumed.speed_m_s if math.isnan(stated_m_s) else stated_m_s
             if not listened(x_m, y_m, STRIDE_S * max(abs(speed_m_s), fastest_m_s)):
                 self.arrival_s[row] = -math.inf
+
+    def at_rest(self, now_s: float) -> Flags:
+        """Tell which robots are silent and at standstill by now, (m,): their discs grow no more."""
+        count = self.count
+        speed, accel = self.limits[:count, 0], self.limits[:count, 2]
+        stated = np.isfinite(speed + accel)
+        speed = np.maximum(np.where(stated, speed, self._assumed.speed_m_s), np.abs(self.states[:count, 3]))
+        stop_s = speed / np.maximum(np.where(stated, accel, self._assumed.accel_m_s2), 1e-9)
+        ages_s = self.ages_s(now_s)
+        silent: Flags = np.isfinite(ages_s) & (ages_s > max(self._assumed.halt_s, self._timeout_s) + stop_s)
+        return silent
+
+    def heard(self, now_s: float) -> Flags:
+        """Tell which robots are not silent, own ones left out, (m,)."""
+        found: Flags = self.ages_s(now_s) <= self._timeout_s
+        found[self.own_row[self.own_row >= 0]] = False
+        return found
+
+    def confine(self, row: int, x_m: float, y_m: float, radius_m: float) -> None:
+        """Hold the disc of a silent robot to (x, y) and a radius; NaN: it is nowhere near. A new state ends that."""
+        self._confined[row] = x_m, y_m, radius_m, self.arrival_s[row]
 
     def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
         """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
@@ -331,8 +375,8 @@ class Neighbours:
                 self._row_of[robot] = self.count
                 self.names.append(robot)
                 self.count += 1
-                if robot in self._own:
-                    self.own_row[self._own.index(robot)] = self._row_of[robot]
+                if robot in self.ids:
+                    self.own_row[self.ids.index(robot)] = self._row_of[robot]
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:
@@ -345,7 +389,9 @@ class Neighbours:
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
             self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
+            self._confined = np.vstack([self._confined, np.full((more, 4), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
+            self.aims = np.vstack([self.aims, np.full((more, 2), math.nan)])
             self.arrival_s = np.concatenate([self.arrival_s, np.full(more, -math.inf)])
             self.sigma = np.vstack([self.sigma, np.zeros((more, 2))])
             self.delay_s = np.concatenate([self.delay_s, np.zeros(more)])
@@ -353,11 +399,20 @@ class Neighbours:
             self.blur_m = np.concatenate([self.blur_m, np.zeros(more)])
             self.places = np.vstack([self.places, np.full((more, 2), math.nan)])
             self.predicted = np.vstack([self.predicted, np.full((more, 2), math.nan)])
-            received = Received(self.states, self.arrival_s, self.limits, self.sigma, self.delay_s)
+            received = Received(
+                self.states, self.arrival_s, self.limits, self.sigma, self.delay_s, self._confined
+            )  # fmt: skip
             out = Predicted(self.predicted, self.places, self.spread_m, self.blur_m)
             if predict.run is predict.plain:
                 received, out = views(received), views(out)
             self._run_predict = bound(partial(predict.run, received, out, self._assumed))
+
+
+def _aims(states: RobotStates) -> Array:
+    """Return where the robots say that they are driving to, (2, n) m; NaN: they do not say."""
+    if states.aim_x_m:
+        return np.array((states.aim_x_m, states.aim_y_m))
+    return np.full((2, len(states.robots)), math.nan)
 
 
 def no_delay(_states: RobotStates, _now_s: float) -> float:
@@ -375,6 +430,8 @@ def _fits(states: RobotStates) -> bool:
             return False
     accel_m_s2 = states.accel_m_s2
     if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
+        return False
+    if len(states.aim_x_m) != len(states.aim_y_m) or (states.aim_x_m and len(states.aim_x_m) != count):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
@@ -427,17 +484,46 @@ BRUTE_FORCE_BELOW = 3000
 
 
 @kernel
+def distance_m(speed: float, accel: float, fastest: float, time_s: float) -> float:
+    """Return how far a body goes in a time that gains `accel` from `speed` >= 0 until it is at `fastest`."""
+    if accel <= 0.0:
+        return fastest * time_s
+    gaining_s = min((fastest - speed) / accel, time_s)
+    return (speed + 0.5 * accel * gaining_s) * gaining_s + fastest * (time_s - gaining_s)
+
+
+@kernel
+def reachable(speed: float, accel: float, fastest: float, turn: float, time_s: float) -> tuple[float, float]:
+    """Return a disc that holds all places a unicycle can reach: its centre's distance ahead, and its radius, m.
+
+    While its heading has changed by less than a quarter turn, it is in a rectangle: ahead as far as it can go forwards,
+    behind as far as it can reverse after it has braked, and to the side as far as at full speed in a full turn. After
+    that every direction is possible at the greatest speed.
+    """
+    if accel <= 0.0:
+        return 0.0, fastest * time_s
+    straight_s = min(time_s, 0.5 * math.pi / turn) if turn > 0.0 else time_s
+    aside_m = fastest * (1.0 - math.cos(turn * straight_s)) / turn if turn > 0.0 else 0.0
+    braking_s = min(math.fabs(speed) / accel, straight_s)
+    on_m = distance_m(math.fabs(speed), accel, fastest, straight_s)
+    back_m = distance_m(0.0, accel, fastest, straight_s - braking_s)
+    ahead_m = 0.5 * (on_m - back_m) if speed >= 0.0 else 0.5 * (back_m - on_m)
+    return ahead_m, math.hypot(0.5 * (on_m + back_m), aside_m) + fastest * (time_s - straight_s)
+
+
+@kernel
 def predict(received: Received, out: Predicted, assumed: Assumed, count: int, now_s: float, timeout_s: float) -> int:
     """Predict the first `count` received states to `now_s`; return how many robots are silent: older than `timeout_s`.
 
     How far off the prediction may be grows with the square of the age (another acceleration than predicted), but a
-    robot is never farther from its last position than its speed and the time allow: the smaller disc counts. A silent
-    robot is at standstill or about to be: its disc grows until the assumed `halt_s` and then stays, for ever. The
+    robot is never farther from its last position than its acceleration and speed allow, nor outside of what a unicycle
+    can reach from its last motion (`reachable`): the smallest disc counts. A silent robot is at standstill or about to
+    be: its disc grows until the assumed `halt_s` and then stays, for ever, unless the robot is confined by sight. The
     error of the reported position widens the disc, but not the direction in which it lies: the distance of two points
     is a convex function of their motion, so a constant error of it stays one. An error of the heading turns the
     predicted path.
     """
-    states, arrival_s, limits, sigma, delay_s = received
+    states, arrival_s, limits, sigma, delay_s, confined = received
     assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
@@ -466,9 +552,9 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
         gained = min(math.fabs(speed) + accel_m_s2 * moved_s, fastest)
         sideways = gained * turn_rad_s
         strongest = math.sqrt(accel_m_s2 * accel_m_s2 + sideways * sideways) + math.fabs(speed * rate)
-        swing = confidence * sigma[row, 1]
-        near_prediction_m = 0.5 * moved_s * moved_s * strongest + min(swing, 2.0) * math.fabs(speed) * moved_s
-        near_state_m = fastest * moved_s
+        swing = min(confidence * sigma[row, 1], 2.0)
+        near_prediction_m = 0.5 * moved_s * moved_s * strongest + swing * math.fabs(speed) * moved_s
+        near_state_m = distance_m(math.fabs(speed), accel_m_s2, fastest, moved_s)
         middle = states[row, 2] + 0.5 * age_s * rate
         x = states[row, 0] + speed * age_s * math.cos(middle)
         y = states[row, 1] + speed * age_s * math.sin(middle)
@@ -479,18 +565,30 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
             predicted[row, 0] = math.nan
             predicted[row, 1] = math.nan
             silent += 1
-        if age_s <= timeout_s and near_prediction_m < near_state_m:
+        ahead_m = 0.0
+        near_ahead_m = near_state_m
+        if age_s > timeout_s or near_prediction_m > 0.5 * near_state_m:  # what is reachable is no smaller than that
+            ahead_m, near_ahead_m = reachable(speed, accel_m_s2, fastest, max(turn_rad_s, math.fabs(rate)), moved_s)
+            near_ahead_m += swing * near_state_m
+            if near_ahead_m >= near_state_m:
+                ahead_m = 0.0
+                near_ahead_m = near_state_m
+        if age_s <= timeout_s and near_prediction_m < near_ahead_m:
             places[row, 0] = x
             places[row, 1] = y
             spread_m[row] = near_prediction_m
         else:
             if age_s > halt_s and accel_m_s2 > 0.0:
-                near_state_m += 0.5 * fastest * fastest / accel_m_s2
-            places[row, 0] = states[row, 0]
-            places[row, 1] = states[row, 1]
-            spread_m[row] = near_state_m
+                near_ahead_m += 0.5 * fastest * fastest / accel_m_s2
+            places[row, 0] = states[row, 0] + ahead_m * math.cos(states[row, 2])
+            places[row, 1] = states[row, 1] + ahead_m * math.sin(states[row, 2])
+            spread_m[row] = near_ahead_m
         blur_m[row] = spread_m[row] if age_s <= timeout_s else 0.0
         spread_m[row] += confidence * sigma[row, 0]
+        if age_s > halt_s and confined[row, 3] == arrival_s[row]:
+            places[row, 0] = confined[row, 0]
+            places[row, 1] = confined[row, 1]
+            spread_m[row] = confined[row, 2]
     return silent
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.orders.estops import EStops
-from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import Task, Tasks, simulated_only
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.state import AgentState
 from fullswarm.bus.base import Bus
@@ -22,6 +22,8 @@ from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
 REMEMBERED_STOPS = 256
+SIMULATED = "sim"
+"""Make of a robot whose driver is that of the simulated world; one that is emulated has the driver of its make."""
 
 UNSAFE = int(Hazard.CLIFF | Hazard.WHEEL_DROP | Hazard.OVERCURRENT | Hazard.MOTORS_OFF)
 """No request is accepted meanwhile. A stop button is not among them: some drivers need a new request to release it. A
@@ -152,8 +154,11 @@ class Inbox:
         conflict = self._conflicts.reason(row)
         if conflict and request.expires_s <= 0.0:
             return conflict
+        task = Task(request, self._sent_s(row, request))
         try:
-            self._tasks.enable(row, Task(request, self._sent_s(row, request)))
+            if self._fleet.descriptions[row].make != SIMULATED and simulated_only(task.law):
+                return reason(Code.SIMULATED_ONLY, law=task.law)
+            self._tasks.enable(row, task)
         except FullswarmError as error:
             return given(str(error))
         epoch.accept()

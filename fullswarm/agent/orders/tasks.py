@@ -208,6 +208,17 @@ class Tasks:
         )
 
 
+def simulated_only(law: str) -> bool:
+    """Tell whether a control law may run on simulated robots alone: its module says so.
+
+    Raises
+    ------
+    ConfigError
+        The robot has no such control law.
+    """
+    return law != CENTRALISED and bool(getattr(registry.law_module(law), "SIMULATED_ONLY", False))
+
+
 RECORDS = Path(__file__).parents[2] / "core" / "behaviours.toml"
 
 GREATEST = 1e7

@@ -88,8 +88,10 @@ class PoseConflicts:
         near = self._near(now_s)
         overlaps.run(now_s, state.pose, state.radius, near, self._since_s, self._partner, self.overlap)
         foreign = now_s - neighbours.own_frame_s <= OWN_FRAME_S
-        newest_s = float(neighbours.arrival_s[: neighbours.count].max()) if neighbours.count else -math.inf
-        self.frame_conflict = foreign or (self.own_frame and now_s - newest_s <= OWN_FRAME_S)
+        if self.own_frame and not foreign and neighbours.count:
+            newest_s = float(neighbours.arrival_s[: neighbours.count].max())
+            foreign = now_s - newest_s <= OWN_FRAME_S
+        self.frame_conflict = foreign
 
     def reason(self, row: int) -> Reason:
         """Return why robot `row` may not drive by itself, and what to do; false if it may."""

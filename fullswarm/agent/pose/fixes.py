@@ -95,6 +95,7 @@ class Fixes:
     ----------
     contacts : (n,) bodies that a source sees each robot touch now
     touching : some robot touches something
+    unsettled : (n,) fixes come, but the first ones do not agree yet with each other or the start pose
     """
 
     def __init__(
@@ -109,6 +110,8 @@ class Fixes:
         self._timer: Timer | None = None  # from the first fix on
         self.contacts = np.zeros(len(ids), np.int64)
         self.touching = False
+        self.unsettled = np.zeros(len(ids), np.bool_)
+        self.any_unsettled = False
         robot = ids[0] if len(ids) == 1 else "*"
         self._subscription = bus.subscribe(keys.pose_fix(robot), PoseFix, self._on_fix, latest=True)
 
@@ -149,6 +152,10 @@ class Fixes:
         pose = Pose(fix.x_m, fix.y_m, fix.heading_rad)
         if not self._senses(row):
             taken = self._estimator.take(row, Fix(at_s, pose, sigma_m, sigma_rad))
+            self._settle(row, unsettled=taken.verdict is Verdict.PENDING)
+            if taken.verdict is Verdict.PENDING:
+                source_state.refused = taken.verdict.value
+                return
             if taken.verdict in (Verdict.OUTLIER, Verdict.TOO_OLD):
                 self._refuse(source_state, fix, taken.verdict.value)
                 return
@@ -164,6 +171,11 @@ class Fixes:
             source_state.lost = False
             log.info("fixes are used", robot=fix.robot, source=fix.source)
             self._on_change()
+
+    def _settle(self, row: int, *, unsettled: bool) -> None:
+        if unsettled or self.any_unsettled:
+            self.unsettled[row] = unsettled
+            self.any_unsettled = bool(self.unsettled.any())
 
     def _refuse(self, source_state: FixSource, fix: PoseFix, why: str) -> None:
         source_state.refused = why
@@ -197,6 +209,7 @@ class Fixes:
         for row, source_state in self._source_states.items():
             if now_s - source_state.accepted_s > timeout_s:
                 self._touch(row, 0)
+                self._settle(row, unsettled=False)  # as without fixes: odometry from the start pose
             if not source_state.lost and now_s - source_state.used_s > timeout_s:
                 source_state.lost = True
                 robot = self._fleet.ids[row]

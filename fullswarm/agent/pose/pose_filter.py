@@ -206,6 +206,7 @@ class Verdict(enum.Enum):
     REANCHORED = "re-anchored"  # the pose jumped to it
     OUTLIER = "outlier"
     TOO_OLD = "too old"
+    PENDING = "the first ones have to agree"
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,6 +287,7 @@ class PoseFilter:
         sigma = (config.start_sigma_m, config.start_sigma_rad) if placed else (UNKNOWN_M, UNKNOWN_RAD)
         self.estimate = PoseEstimate.around(start, *sigma)
         self.anchored = False
+        self._placed = placed
         self._config, self._correct, self._top_speed_m_s = config, correct, top_speed_m_s
         self._noise = OdometryNoise(config.odometry_sigma_m, config.odometry_sigma_rad)
         self._horizon_s = config.fix_max_delay_s + config.fix_latency_s + SPARE_S
@@ -398,8 +400,10 @@ class PoseFilter:
             return Taken(Verdict.TOO_OLD, fix.pose)
         seen, wrong = self._moved(fix, motion), self._noise.variances(motion)
         now = Pose(seen.x_m, seen.y_m, seen.heading_rad)
+        if not self.anchored and not self._confirmed(seen, wrong, fix.at_s):
+            return Taken(Verdict.PENDING, now)
         if not self.anchored:
-            self.anchored = True  # the start pose was stated; this is the first measurement
+            self.anchored, self._rival = True, None
             seen.widen(*wrong)
             return Taken(Verdict.ACCEPTED, now, self._anchor(seen, fix.at_s))
         estimate = self.estimate
@@ -420,6 +424,17 @@ class PoseFilter:
         if not self._insists(seen, fix.at_s):
             return Taken(Verdict.OUTLIER, now)
         return Taken(Verdict.REANCHORED, now, self._anchor(seen, fix.at_s))
+
+    def _confirmed(self, seen: PoseEstimate, wrong: tuple[float, float], at_s: float) -> bool:
+        """Tell whether a first fix may be believed: it fits the stated start pose, or enough others."""
+        if self._placed:
+            seen.widen(*wrong)
+            fits = distance(self.estimate, seen) <= self._config.fix_gate_sigma
+            seen.widen(-wrong[0], -wrong[1])
+            if fits:
+                return True
+        count = self._config.fix_first_count
+        return count <= 1 or (self._agrees(seen, at_s) and self._rival is not None and self._rival.count >= count)
 
     def _fits(self, estimate: PoseEstimate, seen: PoseEstimate, slack: tuple[float, float]) -> bool:
         """Tell whether a fix may be true; widen the estimate where that takes slip or a push."""
@@ -447,13 +462,20 @@ class PoseFilter:
 
     def _insists(self, seen: PoseEstimate, at_s: float) -> bool:
         """Note a fix that does not fit; tell whether enough of them in a row agree with each other."""
+        if not self._agrees(seen, at_s) or self._rival is None:
+            return False
         config, rival = self._config, self._rival
+        return rival.count >= config.fix_reanchor_count and at_s - rival.since_s >= config.fix_reanchor_s
+
+    def _agrees(self, seen: PoseEstimate, at_s: float) -> bool:
+        """Note a fix; tell whether it agrees with the one before, else it is the first of others."""
+        rival = self._rival
         if rival is None or not self._fits(rival.estimate, seen, rival.slack.variances(at_s)):
             self._rival = Rival(seen, at_s, Slack(at_s))
             return False
         rival.estimate, rival.slack = seen, Slack(at_s)
         rival.count += 1
-        return rival.count >= config.fix_reanchor_count and at_s - rival.since_s >= config.fix_reanchor_s
+        return True
 
     def _anchor(self, seen: PoseEstimate, at_s: float) -> float:
         """Believe a fix alone; return how far the pose has jumped, in metres."""

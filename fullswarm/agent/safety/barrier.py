@@ -16,6 +16,7 @@ import math
 from typing import NamedTuple
 
 from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.neighbours.objects import Objects
 from fullswarm.geometry import clamp
 from fullswarm.kernels import Array, kernel
 
@@ -140,9 +141,57 @@ def approach_limit(room_m: float, gain: float, accel: float, approach_s: float) 
 
 
 @kernel
+def approach_m(closing: float, stop_s: float, limits: Array) -> float:
+    """Return how far an object that closes in at `closing` m/s may come in `stop_s`, >= 0.
+
+    `limits` (2,): the assumed greatest speed and acceleration of any object. A way whose speed grows has its greatest
+    value at the start or at the end.
+    """
+    way_m = closing * stop_s + 0.5 * float(limits[1]) * stop_s * stop_s
+    return max(0.0, min(way_m, float(limits[0]) * stop_s))
+
+
+@kernel
+def object_planes(
+    x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, accel: float, approach_s: float,
+    binding_m: float, stop_s: float, objects: Objects, planes: HalfPlanes, count: int,
+) -> int:  # fmt: skip
+    """Add the constraints of moving objects to `count` ones; return how many there are then, -1: it must not move.
+
+    The robot carries all of a gap, less what the object may close of it until the robot stands.
+    """
+    normal_x, normal_y, limits, blur, room = planes
+    moving = objects.rows
+    for row in range(objects.used[0]):
+        dx = moving[row, 0] - x
+        dy = moving[row, 1] - y
+        squared = dx * dx + dy * dy
+        closest_m = clearance_m + moving[row, 4]
+        reach = closest_m + binding_m + objects.limits[0] * stop_s
+        if squared > reach * reach:
+            continue
+        distance = math.sqrt(squared)
+        if distance < 1e-6 or count == MAX_ROWS:
+            return -1
+        nx = dx / distance
+        ny = dy / distance
+        closing = moving[row, 5] - nx * moving[row, 2] - ny * moving[row, 3]
+        gap = distance - closest_m - approach_m(closing, stop_s, objects.limits)
+        if gap < binding_m:
+            normal_x[count] = nx
+            normal_y[count] = ny
+            room[count] = max(0.0, gap)
+            limits[count] = approach_limit(room[count], gain, accel, approach_s)
+            blur[count] = unsure_m / distance + swing
+            count += 1
+    return count
+
+
+@kernel
 def half_planes(
     i: int, x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, accel: float,
     approach_s: float, speed_limit: float, way: float, reach_m: float, near: Nearby, arena: Arena, planes: HalfPlanes,
+    objects: Objects, stop_s: float,
 ) -> int:  # fmt: skip
     """Collect the constraints of robot `i` at (x, y); return how many there are, -1 when it must not move at all.
 
@@ -157,6 +206,7 @@ def half_planes(
     way : how far it will go before a new command acts, m
     reach_m : obstacles farther away are not sensed
     planes : out
+    objects, stop_s : what moves and does not keep its half; how long the robot takes to stop
     """
     obstacles, bounds_m = arena
     start, other, places, states, spread_m, blur_m, _ = near
@@ -205,6 +255,12 @@ def half_planes(
             limits[count] = approach_limit(room[count], gain, accel, approach_s)
             blur[count] = swing
             count += 1
+    if objects.used[0] > 0:
+        count = object_planes(
+            x, y, clearance_m, unsure_m, swing, gain, accel, approach_s, binding_m, stop_s, objects, planes, count
+        )
+        if count < 0:
+            return -1
     nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
     if nearest - clearance_m >= binding_m:
         return count

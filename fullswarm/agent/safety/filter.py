@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.neighbours.objects import Objects, no_objects
 from fullswarm.agent.safety.barrier import MAX_ROWS, Arena, HalfPlanes, half_planes, interval, project, shorten
 from fullswarm.agent.safety.braking import stoppable, towards
 from fullswarm.agent.safety.dead_time import Commands, Underway, expect
@@ -116,6 +117,7 @@ class Given(NamedTuple):
     requested: Requested
     near: Nearby
     arena: Arena
+    objects: Objects
     out: Filtered
     planes: HalfPlanes
 
@@ -162,6 +164,7 @@ def pass_through(
 @kernel
 def guard(
     tuning: Tuning, robots: RobotParams, underway: Underway, requested: Requested, near: Nearby, arena: Arena,
+    objects: Objects,
     out: Filtered, planes: HalfPlanes, measured: Measured, now_s: float, dt_s: float,
 ) -> int:  # fmt: skip
     """Map desired planar velocities to unicycle twists, behind the filter where `filtered` says so.
@@ -218,7 +221,8 @@ def guard(
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
                 i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], accel, approach_s, top, way, reach_m,
-                near, arena, planes,
+                near, arena, planes, objects,
+                math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
             )  # fmt: skip
             if way > 0.0:
                 shorten(
@@ -300,9 +304,13 @@ class SafetyFilter:
     commands : those that have no effect yet; to be updated in each tick if there are `any`
     """
 
-    def __init__(self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array) -> None:
+    def __init__(
+        self, ids: Sequence[str], robots: RobotParams, tuning: Tuning, bounds_m: Array,
+        objects: Objects | None = None,
+    ) -> None:  # fmt: skip
         count = len(ids)
         self._ids, self._tuning = ids, tuning
+        self._objects = objects or no_objects()
         self.reach_m, self.bounds_m = tuning.reach_m, bounds_m
         self._last_s = math.inf
         self._logged_s: dict[int, float] = {}
@@ -338,11 +346,13 @@ class SafetyFilter:
     def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
         """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
         arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
-        self.given = given = Given(self._robots, self.commands.underway, requested, near, arena, out, self._planes)
+        self.given = given = Given(
+            self._robots, self.commands.underway, requested, near, arena, self._objects, out, self._planes
+        )  # fmt: skip
         if guard.run is guard.plain:
             given = Given(
                 self._robots_viewed, views(self.commands.underway), views(requested), views(near), views(arena),
-                views(out), self._planes_listed,
+                views(self._objects), views(out), self._planes_listed,
             )  # fmt: skip
         self._guard = bound(partial(guard.run, self._tuning, *given))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -49,18 +49,20 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    blocked : by robot, why its control law knows no way
     limits : (n, 3) what each can do: m/s, rad/s, m/s²
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        ended: Sequence[Reason], limits: Array,
+        blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
-        self._law_error, self._ended = law_error, ended
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = limits.T.tolist()
+        self._law_error, self._blocked, self._ended = law_error, blocked, ended
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
+        self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
     def states(
         self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
@@ -80,11 +82,11 @@ class Reports:
             for row in known:
                 cells.setdefault(cell_of(x_m[row], y_m[row], cell_m), []).append(row)
         speed_m_s, turn_rad_s = state.twist.T.tolist()
-        sigma_m: list[float] = []
-        sigma_rad: list[float] = []
-        if state.sigma.any():
-            sigma_m, sigma_rad = state.sigma.T.tolist()
-        radius_m, teams = state.radius.tolist(), self._tasks.team.tolist()
+        sigma_m, sigma_rad = state.sigma.T.tolist()
+        if not any(sigma_m) and not any(sigma_rad):
+            sigma_m, sigma_rad = [], []
+        teams = self._tasks.team.tolist()
+        aim_x_m, aim_y_m = self._aims(there)
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -96,18 +98,32 @@ class Reports:
                 heading_rad=_pick(heading_rad, rows),
                 speed_m_s=_pick(speed_m_s, rows),
                 turn_rad_s=_pick(turn_rad_s, rows),
-                radius_m=_pick(radius_m, rows),
+                radius_m=_pick(self._radius_m, rows),
                 teams=_pick(teams, rows),
                 speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
                 accel_m_s2=_pick(self._accel_m_s2, rows),
                 own_frame=self._conflicts.own_frame,
+                aim_x_m=_pick(aim_x_m, rows) if aim_x_m else (),
+                aim_y_m=_pick(aim_y_m, rows) if aim_y_m else (),
                 sigma_m=_pick(sigma_m, rows) if sigma_m else (),
                 sigma_rad=_pick(sigma_rad, rows) if sigma_rad else (),
                 core=clock.core,
                 offset_s=clock.offset_s,
             )
             yield keys.state(cell, host), message
+
+    def _aims(self, there: Array) -> tuple[list[float], list[float]]:
+        """Return where the robots are driving to, their own places where they drive nowhere, as columns in m.
+
+        Both empty when no robot says that it is driving anywhere.
+        """
+        state = self._state
+        going = (state.stop_reason == StopReason.MOVING) & np.isfinite(state.aim[:, 0])
+        if not going.any():
+            return [], []
+        x_m, y_m = np.where(going[:, None], state.aim, there[:, :2]).T.tolist()
+        return x_m, y_m
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
         """Return the health of all robots of this agent."""
@@ -130,7 +146,9 @@ class Reports:
             return explain_hazards(int(self._state.reading.hazards[row]), self._fleet.fault(row))[0]
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
-        if number in (StopReason.IDLE, StopReason.MOVING, StopReason.HAZARD):
+        if number == StopReason.MOVING:
+            return self._blocked.get(row, NONE)
+        if number in (StopReason.IDLE, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])
 

@@ -74,8 +74,8 @@ class Drive(Datagram, frozen=True, kw_only=True):
     active: bool
 
 
-class BodyReading(Datagram, frozen=True, kw_only=True):
-    """What a body senses after a world step; obstacles are rows of six little-endian doubles."""
+class BodyReading(Datagram, frozen=True, kw_only=True, tag="sim.BodyReading/2"):
+    """What a body senses after a world step; obstacles are rows of six little-endian doubles, bodies of three."""
 
     time_s: float
     pose: Triple
@@ -84,6 +84,7 @@ class BodyReading(Datagram, frozen=True, kw_only=True):
     contacts: int
     hazards: int
     obstacles: bytes
+    bodies: bytes | None = None
 
 
 class Bye(Datagram, frozen=True, kw_only=True):
@@ -108,16 +109,16 @@ def decode(data: bytes) -> AnyDatagram:
         raise MessageError(str(error), where="simulator link") from error
 
 
-def pack_obstacles(obstacles: Array) -> bytes:
-    """Return rows (k, 6) as bytes."""
-    return obstacles.astype("<f8", copy=False).tobytes()
+def pack_rows(rows: Array) -> bytes:
+    """Return rows of numbers as bytes."""
+    return rows.astype("<f8", copy=False).tobytes()
 
 
-def unpack_obstacles(data: bytes) -> Array:
-    """Return the rows (k, 6) that `data` holds; `MessageError` if it is not whole rows."""
-    if len(data) % 48:
-        raise MessageError(f"{len(data)} bytes are not rows of six doubles", where="simulator link")
-    return np.frombuffer(data, dtype="<f8").reshape(-1, 6)
+def unpack_rows(data: bytes, columns: int) -> Array:
+    """Return the rows (k, columns) that `data` holds; `MessageError` if it is not whole rows."""
+    if len(data) % (8 * columns):
+        raise MessageError(f"{len(data)} bytes are not rows of {columns} doubles", where="simulator link")
+    return np.frombuffer(data, dtype="<f8").reshape(-1, columns)
 
 
 def claims(url: str, elsewhere: bool) -> tuple[Claim, ...]:

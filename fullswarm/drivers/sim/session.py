@@ -130,7 +130,8 @@ class Session(LinkSession[bytes]):
             pose=Pose(*body.pose),
             hazards=Hazard(body.hazards),
             contacts=body.contacts,
-            obstacles=protocol.unpack_obstacles(body.obstacles),
+            obstacles=protocol.unpack_rows(body.obstacles, 6),
+            bodies=None if body.bodies is None else protocol.unpack_rows(body.bodies, 3),
         )
         if self._unread and self.reading is not None:  # a contact must not be over before it has been read
             contacts = max(reading.contacts, self.reading.contacts)

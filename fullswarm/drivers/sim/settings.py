@@ -62,10 +62,10 @@ def parse_url(url: str) -> SimUrl:
     sensing_m = numbers.pop("sensing_m")
     overrun_s, overrun_m, dead_time_s = (max(0.0, numbers.pop(key)) for key in DELAYS)  # NaN: 0
     config = WorldConfig().model_copy(update={key: value for key, value in numbers.items() if value > 0})
-    description = describe(config)
+    sensing_m = sensing_m if sensing_m > 0 else SENSING_M
+    description = describe(config, sensing_m)
     limits = replace(description.limits, overrun_s=overrun_s, overrun_m=overrun_m, dead_time_s=dead_time_s)
-    description = replace(description, limits=limits)
-    return SimUrl(robot, host, port, description, sensing_m if sensing_m > 0 else SENSING_M)
+    return SimUrl(robot, host, port, replace(description, limits=limits), sensing_m)
 
 
 def _positive(text: str, key: str, url: str) -> float:
@@ -78,8 +78,8 @@ def _positive(text: str, key: str, url: str) -> float:
     return value
 
 
-def describe(config: WorldConfig) -> Description:
-    """Return what the driver of a robot in this world states of it."""
+def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
+    """Return what the driver of a robot in this world states of it that senses so far."""
     limits = Limits(
         speed_m_s=config.speed_limit_m_s,
         turn_rad_s=config.turn_limit_rad_s,
@@ -95,6 +95,7 @@ def describe(config: WorldConfig) -> Description:
         senses_pose=True,
         senses_obstacles=True,
         senses_bumps=True,
+        bodies_range_m=sensing_m if config.sight.bodies else 0.0,
         watchdog_s=config.watchdog_s,
     )
 

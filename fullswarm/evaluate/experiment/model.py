@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
@@ -23,6 +23,8 @@ from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
 
+EvidenceMode = Literal["always", "contacts", "never"]
+"""Of which trials the motion is kept: of all, of those with a contact, or of none."""
 Parameter = bool | int | float | str
 T = TypeVar("T")
 LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
@@ -166,6 +168,7 @@ class Experiment(Section):
     """Limits that robots have in turn: ``[mixes]``, a list of names of limits for each name of a mix."""
     groups: tuple[Group, ...] = Field(min_length=1)
     small: Small = Small()
+    evidence: EvidenceMode = "contacts"  # whose motion is kept, to audit it
 
     @model_validator(mode="after")
     def _named(self) -> Self:

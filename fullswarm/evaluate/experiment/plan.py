@@ -9,8 +9,10 @@ from functools import cache
 from itertools import product
 from typing import get_args
 
+from fullswarm.agent.safety.startup import check_stopping
 from fullswarm.bus.network_faults import parse_network
-from fullswarm.config import EngineName, WorldConfig
+from fullswarm.config import EngineName, SwarmConfig, WorldConfig
+from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.model import Experiment, Group, Parameter, Small, parse_seeds, world_settings
 from fullswarm.evaluate.scenarios import Scenario, load_scenario
@@ -94,7 +96,8 @@ def plan(
     Raises
     ------
     ConfigError
-        A filter names no field, nothing is left, a scenario's file is wrong, or the engine is unknown.
+        A filter names no field, nothing is left, a scenario's file is wrong, the engine is unknown, or the robots of a
+        group cannot stop in time.
     """
     if engine is not None and engine not in get_args(EngineName):
         raise ConfigError(
@@ -120,9 +123,25 @@ def plan(
         field, equals, _ = each.partition("=")
         if equals and field not in names:
             raise ConfigError(f"no cell has a '{field}'", where=f"--cells {each}", hint=did_you_mean(field, names))
+    for first in {(each.cell.group, each.cell.limits): each for each in trials if each.cell.robots > 1}.values():
+        _check_stopping(first)
     if not trials:
         raise ConfigError(f"no cell of '{experiment.name}' fits", where=f"--cells {','.join(filters)}")
     return trials
+
+
+def _check_stopping(trial: Trial) -> None:
+    """Refuse a trial whose robots cannot stop in time: its agents would, one after the other."""
+    bodies = trial.bodies or (trial.body,)
+    descriptions = [describe(world_of(replace(trial, body=body))) for body in bodies]
+    config = SwarmConfig.model_validate(
+        {
+            "world": world_of(trial).model_dump(),
+            "agent": dict(trial.agent),
+            "network": {"conditions": trial.cell.network or None},
+        }
+    )
+    check_stopping(config, descriptions, where=f"group '{trial.cell.group}', limits '{trial.cell.limits}': agent")
 
 
 def _bodies(experiment: Experiment, limits: str) -> tuple[Settings, ...]:

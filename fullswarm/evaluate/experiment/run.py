@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 from rich.table import Table
@@ -15,7 +16,7 @@ from fullswarm import output
 from fullswarm.clock import MonotonicClock
 from fullswarm.core.behaviours import Library
 from fullswarm.core.settings import seeds
-from fullswarm.errors import ConfigError, FullswarmError, RequestRefused
+from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, did_you_mean
 from fullswarm.evaluate.experiment import (
     Experiment,
     Trial,
@@ -26,7 +27,7 @@ from fullswarm.evaluate.experiment import (
     scenario_of,
     summarise,
 )
-from fullswarm.evaluate.experiment.model import parse_seeds
+from fullswarm.evaluate.experiment.model import EvidenceMode, parse_seeds
 from fullswarm.evaluate.experiment.outcomes import closing, table
 from fullswarm.evaluate.experiment.pool import Pool
 from fullswarm.evaluate.lockstep_swarm import measure
@@ -42,7 +43,7 @@ from fullswarm.evaluate.results.folder import (
     other_code,
 )
 from fullswarm.evaluate.scenarios import Scenario
-from fullswarm.evaluate.trial import Keeper, Measure, configure, parameters, perform, record_of
+from fullswarm.evaluate.trial import Keeper, KeepingEvidence, Measure, configure, parameters, perform, record_of
 from fullswarm.evaluate.trial_folder import (
     TRIALS,
     Measurement,
@@ -83,6 +84,7 @@ class Options:
     fleet: Path | None = None  # the robots of a fleet file, one trial after the other
     yes: bool = False  # with `fleet`: skip the confirmation prompt
     insecure_network: bool = False  # with `fleet`
+    evidence: str | None = None  # instead of the file's `EvidenceMode`
 
 
 Results = Iterator[tuple[Trial, TrialResult]]
@@ -103,6 +105,8 @@ def run(options: Options, run_one: Measure = measure) -> int:
     configuration = configuration_of(experiment)  # before --network: that makes other cells, not another experiment
     if options.network is not None:
         experiment = on_network(experiment, options.network)
+    if options.evidence is not None:
+        experiment = experiment.model_copy(update={"evidence": evidence_mode(options.evidence)})
     everything = plan(experiment, _seeds(options.seeds), options.cells, options.small, options.engine)
     if options.fleet is None:  # the core of a fleet may have behaviours of its own
         check_behaviours(everything, options.experiment)
@@ -127,6 +131,16 @@ def run(options: Options, run_one: Measure = measure) -> int:
         output.data_table(table(report), into_file=130)
         output.data(closing(report))
     return 0 if report.passed and written else 1
+
+
+def evidence_mode(text: str) -> EvidenceMode:
+    """Return which trials keep their motion; `ConfigError` if `text` is no such choice."""
+    modes: dict[str, EvidenceMode] = {mode: mode for mode in get_args(EvidenceMode)}
+    if text in modes:
+        return modes[text]
+    raise ConfigError(
+        f"'{text}' is no choice", where="--evidence", hint=did_you_mean(text, modes)
+    )  # fmt: skip
 
 
 def shard_of(trials: list[Trial], text: str | None) -> list[Trial]:
@@ -216,7 +230,7 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
     clock = MonotonicClock()
     began_s = printed_s = clock.now_s()
     collisions = failed = 0
-    with _runner(min(options.jobs, len(trials)), experiment.name, options, run_one) as run_trials:
+    with _runner(min(options.jobs, len(trials)), experiment, options, run_one) as run_trials:
         for done, (trial, result) in enumerate(run_trials(trials), 1):
             if result.lost and options.folder is not None:
                 result = _keep_lost(options.folder, experiment.name, "dask" if options.dask else "pool", trial, result)
@@ -236,17 +250,17 @@ def _run_all(trials: list[Trial], experiment: Experiment, options: Options, run_
 
 @contextmanager
 def _runner(
-    jobs: int, experiment: str, options: Options, run_one: Measure
+    jobs: int, about: Experiment, options: Options, run_one: Measure
 ) -> Iterator[Callable[[list[Trial]], Results]]:
     """Yield what runs trials: it yields each one with its result as it ends, but those that it cannot run at all."""
-    kind = "pool"
+    kind, experiment, evidence = "pool", about.name, about.evidence
     if options.fleet is not None:
         from fullswarm.evaluate.fleet_swarm import run_fleet
 
         fleet = options.fleet
         yield lambda trials: run_fleet(
             trials, fleet, experiment, options.folder,
-            yes=options.yes, insecure_network=options.insecure_network,
+            yes=options.yes, insecure_network=options.insecure_network, evidence=evidence,
         )  # fmt: skip
         return
     if options.live:
@@ -254,6 +268,7 @@ def _runner(
 
         run_one = partial(measure_live, emulate=options.emulate)
         kind, jobs = "live", 1  # in real time a machine has no room for two swarms
+    run_one = KeepingEvidence(run_one, evidence)
     if options.dask is not None:
         from fullswarm.evaluate.experiment.dask import Cluster, Task
 
@@ -349,7 +364,13 @@ def _refusal(trial: Trial) -> str:
     return ""
 
 
-def run_again(file: Path, folder: Path | None = None, as_json: bool = False, run_one: Measure = measure) -> int:
+def run_again(
+    file: Path,
+    folder: Path | None = None,
+    as_json: bool = False,
+    evidence: str = "contacts",
+    run_one: Measure = measure,
+) -> int:
     """Run the trial in this process, print its record, and keep it in `folder` if there is one.
 
     Returns
@@ -364,6 +385,7 @@ def run_again(file: Path, folder: Path | None = None, as_json: bool = False, run
     """
     launch = load_trial(file)
     before = read_record(file if file.is_dir() else file.parent)  # now: --out may replace it
+    run_one = KeepingEvidence(run_one, evidence_mode(evidence))
     result, found, about = perform(launch.trial, launch.experiment, 1, run_one, "trial")
     record = record_of(launch.trial, launch.experiment, found)
     if folder is not None:

@@ -10,6 +10,8 @@ The directories of the trials are the source; everything else is derived from th
 ``compare.py``     two folders, or two values of a field, paired by seed
 ``report.py``      the report, one HTML file (``report.html.j2``): its sections and tables
 ``figures.py``     its figures, as SVG
+``audit.py``       what `fullswarm results audit` does: compares results with recounts
+``recount.py``     counts contacts, arrivals and commands again; shares no code with the referee
 ``index.py``       the trials as SQLite
 ``export.py``      the trials as files for other programs
 """

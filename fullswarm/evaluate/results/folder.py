@@ -64,8 +64,11 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def configuration_of(experiment: Experiment) -> str:
-    """Return a digest that differs between versions of an experiment: its file, and those of its scenarios."""
-    digest = hashlib.sha256(experiment.model_dump_json().encode())
+    """Return a digest that differs between versions of an experiment: its file, and those of its scenarios.
+
+    What is kept of the trials makes no other experiment.
+    """
+    digest = hashlib.sha256(experiment.model_dump_json(exclude={"evidence"}).encode())
     for name in sorted({name for group in experiment.groups for name in group.scenarios}):
         digest.update(f"{name}\n{_arena(name)}\n".encode())
     return digest.hexdigest()
