@@ -180,7 +180,6 @@ def guard(
         How many verdicts became or ceased to be one of those that brake.
     """
     period_s, reach_m, speed_gain, turn_gain_per_s, confidence = tuning
-    approach_s = max(APPROACH_S, 3.0 * period_s)
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m, dead_time_s = robots
     velocity, filtered, gain, margin_m = requested
     pose, motion, stamp_s, sigma = measured
@@ -202,6 +201,8 @@ def guard(
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
         accel = accels[i]
+        # A make that does not follow its ramps exactly approaches as much more carefully.
+        approach_s = max(APPROACH_S, 3.0 * period_s) + overrun_s[i] + dead_time_s[i]
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
