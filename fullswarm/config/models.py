@@ -137,7 +137,7 @@ class AgentConfig(Section):
     # γ of the linear barrier: share of the gap that may be closed per second
     # what limits the approach: the distance in which the robot can brake, or γ of the gap per second as in the paper
     barrier: Literal["braking", "linear"] = "braking"
-    coordination: bool = True  # robots behind the filter avoid one another in advance: half each
+    coordination: bool = True  # robots with a goal, behind the filter, avoid one another in advance
     barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
     bounds_m: Bounds | None = None  # arena for real robots; None: the world's, or none
     # auto: ekf (fuse odometry with noisy poses or with fixes) unless the driver senses a pose that is filtered already

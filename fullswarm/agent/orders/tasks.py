@@ -108,7 +108,7 @@ class Tasks:
     survives_core : (n,) it goes on without the core
     team : (n,) which robots its control law counts as neighbours; 0: all that are sensed
     expires_at_s : (n,) when it ends by itself; inf
-    coordinated : (n,) it is lasting and avoids its neighbours in advance
+    coordinated : (n,) it is lasting, has a goal, and the robot avoids its neighbours in advance
     goal_m, reach_m : (n, 2), (n,) where the robot is to go, NaN for a task without such a point, and within how much of
         it the request counts as carried out
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones; a gain of 0: braking barrier
@@ -174,8 +174,10 @@ class Tasks:
             gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
             linear = request.parameters.get("barrier", self.usual_barrier) == LINEAR
             self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row]) if linear else 0.0
+        # A law without a goal of its own is about the neighbours: what keeps robots apart in advance would change it.
+        has_goal = not math.isnan(self.goal_m[row, 0])
         wanted = request.parameters.get("coordination", self.usually_coordinated) is True
-        self.coordinated[row] = wanted and request.filtered and request.expires_s <= 0.0
+        self.coordinated[row] = wanted and has_goal and request.filtered and request.expires_s <= 0.0
         if alike and self._renew(row, request):
             return
         self.active[row] = True
