@@ -35,6 +35,8 @@ LONGEST_S = 0.1
 """A deviation counts for so long at most in its sum over time."""
 QUIET_S = 10.0
 FEW = 5
+LOOSE_GAIN_PER_S = 2.0
+"""γ of the linear barrier, or less, for makes with a dead time or an overrun, whatever form is set."""
 APPROACH_S = 0.1
 """The last part of an approach decays with this time constant; see ``barrier.approach_limit``."""
 
@@ -225,8 +227,11 @@ def guard(
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
         accel = accels[i]
-        # A make that does not follow its ramps exactly approaches as much more carefully.
-        approach_s = max(APPROACH_S, 3.0 * period_s) + overrun_s[i] + dead_time_s[i]
+        approach_s = max(APPROACH_S, 3.0 * period_s)
+        # The braking barrier uses all of the brakes: it is for makes that follow their ramps exactly.
+        barrier_gain = gain[i]
+        if barrier_gain == 0.0 and (dead_time_s[i] > 0.0 or overrun_s[i] > 0.0):
+            barrier_gain = min(LOOSE_GAIN_PER_S, accel / top)
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -245,13 +250,13 @@ def guard(
             overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], accel, approach_s, top, way, reach_m,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way, reach_m,
                 near, arena, planes, objects,
                 math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
             )  # fmt: skip
             if way > 0.0:
                 shorten(
-                    planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, gain[i], accel,
+                    planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, barrier_gain, accel,
                     approach_s,
                 )  # fmt: skip
             if count < 0:
