@@ -191,15 +191,20 @@ _TAKES: dict[Callable[..., Any], tuple[Callable[..., Any], dict[str, bool]]] = {
 """The compiled form of each `run` that takes named tuples, and its parameters: whether each is one."""
 
 
-def bound(call: Callable[P, R]) -> Callable[P, R]:
+def bound(call: Callable[P, R], *, viewed: bool = False) -> Callable[P, R]:
     """Return ``partial(kernel.run, ...)`` as a faster call: the members of the tuples given in it are looked up once.
 
     The leading arguments must be given in it by position; arrays keep their identity, so what they hold may change.
+
+    Parameters
+    ----------
+    viewed
+        In plain Python the kernel gets :func:`views` of the given tuples; it must read and write single items only.
     """
     run, given = (call.func, call.args) if isinstance(call, partial) else (call, ())
     compiled, takes = _TAKES.get(run, (None, {}))
     if compiled is None:
-        return call
+        return partial(run, *[views(each) if hasattr(each, "_make") else each for each in given]) if viewed else call
     flat = [
         each
         for value, is_tuple in zip(given, takes.values(), strict=False)
@@ -220,7 +225,11 @@ def views(arrays: Arrays) -> Arrays:
 
     Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
     """
-    return arrays._make(map(memoryview, arrays))
+    return arrays._make(_view(each) for each in arrays)
+
+
+def _view(member: Any) -> Any:
+    return memoryview(member) if hasattr(member, "dtype") else member
 
 
 @kernel

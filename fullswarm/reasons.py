@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from types import MappingProxyType
+
+import msgspec
 
 
 class Code(enum.StrEnum):
@@ -38,6 +39,7 @@ class Code(enum.StrEnum):
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
+    SILENT = "silent"  # robots: their names
     NO_WAY = "no_way"  # goal, needed_m, widest_m
     GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
@@ -89,6 +91,8 @@ TEXTS: dict[Code, str] = {
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
+    "let another robot look at the place",
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
@@ -114,8 +118,7 @@ DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, C
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
+class Reason(msgspec.Struct, frozen=True):
     """One reason. False when there is none.
 
     Attributes
@@ -127,10 +130,10 @@ class Reason:
 
     code: str = Code.NONE
     text: str = ""
-    parameters: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, str] = {}
 
     def __bool__(self) -> bool:
-        return bool(self.code or self.text)
+        return self.code != "" or self.text != ""
 
     def __str__(self) -> str:
         return self.text

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import TypeVar
+from typing import Any, TypeVar
 
 K = TypeVar("K")
 V = TypeVar("V")
+
+
+_write: Any = OrderedDict.__setitem__  # `super()` would take half the time of a write
 
 
 class Recent(OrderedDict[K, V]):
@@ -18,7 +21,8 @@ class Recent(OrderedDict[K, V]):
 
     def __setitem__(self, key: K, value: V) -> None:
         """Write one entry."""
-        super().__setitem__(key, value)
-        self.move_to_end(key)
+        if key in self:
+            self.move_to_end(key)
+        _write(self, key, value)
         if len(self) > self._most:
             self.popitem(last=False)

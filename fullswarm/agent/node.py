@@ -34,6 +34,7 @@ from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PER
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
 from fullswarm.agent.telemetry.reports import Reports
+from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
 from fullswarm.config import AgentConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet, FleetReading
@@ -147,6 +148,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
@@ -216,7 +218,8 @@ class AgentNode:
         self.reflexes.update(reading, state.pose)
         if self.fixes.any_unsettled:
             self.reflexes.pose_uncertain |= self.fixes.unsettled
-        self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
+        if reading.bodies is not None or self.objects.any:
+            self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading)
         period_s = 1.0 / self._config.control_rate_hz

@@ -245,6 +245,12 @@ def fixes(
     names: Annotated[
         list[str] | None, typer.Option("--map", metavar="NAME=ROBOT", help="Map a name of the sender to a robot.")
     ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object", metavar="NAME=RADIUS_M", help="Report a name as an object to keep off: a person, a cart."
+        ),
+    ] = None,
     unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of x, y and z.")] = "m",
     y_up: Annotated[bool, typer.Option("--y-up", help="Take x and -z as the floor's axes, as in Motive.")] = False,
     sigma_m: Annotated[
@@ -267,6 +273,7 @@ def fixes(
         source.parse_map(names or ()),
         Format(source.unit_of(unit), y_up, sigma_m, sigma_rad),
         insecure_network,
+        source.parse_objects(objects or ()),
     )
     return source.run(target.hub, target.swarm, options, with_parent)
 

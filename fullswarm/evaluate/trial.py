@@ -6,6 +6,7 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +40,8 @@ from fullswarm.messages import Value
 from fullswarm.simulation.world import World
 
 TOLERANCE_S = 1e-9
+NUMBERED = re.compile(r"\br\d+\b")
+"""A robot in the network conditions of an experiment; a trial's robots have its seed in their names."""
 ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
 
 
@@ -140,6 +143,7 @@ def drive(
             deadlocks=report.deadlocks,
             deadlock_s=report.deadlock_s,
             **_per_second(report.onboard, outcome.simulated_s),
+            **{name: nearest[key].value for name, key in NEAREST.items() if key in nearest},
         ),
         end_reason=reason,
         onboard=report.onboard,
@@ -183,9 +187,17 @@ def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
         above_limits=counted.above_limits,
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
+        mover_events=counted.mover_events,
+        mover_hits=counted.mover_hits,
     )
 
 
+NEAREST = {
+    "separation_m": "separation.min_m",
+    "clearance_m": "clearance.min_m",
+    "time_to_contact_s": "time_to_contact.min_s",
+}
+"""Numbers of the outcome by what came nearest."""
 RATES = {
     "reversals_per_s": "smoothness.reversals_mean",
     "speed_variation_m_s2": "smoothness.speed_variation_m_s",
@@ -299,7 +311,10 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
             "robot": robots,
             "agent": AgentConfig.model_validate(dict(trial.agent)).model_dump(),
             "performance": {"arrive_radius_m": scenario.goal.radius_m, **dict(trial.stop)},
-            "network": {"conditions": trial.cell.network or None, "seed": trial.seed},
+            "network": {
+                "conditions": NUMBERED.sub(rf"\g<0>s{trial.seed}", trial.cell.network) or None,
+                "seed": trial.seed,
+            },
         }
     )
     return config, goals_for(scenario, poses)

@@ -27,7 +27,7 @@ from fullswarm.messages import HealthReport, PoseFix, RobotHealth, RobotStates
 from fullswarm.perf.calculators import CollisionCalculator
 from fullswarm.perf.truth import Truth
 from fullswarm.simulation.approaches import SPAN, Approaches
-from fullswarm.simulation.contacts import ContactReferee
+from fullswarm.simulation.contacts import ContactReferee, Solids
 from fullswarm.simulation.obstacles import static_obstacles, with_trigonometry
 from fullswarm.simulation.world import World
 
@@ -43,6 +43,8 @@ REPORTED_HZ = 20.0
 """How often poses of real robots are judged: as often as they report them."""
 FAR_M = 1e6
 NOWHERE = 2e9  # grains, of a pose that is not known
+EVENT_S = 0.25  # without contact, before another one is an event of its own
+STILL_M_S = 1e-3
 WALLS = ("west wall", "east wall", "south wall", "north wall")
 
 
@@ -90,6 +92,35 @@ class Standard:
         )
 
 
+class MoverContacts:
+    """Counts contacts of n robots with movers, by what brought them about.
+
+    Attributes
+    ----------
+    own, hit : the robot moved towards the mover when they touched; it stood or went away, and the mover came
+    """
+
+    def __init__(self, count: int) -> None:
+        self.own, self.hit = CollisionCalculator(count), CollisionCalculator(count)
+        self._counts = np.zeros((2, count), np.int64)
+        self._by_itself = np.zeros(count, np.bool_)
+        self._since_s = np.full(count, -np.inf)
+
+    def sample(self, time_s: float, found: ContactReferee) -> None:
+        """Take in one step. How a contact counts is decided by its first step, before anything was pushed in it."""
+        self._counts[:] = 0
+        for row, other in found.pairs[found.pairs[:, 1] < -found.fixed].tolist():
+            if time_s - self._since_s[row] > EVENT_S:
+                way = found.path[1, row] - found.path[0, row]
+                towards = found.solids.obstacles[-1 - other, :2] - found.path[0, row]
+                speed = float(way @ towards) / max(float(np.hypot(*towards)), 1e-9) / float(found.part_s[0])
+                self._by_itself[row] = speed > STILL_M_S
+            self._since_s[row] = time_s
+            self._counts[0 if self._by_itself[row] else 1, row] += 1
+        self.own.update(time_s, self._counts[0])
+        self.hit.update(time_s, self._counts[1])
+
+
 class Referee:
     """Counts contacts and commands above the limits after each step, and keeps what proves the count.
 
@@ -104,11 +135,14 @@ class Referee:
         self._bodies, self._standard = bodies, standard
         self._most = standard.limits * (1.0 + TOLERANCE)
         self.robots, self.obstacles = CollisionCalculator(count), CollisionCalculator(count)
+        self.movers = MoverContacts(count)
         self.pairs: set[tuple[int, int]] = set()
         self.touched = np.zeros(count, np.bool_)
         self._counts, self._touching = np.zeros((2, count), np.int64), False
         self._steps = 0
-        self._approaches = Approaches(bodies.referee.solids, bodies.referee.touch_m, bodies.dt_s)
+        solids = bodies.referee.solids
+        fixed = Solids(solids.obstacles[: bodies.referee.fixed], solids.radius)
+        self._approaches = Approaches(fixed, bodies.referee.touch_m, bodies.dt_s)
         # The steps of the present span: row 0 is where it began.
         self._row = 0
         self._pose, self._command = np.zeros((SPAN + 1, count, 3)), np.zeros((SPAN + 1, count, 2))
@@ -126,7 +160,11 @@ class Referee:
         self._row += 1
         self._pose[self._row], self._command[self._row] = bodies.pose, bodies.target
         if len(found.near):
-            self._near.append((self._row, found.near.copy(), found.near_gap_m.copy()))
+            near, gap_m = found.near, found.near_gap_m
+            if found.fixed < len(found.solids.obstacles):  # how near a mover comes is its doing
+                fixed = near[:, 1] >= -found.fixed
+                near, gap_m = near[fixed], gap_m[fixed]
+            self._near.append((self._row, near.copy(), gap_m.copy()))
         if len(found.pairs) or self._touching:
             self._count(time_s)
         if self._row == SPAN:
@@ -137,15 +175,20 @@ class Referee:
         counts, found = self._counts, self._bodies.referee
         counts[:] = 0
         self._touching = len(found.pairs) > 0
-        if self._touching:
-            for first, second in found.pairs.tolist():
+        pairs, touched = found.pairs, found.contacts
+        if found.fixed < len(found.solids.obstacles):
+            self.movers.sample(time_s, found)
+            pairs = pairs[pairs[:, 1] >= -found.fixed]
+            touched = np.bincount(pairs[pairs >= 0], minlength=len(touched))
+        if len(pairs):
+            for first, second in pairs.tolist():
                 if second >= 0:
                     counts[0, first] += 1
                     counts[0, second] += 1
                     self.pairs.add((min(first, second), max(first, second)))
                 else:
                     counts[1, first] += 1
-            rows = np.flatnonzero(found.contacts)
+            rows = np.flatnonzero(touched)
             self.touched[rows] = True
             self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
         self.robots.update(time_s, counts[0])
@@ -182,6 +225,12 @@ class Referee:
         """How near they came so far."""
         self._end_span()
         return self._approaches
+
+    def rehearse(self) -> None:
+        """Do once all that is done in a trial, so that no kernel is compiled while robots drive."""
+        self.sample()
+        self._count(0.0)
+        self._end_span()
 
     def evidence(self) -> Evidence:
         """Return what is needed to count everything again."""
@@ -275,6 +324,8 @@ class ContactTally(NamedTuple):
     pairs_touched: int | None  # pairs of robots that have touched; None: not known
     robots_touched: int  # robots that have touched anything
     above_limits: int  # commands beyond the actuators' limits; 0 where they cannot be seen
+    mover_events: int = 0  # contacts with movers towards which the robot moved
+    mover_hits: int = 0  # movers that touched a robot that stood or went away
 
 
 class Witness(Protocol):
@@ -347,7 +398,7 @@ class WorldWitness:
         about = world.ids, self.radius_m, goals, goal_radius_m, world.config.bounds_m, cell_m
         # Kernels are compiled when they first run: not while robots drive in a world that this process steps.
         Truth(*about).sample(0.0, world.pose, world.twist, world.dt_s, world.contacts)
-        Referee(world, self._standard).sample()
+        Referee(world, self._standard).rehearse()
         self.truth: Truth = Truth(*about)
         self._referee = Referee(world, self._standard)
 
@@ -387,6 +438,8 @@ class WorldWitness:
             pairs_touched=len(found.pairs),
             robots_touched=int(found.touched.sum()),
             above_limits=found.above_limits,
+            mover_events=int(found.movers.own.events.sum()),
+            mover_hits=int(found.movers.hit.events.sum()),
         )
 
     def evidence(self) -> Evidence:
@@ -463,6 +516,8 @@ class ReportedWitness:
             goal_radius_m=goal_radius_m,
             walls=config.world_or_default.walls,
         )
+        self._bodies.step()
+        Referee(self._bodies, self._standard).rehearse()
         self._referee = Referee(self._bodies, self._standard)
         self._touched = np.zeros(count, bool)
         self._reported = np.full(count, -1, np.int64)  # collisions in the newest report; -1: none yet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 import uuid
@@ -20,7 +21,7 @@ from fullswarm.config import DEFAULT_HUB, HubConfig, SwarmConfig
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.localization.mocap import UNITS, Format, Refused, Sighting
-from fullswarm.messages import HealthReport, PoseFix
+from fullswarm.messages import HealthReport, ObjectFix, PoseFix
 from fullswarm.runtime import Mailbox, Runtime, Scheduler
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ CLOSING_S = 0.2
 REPORT_S = 10.0
 KNOWN_S = 5.0
 """By then every robot has reported its health twice."""
+LARGEST_M = 100.0
 KINDS = 50
 """Most kinds of errors that are logged, so that no sender can fill the log."""
 
@@ -50,6 +52,30 @@ class Options:
     robots: dict[str, str] = field(default_factory=dict)  # robot id by the name in the capture system
     format: Format = field(default_factory=Format)
     insecure_network: bool = False
+    objects: dict[str, float] = field(default_factory=dict)  # radius in m by the name in the capture system
+
+
+def parse_objects(words: Iterable[str]) -> dict[str, float]:
+    """Read ``NAME=RADIUS_M`` words.
+
+    Raises
+    ------
+    ConfigError
+        Not of that form, or a name comes twice.
+    """
+    found: dict[str, float] = {}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        try:
+            radius_m = float(text) if equals and name else math.nan
+        except ValueError:
+            radius_m = math.nan
+        if not 0.0 < radius_m <= LARGEST_M:
+            raise ConfigError("expected NAME=RADIUS_M", where=f"--object {word}", hint="like --object 'Person 1=0.3'")
+        if name in found:
+            raise ConfigError("the name is given twice", where=f"--object {word}")
+        found[name] = radius_m
+    return found
 
 
 def parse_map(words: Iterable[str]) -> dict[str, str]:
@@ -179,6 +205,10 @@ class FixesNode:
                     self._publish(each, arrival_s, sender)
 
     def _publish(self, seen: Sighting, arrival_s: float, sender: str) -> None:
+        radius_m = self._options.objects.get(seen.name)
+        if radius_m is not None:
+            self._publish_object(seen, radius_m, arrival_s)
+            return
         robot = self._options.robots.get(seen.name, seen.name)
         if not ROBOT_ID.match(robot):
             hint = f"{seen.name!r:.60}: say --map NAME=ROBOT which one it is"
@@ -199,6 +229,15 @@ class FixesNode:
             contacts=seen.contacts,
         )
         self._bus.publish(self._keys.pose_fix(robot), fix)
+
+    def _publish_object(self, seen: Sighting, radius_m: float, arrival_s: float) -> None:
+        """Tell the robots where something is that is no robot of the fleet."""
+        self.sent += 1
+        number = list(self._options.objects).index(seen.name)
+        fix = ObjectFix(
+            object=seen.name, x_m=seen.x_m, y_m=seen.y_m, radius_m=radius_m, source=self._process, stamp_s=arrival_s
+        )  # fmt: skip
+        self._bus.publish(self._keys.object_fix(f"o{number}"), fix)  # its name may not fit into a key
 
     def _refuse(self, refused: Refused, sender: str) -> None:
         first = refused.kind not in self.bad

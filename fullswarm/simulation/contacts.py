@@ -84,6 +84,7 @@ class ContactReferee:
     ----------
     radius_m : (n,) of the bodies
     part_s : (p,) when the parts of a step end, since its start
+    movers : so many of the obstacles, the last ones, are movers
 
     Attributes
     ----------
@@ -91,13 +92,16 @@ class ContactReferee:
     path : (p + 1, n, 2) m, written by the engine: centres at the start of a step and after each part of it
     contacts : (n,) bodies and obstacles that each body touched during the last step; the same array at all times
     pairs : (m, 2) which touched; the second is -1-k for obstacle k
+    fixed : so many of the obstacles, the first ones, do not move
     near, near_gap_m : (m, 2), (m,) pairs that were so close that they might have touched, and their smallest gaps
     """
 
-    def __init__(self, config: WorldConfig, obstacles: Array, radius_m: Array, part_s: Array) -> None:
+    def __init__(
+        self, config: WorldConfig, obstacles: Array, radius_m: Array, part_s: Array, movers: int = 0
+    ) -> None:  # fmt: skip
         count = len(radius_m)
         self.radius_m, self.touch_m = np.array(radius_m, np.float64), touch_m(config, radius_m)
-        self.solids = Solids(obstacles, self.radius_m)
+        self.solids, self.fixed = Solids(obstacles, self.radius_m), len(obstacles) - movers
         self.part_s, self.path = part_s, np.zeros((len(part_s) + 1, count, 2))
         self.contacts = np.zeros(count, np.int64)
         self._marked = np.zeros(count, np.bool_)

@@ -52,7 +52,7 @@ class KinematicEngine:
         self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)
         # Each substep has two parts: bodies move, then they are pushed apart at once.
         part_s = np.repeat(np.arange(1, self._substeps + 1, dtype=np.float64), 2) * (self._dt_s / self._substeps)
-        self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s)
+        self.referee = ContactReferee(config, obstacles, radii_of(bodies), part_s, len(config.movers))
         self._candidates: Candidates | None = None
         self._run: Callable[[float, int, float, Array], bool]
         self._moving = Moving(self.pose, self.twist, self.referee.path, np.zeros((n, SCRATCH_COLUMNS)))

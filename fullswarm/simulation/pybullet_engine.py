@@ -155,7 +155,9 @@ class PyBulletEngine:
         obstacles = solid_rows(config)
         self._dt_s = 1.0 / config.rate_hz
         self._client = BulletClient(self._dt_s, config.substeps, numSolverIterations=SOLVER_ITERATIONS)
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
+        self.referee = ContactReferee(
+            config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s, len(config.movers)
+        )  # fmt: skip
         self.firmware = self._client.firmware
         self._solid = self._client.add_obstacles(obstacles, -HEIGHT_M)
         self._movers_m_s = max((each.speed_m_s for each in config.movers), default=0.0)

@@ -84,7 +84,9 @@ class WheelsEngine:
             solverResidualThreshold=1e-4,
             enableConeFriction=0,
         )
-        self.referee = ContactReferee(config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s)
+        self.referee = ContactReferee(
+            config, with_trigonometry(obstacles), radii_of(bodies), self._client.part_s, len(config.movers)
+        )  # fmt: skip
         self.firmware = self._client.firmware + " wheels"
         api, client = self._client.api, self._client.id
         api.setGravity(0.0, 0.0, GRAVITY_M_S2, physicsClientId=client)

@@ -17,9 +17,18 @@ from fullswarm.bus import LocalBus
 from fullswarm.clock import MonotonicClock, SimClock
 from fullswarm.errors import ConfigError
 from fullswarm.keys import Keys
-from fullswarm.localization.fixes import WAITING, Datagram, FixesNode, Options, Port, parse_map, unit_of
+from fullswarm.localization.fixes import (
+    WAITING,
+    Datagram,
+    FixesNode,
+    Options,
+    Port,
+    parse_map,
+    parse_objects,
+    unit_of,
+)
 from fullswarm.localization.mocap import FIELDS, Format, Refused, Sighting
-from fullswarm.messages import HealthReport, PoseFix, RobotHealth
+from fullswarm.messages import HealthReport, ObjectFix, PoseFix, RobotHealth
 from fullswarm.runtime import Mailbox, Runtime
 
 KEYS = Keys("swarm")
@@ -49,6 +58,30 @@ def times(one: list[float], other: list[float]) -> list[float]:
         w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a,
         w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c,
     ]  # fmt: skip
+
+
+def test_an_object_is_reported_as_one_and_not_as_a_robot() -> None:
+    runtime, waiting = Runtime(SimClock(), Mailbox()), deque[Datagram](maxlen=WAITING)
+    bus = LocalBus(runtime.mailbox)
+    found, fixes = list[ObjectFix](), list[PoseFix]()
+    bus.subscribe(KEYS.object_fix(), ObjectFix, found.append)
+    bus.subscribe(KEYS.pose_fix(), PoseFix, fixes.append)
+    node = FixesNode(bus, runtime, KEYS, Options(objects=parse_objects(["Person 1=0.3"])), "p", waiting)
+    seen = [{**GOOD, "robot": "Person 1"}, GOOD]
+    waiting.append((2.0, "127.0.0.1", json.dumps(seen).encode()))
+    node.read()
+    runtime.run(0.01)
+    assert [(each.object, each.x_m, each.y_m, each.radius_m) for each in found] == [("Person 1", 1.5, -2.0, 0.3)]
+    assert [each.robot for each in fixes] == ["r1"]
+    node.close()
+
+
+@pytest.mark.parametrize("word", ["person", "person=", "person=-1", "person=wide", "=0.3", "person=nan", "person=1e9"])
+def test_an_object_needs_a_name_and_a_radius(word: str) -> None:
+    with pytest.raises(ConfigError, match="NAME=RADIUS_M"):
+        parse_objects([word])
+    with pytest.raises(ConfigError, match="twice"):
+        parse_objects(["a=1", "a=2"])
 
 
 def test_the_plain_form() -> None:

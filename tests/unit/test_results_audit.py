@@ -75,6 +75,7 @@ def driven(seed: int, steps: int, engine: str = "kinematic") -> tuple[Record, Me
         witness.sample()
     world.close()
     counted, arrived = witness.tally(), np.hypot(*(world.pose[:, :2] - goals).T) <= 0.6
+    nearest = witness.nearest()
     outcome = Outcome(
         robots=5,
         arrived=int(arrived.sum()),
@@ -85,10 +86,11 @@ def driven(seed: int, steps: int, engine: str = "kinematic") -> tuple[Record, Me
         above_limits=counted.above_limits,
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
+        separation_m=nearest["separation.min_m"].value,
+        clearance_m=nearest["clearance.min_m"].value,
+        time_to_contact_s=nearest["time_to_contact.min_s"].value,
     )
-    found = Measurement(
-        outcome, "time limit", truth=witness.values(), evidence=witness.evidence(), approaches=witness.nearest()
-    )
+    found = Measurement(outcome, "time limit", truth=witness.values(), evidence=witness.evidence(), approaches=nearest)
     record = Record(
         id=trial_id(trial(seed)), experiment="audit", trial=trial(seed), outcome=outcome, end_reason="time limit",
         truth=dict(found.truth), approaches=dict(found.approaches),
@@ -143,6 +145,7 @@ def crowded() -> tuple[Record, Measurement]:
         ("robots_touched", -1),
         ("above_limits", -1),
         ("arrived", 1),
+        ("separation.min_m", 0.1),
         ("simulated_s", 0.5),
     ],
 )
@@ -152,7 +155,7 @@ def test_an_edited_count_is_found_out(
     record, found = crowded
     folder = stored(tmp_path, record, found)
     document: dict[str, Any] = msgspec.json.decode((folder / RESULT_FILE).read_bytes())
-    document["outcome"][name] += change
+    document["outcome"][{"separation.min_m": "separation_m"}.get(name, name)] += change
     (folder / RESULT_FILE).write_bytes(msgspec.json.encode(document))
     audited = audit_trial(folder)
     assert audited.verdict == "differs"

@@ -99,8 +99,8 @@ class Reflexes:
         self.pose_unknown, self.pose_uncertain, self.battery_low = unfit
         speeds = SpeedBounds(floor=np.full(count, -math.inf), ceiling=np.full(count, math.inf))
         self.floor, self.ceiling = speeds
-        self._inspect = bound(partial(inspect.run, limits, unfit))
-        self._bound_speeds = bound(partial(geofence.run, fence, speeds))
+        self._inspect = bound(partial(inspect.run, limits, unfit), viewed=True)
+        self._bound_speeds = bound(partial(geofence.run, fence, speeds), viewed=True)
         self.clock_jumped = False
         self._jump_over_s = -math.inf
 
@@ -236,7 +236,7 @@ class Standstill:
         window = Window(past, newest=np.zeros(count, np.int64), held=np.zeros(count, np.int64))
         judgement = Judgement(np.ones(count, bool), np.full(count, math.inf))
         self.at_standstill, self.since_s = judgement
-        self._judge = bound(partial(judge.run, window, judgement, noise_of))
+        self._judge = bound(partial(judge.run, window, judgement, noise_of), viewed=True)
 
     def update(self, reading: FleetReading) -> None:
         """Take the newest readings; one that was taken before changes nothing."""

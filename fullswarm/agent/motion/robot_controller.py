@@ -235,7 +235,8 @@ class RobotController:
         ):  # fmt: skip
             self._given = task, link, sensed, doubt
             self._decide = bound(
-                partial(decide.run, task, link, sensed, doubt, self._desired, self._bounds, self._decision)
+                partial(decide.run, task, link, sensed, doubt, self._desired, self._bounds, self._decision),
+                viewed=True,
             )
         self.changed = self._decide(now_s, dt_s, read_since_s)
         return self._decision.twist

@@ -109,12 +109,14 @@ class ObjectTracker:
     Attributes
     ----------
     objects : as of the last `update`; the same arrays at all times
+    any : there is an object, or has been at the last `update`
     obstacles : (b, 6) what hides bodies; set by the owner
     """
 
     def __init__(self, neighbours: Neighbours, range_m: float, speed_m_s: float, accel_m_s2: float) -> None:
         self._neighbours, self._range_m = neighbours, range_m
         self.obstacles = np.zeros((0, 6))
+        self.any = False
         self.objects = no_objects()
         self.objects.limits[:] = speed_m_s, accel_m_s2
         self._tracks: list[Track] = []
@@ -125,6 +127,7 @@ class ObjectTracker:
         """Take in the place of an object from a source outside."""
         track = self._told.get(fix.object)
         if track is None:
+            self.any = True
             if len(self._told) < MOST:
                 self._told[fix.object] = Track(fix.x_m, fix.y_m, fix.radius_m, now_s, now_s, now_s)
             return
@@ -140,7 +143,7 @@ class ObjectTracker:
             self._stamp_s = stamp_s
             if len(bodies) or self._tracks:
                 self._see(stamp_s, pose[:, :2], bodies, self.strange(bodies, now_s))
-        if self._tracks or self._told or self.objects.used[0]:
+        if self._tracks or self._told or self.any:
             self._publish(now_s, pose[:, :2])
 
     def strange(self, bodies: Array, now_s: float) -> NDArray[np.bool_]:
@@ -226,3 +229,4 @@ class ObjectTracker:
             rows[at, 4] = track.radius_m + min(unsure_m_s + 0.5 * accel * unseen_s, 2.0 * speed_limit) * unseen_s
             rows[at, 5] = min(unsure_m_s + accel * unseen_s, 2.0 * speed_limit)
         self.objects.used[0] = len(tracks)
+        self.any = bool(tracks or self._tracks or self._told)

@@ -149,14 +149,16 @@ class Inbox:
             # If accepted, the robot would drive off while a person puts it back on safe ground.
             seen, remedy = explain_hazards(hazards, self._fleet.fault(row))
             return Reason(seen.code, f"{seen}; {remedy}, then ask for it again", seen.parameters)
-        if self._state.battery_low[row] and request.expires_s <= 0.0:
-            return reason(Code.BATTERY)
-        conflict = self._conflicts.reason(row)
-        if conflict and request.expires_s <= 0.0:
-            return conflict
-        task = Task(request, self._sent_s(row, request))
+        if request.expires_s <= 0.0:
+            if self._state.battery_low[row]:
+                return reason(Code.BATTERY)
+            conflict = self._conflicts.reason(row)
+            if conflict:
+                return conflict
+        task, before = Task(request, self._sent_s(row, request)), self._tasks.of[row]
         try:
-            if self._fleet.descriptions[row].make != SIMULATED and simulated_only(task.law):
+            new_law = before is None or before.law != task.law
+            if new_law and self._fleet.descriptions[row].make != SIMULATED and simulated_only(task.law):
                 return reason(Code.SIMULATED_ONLY, law=task.law)
             self._tasks.enable(row, task)
         except FullswarmError as error:

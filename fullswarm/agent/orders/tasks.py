@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import tomllib
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -156,7 +157,7 @@ class Tasks:
     def _renew(self, row: int, request: ControlRequest) -> bool:
         """Write new parameters of a running control law into its group: a stick sends them twenty times a second."""
         for group in self._groups or ():
-            place = int(np.searchsorted(group.rows, row))
+            place = bisect_left(group.rows, row)  # NumPy's own search takes ten times as long for a few rows
             if place < len(group.rows) and group.rows[place] == row:
                 same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
                 # By the class: a parameter may be called "update".

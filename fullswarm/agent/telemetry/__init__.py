@@ -2,6 +2,7 @@
 
 ``reports.py``        States and health
 ``metrics.py``        What robots measure of themselves
+``waiting.py``        Which silent robots a robot that stands waits for
 ``interventions.py``  What the safety filter changes, in which direction, and because of what
 ``health_file.py``    The result of the health check of a new release, as a file
 """

@@ -15,6 +15,7 @@ from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.state import AgentState, Identity
+from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, kernel
 from fullswarm.keys import Keys, cell_of
@@ -56,11 +57,12 @@ class Reports:
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array,
+        blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
+        self._waiting, self._now_s = waiting, -math.inf
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
@@ -127,6 +129,7 @@ class Reports:
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
         """Return the health of all robots of this agent."""
+        self._now_s = now_s
         return HealthReport(
             host=self._identity.host,
             process=self._identity.process,
@@ -147,7 +150,7 @@ class Reports:
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
         if number == StopReason.MOVING:
-            return self._blocked.get(row, NONE)
+            return self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s)
         if number in (StopReason.IDLE, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])

@@ -17,6 +17,7 @@ from fullswarm.config import (
     NoiseConfig,
     PerformanceConfig,
     Section,
+    SightConfig,
     WorldConfig,
 )
 from fullswarm.config.toml_errors import parse_section
@@ -131,7 +132,8 @@ class Group(Section):
     time_limit_s: PositiveFloat | None = None  # None: the scenario's
     seeds_at_most: PositiveInt | None = None  # slow cells: only so many of the seeds
     noise: NoiseConfig = NoiseConfig()
-    network: str = ""  # as in --network
+    network: str = ""  # as in --network; the robots are called r0, r1, …
+    sight: SightConfig = SightConfig()  # whether and how well robots see other bodies
     agent: dict[str, Parameter] = Field(default_factory=dict)  # settings of the agents that differ from the usual ones
     stop: PerformanceConfig = PerformanceConfig()  # ends a trial before its time limit, as the summarizers see it
     collisions_expected: bool = False  # of all behaviours

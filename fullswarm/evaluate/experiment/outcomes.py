@@ -29,15 +29,21 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     deadlock_s: float = 0.0  # robot-seconds spent on stepping aside
     pairs_touched: int | None = None  # pairs of robots that touched at least once; None: not known
     robots_touched: int | None = None  # robots that touched anything
+    separation_m: float | None = None  # least gap of two robots; None: there was one
+    clearance_m: float | None = None  # least gap of a robot and an obstacle; None: there was none
+    time_to_contact_s: float | None = None  # least; None: nothing came nearer to anything
     # per robot and second, as the robots measured it; None: not known
     reversals_per_s: float | None = None  # of a wheel's commanded speed, mean of both wheels
     speed_variation_m_s2: float | None = None  # total variation of the commanded speed
     turn_variation_rad_s2: float | None = None  # and of the commanded turn rate
 
+    mover_events: int = 0  # a robot touched a mover by its own motion
+    mover_hits: int = 0  # a mover touched a robot that stood or went away from it: no collision of the robot's
+
     @property
     def events(self) -> int:
-        """All contact events."""
-        return self.robot_events + self.obstacle_events
+        """All contact events that robots brought about."""
+        return self.robot_events + self.obstacle_events + self.mover_events
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -111,6 +117,11 @@ class CellResult:
         """Seeds of the trials in which a robot did not arrive."""
         return [seed for seed, each in self.outcomes if each.arrived < each.robots]
 
+    def least_of(self, name: str) -> float | None:
+        """Return the least figure of the outcomes that have one."""
+        known = [value for _, each in self.outcomes if (value := getattr(each, name)) is not None]
+        return round(min(known), 5) if known else None
+
     def mean_of(self, name: str) -> float | None:
         """Return the mean of a number of the outcomes, each weighted by its time; None when none has it."""
         known = [(getattr(each, name), each.simulated_s) for _, each in self.outcomes]
@@ -143,6 +154,8 @@ class CellResult:
             "collisions": self.collisions if known else None,
             "robot_collisions": sum(each.robot_events for each in outcomes) if known else None,
             "obstacle_collisions": sum(each.obstacle_events for each in outcomes) if known else None,
+            "mover_collisions": sum(each.mover_events for each in outcomes) if known else None,
+            "mover_hits": sum(each.mover_hits for each in outcomes) if known else None,
             "pairs_touched": self.pairs_touched if known else None,
             "robots_touched": self.robots_touched if known else None,
             "colliding_seeds": self.colliding_seeds,
@@ -153,6 +166,7 @@ class CellResult:
             "longest_s": max((each.simulated_s for each in outcomes), default=None),
             "deadlocks": sum(each.deadlocks for each in outcomes) if known else None,
             "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3) if known else None,
+            **{name: self.least_of(name) for name in ("separation_m", "clearance_m", "time_to_contact_s")},
             "reversals_per_s": self.mean_of("reversals_per_s"),
             "speed_variation_m_s2": self.mean_of("speed_variation_m_s2"),
             "turn_variation_rad_s2": self.mean_of("turn_variation_rad_s2"),

@@ -60,6 +60,7 @@ class Trial:
     agent: Settings  # of the agents
     stop: Settings = ()  # termination conditions, as in a fleet file's table [performance]
     bodies: tuple[Settings, ...] = ()  # which the robots have in turn, where they differ; the first is `body`
+    sight: Settings = ()  # of the world, where it differs from the usual one
     arena: str = ""  # the scenario as JSON: its file may change or be elsewhere; empty: the cell's, by its name
 
     @property
@@ -109,6 +110,7 @@ def plan(
     trials, names, arena = [], set[str](), cache(arena_of)
     for group in experiment.groups:
         stop = tuple(group.stop.model_dump(exclude_defaults=True).items())
+        sight = tuple(group.sight.model_dump(exclude_defaults=True).items())
         for cell in _cells(group, shrunk, engine):
             fields = cell.fields()
             names |= fields.keys()
@@ -117,7 +119,7 @@ def plan(
                 agent = tuple(group.agent.items())
                 few = wanted[: group.seeds_at_most]
                 mixed = bodies if len(bodies) > 1 else ()
-                settings = group.time_limit_s, bodies[0], agent, stop, mixed, arena(cell.scenario)
+                settings = group.time_limit_s, bodies[0], agent, stop, mixed, sight, arena(cell.scenario)
                 trials += [Trial(cell, seed, *settings) for seed in few]
     for each in filters:
         field, equals, _ = each.partition("=")
@@ -204,7 +206,7 @@ def world_of(trial: Trial) -> WorldConfig:
     """Return the world of a trial, still without a scenario."""
     cell = trial.cell
     noise = {"position_m": cell.noise_m, "heading_rad": cell.noise_rad}
-    settings = {"engine": cell.engine, "noise": noise, "seed": trial.seed}
+    settings = {"engine": cell.engine, "noise": noise, "sight": dict(trial.sight), "seed": trial.seed}
     return WorldConfig.model_validate({**world_settings(dict(trial.body)), **settings})
 
 

@@ -171,17 +171,16 @@ def _nearest(record: Record, outcome: Outcome, stored: Arrays) -> Iterator[str]:
         walls = int((stored["wall_m"] <= np.float32(touch_m)).sum())
         if (outcome.obstacle_events > 0) != (walls > 0):
             yield f"obstacle_events is {outcome.obstacle_events}, but {walls} pairs of robot and obstacle touched"
-    figures = {
-        "separation.min_m": float(stored["closest_m"].min(initial=np.inf)),
-        "clearance.min_m": float(stored["wall_m"].min(initial=np.inf)),
-        "time_to_contact.min_s": float(stored["soonest"][0]),
-    }
-    for name, value in figures.items():
+    figures = (
+        ("separation.min_m", outcome.separation_m, float(stored["closest_m"].min(initial=np.inf))),
+        ("clearance.min_m", outcome.clearance_m, float(stored["wall_m"].min(initial=np.inf))),
+        ("time_to_contact.min_s", outcome.time_to_contact_s, float(stored["soonest"][0])),
+    )
+    for name, counted, value in figures:
         said = record.approaches.get(name)
-        if (said is not None or math.isfinite(value)) and not (
-            said is not None and math.isclose(said.value, value, rel_tol=1e-6, abs_tol=1e-7)
-        ):
-            yield f"approaches.{name} is {'absent' if said is None else said.value}, the evidence has {value:.7g}"
+        for each in (counted, None if said is None else said.value):
+            if not math.isclose(math.inf if each is None else each, value, rel_tol=1e-6, abs_tol=1e-7):
+                yield f"{name} is {'absent' if each is None else each}, the evidence has {value:.7g}"
 
 
 def _compare(

@@ -66,6 +66,8 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "events": float(outcome.events),
         "robot_events": float(outcome.robot_events),
         "obstacle_events": float(outcome.obstacle_events),
+        "mover_events": float(outcome.mover_events),
+        "mover_hits": float(outcome.mover_hits),
         "arrived": float(outcome.arrived),
         "arrived_fraction": outcome.arrived / outcome.robots if outcome.robots else 0.0,
         "all_arrived": float(all_arrived),
@@ -76,7 +78,8 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "deadlock_s": outcome.deadlock_s,
     }
     for name in (
-        "pairs_touched", "robots_touched", "reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2",
+        "pairs_touched", "robots_touched", "separation_m", "clearance_m", "time_to_contact_s",
+        "reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2",
     ):  # fmt: skip
         count = getattr(outcome, name)
         if count is not None:
@@ -94,7 +97,8 @@ def range_of(key: Key) -> tuple[float, float]:
     source, name = key
     if name.endswith("fraction") or key in SHARES:
         return 0.0, 1.0
-    return (0.0 if source == "outcome" else -math.inf), math.inf  # the referee only counts and times
+    gap = name in ("separation_m", "clearance_m")  # below zero where bodies overlap
+    return (0.0 if source == "outcome" and not gap else -math.inf), math.inf  # else the referee only counts and times
 
 
 def in_order(keys: Iterable[Key]) -> list[Key]:

@@ -12,7 +12,7 @@ import tomlkit
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 from tomlkit.items import Array, Table
 
-from fullswarm.config import Point, Section
+from fullswarm.config import MoverConfig, Point, Section
 from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 
@@ -106,6 +106,7 @@ class Scenario(Section):
     walls: bool = True
     boxes: Annotated[tuple[Box, ...], AfterValidator(_solid)] = ()
     random_boxes: RandomBoxes | None = None
+    movers: tuple[MoverConfig, ...] = ()  # bodies that no agent commands
     spawn: Spawn
     goal: Goal
     time_limit_s: PositiveFloat = 60.0
@@ -158,7 +159,7 @@ def scenario_to_toml(scenario: Scenario, notes: Iterable[str] = ()) -> str:
     for note in notes:
         # A comment ends at the line's end, and may hold no control character.
         document.add(tomlkit.comment("".join(each if each.isprintable() else " " for each in note)))
-    for key, value in scenario.model_dump(exclude={"boxes", "random_boxes", "spawn", "goal"}).items():
+    for key, value in scenario.model_dump(exclude={"boxes", "random_boxes", "movers", "spawn", "goal"}).items():
         document.add(key, list(value) if isinstance(value, tuple) else value)
     if scenario.boxes:
         document.add("boxes", _boxes(scenario))
@@ -169,6 +170,11 @@ def scenario_to_toml(scenario: Scenario, notes: Iterable[str] = ()) -> str:
     ):
         if section is not None:
             document.add(key, _table(section))
+    if scenario.movers:
+        movers = tomlkit.aot()
+        for mover in scenario.movers:
+            movers.append(_table(mover))
+        document.add("movers", movers)
     return tomlkit.dumps(document)
 
 
@@ -182,5 +188,9 @@ def _boxes(scenario: Scenario) -> Array:
 def _table(section: Section) -> Table:
     table = tomlkit.table()
     for key, value in section.model_dump(exclude_none=True).items():
-        table.add(key, list(value) if isinstance(value, tuple) else value)
+        table.add(key, _plain(value))
     return table
+
+
+def _plain(value: object) -> object:
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value

@@ -107,6 +107,7 @@ def world_config(scenario: Scenario, seed: int, base: WorldConfig) -> WorldConfi
         "bounds_m": scenario.bounds_m,
         "walls": scenario.walls,
         "boxes": boxes_for(scenario, seed),
+        "movers": [each.model_dump() for each in scenario.movers],
     }
     return WorldConfig.model_validate({**base.model_dump(), **changes})
 
