@@ -39,6 +39,7 @@ class Code(enum.StrEnum):
     FRAME = "frame"
     FOREIGN_FRAME = "foreign_frame"  # host: the one with another origin
     UNSURE = "unsure"
+    SETTLED = "settled"
     SILENT = "silent"  # robots: their names
     NO_WAY = "no_way"  # goal, needed_m, widest_m
     GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
@@ -91,6 +92,8 @@ TEXTS: dict[Code, str] = {
     "[latitude, longitude] into its fleet file; until then robots can be driven by hand only",
     Code.UNSURE: "its position is too uncertain: what measures it (satellite receiver, external poses) is lost; "
     "it continues once that is back",
+    Code.SETTLED: "arrived as near as possible: the places nearer to its goal are taken, or there is no way to them; "
+    "it goes on when there is room",
     Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
     "let another robot look at the place",
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "

@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 HEADERS = (
     "group", "behaviour", "engine", "limits", "scenarios", "N", "trials", "collisions", "pairs", "robots touched",
     "robots arrived %", "trials arrived %", "longest s", "blocked",
-    "reversals 1/s", "speed variation m/s²", "turn variation rad/s²",
+    "settled %", "quiet s", "reversals 1/s", "speed variation m/s²", "turn variation rad/s²",
 )  # fmt: skip
 Cell = dict[str, Any]
 
@@ -41,7 +41,7 @@ def counted(cell: Cell) -> int:
 
 def total(cells: Iterable[Cell], name: str) -> Any:
     """Return the sum of a number over cells; of one that is unknown nothing is added."""
-    return sum(cell[name] or 0 for cell in cells)
+    return sum(cell.get(name) or 0 for cell in cells)
 
 
 def share(cells: list[Cell], name: str, robots: bool) -> float:
@@ -56,6 +56,13 @@ def mean(cells: list[Cell], name: str) -> str:
     known = [(counted(cell) * cell["robots"], cell[name]) for cell in cells if cell.get(name) is not None]
     weight = sum(count for count, _ in known)
     return f"{sum(count * value for count, value in known) / weight:.2f}" if weight else "-"
+
+
+def quiet(cells: list[Cell]) -> str:
+    """Return the longest motion after the last progress, of the trials in which not all arrived."""
+    longest = [cell["quiet_s"] for cell in cells if cell.get("quiet_s") is not None]
+    restless = sum(cell.get("never_quiet") or 0 for cell in cells)
+    return ", ".join([f"{max(longest):.1f}"] * bool(longest) + [f"{restless} never"] * bool(restless)) or "-"
 
 
 def counts(document: dict[str, Any]) -> str:
@@ -106,6 +113,8 @@ def write_safety(document: dict[str, Any]) -> None:
             f"{share(cells, 'all_arrived_fraction', robots=False):.1f}",
             f"{max(cell['longest_s'] or 0.0 for cell in cells):.1f}",
             str(total(cells, "deadlocks")),
+            f"{100.0 * total(cells, 'settled') / max(1, sum(counted(cell) * cell['robots'] for cell in cells)):.2f}",
+            quiet(cells),
             *(mean(cells, name) for name in ("reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2")),
         )
         lines.append(f"| {' | '.join(entries)} |")

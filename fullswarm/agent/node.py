@@ -16,6 +16,7 @@ from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
+from fullswarm.agent.motion.settling import Settling, Wanted
 from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
 from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
@@ -117,9 +118,14 @@ class AgentNode:
             self.objects.objects, state.radius + settings.safety_margin_m, self.controller.speed_limit,
             self.controller.turn_limit,
         )  # fmt: skip
+        tasks = self.tasks
+        wanted = Wanted(
+            tasks.goal_m, tasks.reach_m, tasks.lasting, state.radius, tasks.margin_m, self.controller.speed_limit
+        )
+        self.settling = Settling(wanted, np.array(config.bounds_m), settings.pose_confidence_sigma)
         self.desired = DesiredMotion(
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
-            self.neighbours, self.obstacle_map, self.deadlocks, self.filter, self.controller, evasion,
+            self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
@@ -149,6 +155,7 @@ class AgentNode:
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
+            settled_by=self.settling.rule,
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
@@ -348,9 +355,13 @@ class AgentNode:
         self.calculators.publish(self._bus, self._keys, host, now_s, whole=whole)
         if self._state.reading is not None:
             self.metrics.sample(now_s)
-            delay_s = np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s))
-            counted = {"deviation_m": self.filter.deviation_m, "delay_s": delay_s, **self.calculators.columns()}
-            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, counted)
+            columns = {
+                "deviation_m": self.filter.deviation_m,
+                "settled": np.where(self.settling.settled, 1.0, math.nan),
+                "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
+                **self.calculators.columns(),
+            }
+            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, columns)
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property

@@ -10,6 +10,7 @@
 ``live_swarm.py``     simulated clock, with a process per robot in real time,
 ``fleet_swarm.py``    on the robots of a fleet file, set up and confirmed by a person
 ``witness.py``        watches the bodies of a trial: contacts, approaches, commands above the limits
+``quiet.py``          finds when a trial has come to rest
 ``trial_folder.py``   the directory of a trial: every file in it, written and read
 ``provenance.py``     commit, versions and machine that a result comes from
 """

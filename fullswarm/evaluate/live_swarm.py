@@ -7,6 +7,9 @@ import shutil
 from collections.abc import Callable, Mapping
 from types import TracebackType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fullswarm import kernels
 from fullswarm.bus.base import OPERATOR, WORLD
 from fullswarm.bus.zenoh_bus import ZenohBus
@@ -203,6 +206,14 @@ class LiveSwarm:
     def end_reason(self) -> str:
         """Return the first termination condition that was met since the request."""
         return self.summaries.reason
+
+    def settled(self) -> NDArray[np.bool_]:
+        """Return which robots report that they have settled, (n,)."""
+        health = {row.robot: row.health for row in self.view.snapshot().robots}
+        return np.array(
+            [(of := health.get(robot)) is not None and of.stop_code == Code.SETTLED for robot in self.config.robots],
+            bool,
+        )
 
     def stop(self) -> None:
         """Command all robots to stop, and wait until they report that they stand, for `STAND_S` at most."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fullswarm.bus.base import OPERATOR
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
@@ -80,6 +83,10 @@ class LockstepSwarm:
     def end_reason(self) -> str:
         """Return the first termination condition that was met."""
         return self._summaries.reason
+
+    def settled(self) -> NDArray[np.bool_]:
+        """Return which robots have settled, (n,)."""
+        return np.concatenate([agent.settling.settled for agent in self._lockstep.agents])
 
     def stop(self) -> None:
         """Nothing to wait for: no robot moves while no simulated time passes."""

@@ -103,6 +103,10 @@ class Swarm(Protocol):
         """Return the termination condition that a summarizer has met since the request; empty: none."""
         ...
 
+    def settled(self) -> NDArray[np.bool_]:
+        """Return which robots report that they are as near to their goals as they can get, (n,)."""
+        ...
+
     def stop(self) -> None:
         """Return when the robots are at standstill, or do not come to it in time."""
         ...

@@ -23,6 +23,7 @@ from fullswarm.evaluate.experiment.model import EvidenceMode, world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
 from fullswarm.evaluate.provenance import Provenance, provenance
+from fullswarm.evaluate.quiet import END_S, Rest, quiet_after_s
 from fullswarm.evaluate.scenarios import Scenario, goals_for, spawn, world_config
 from fullswarm.evaluate.swarm import SAMPLE_S, Swarm, TrialStopped, joined
 from fullswarm.evaluate.trial_folder import (
@@ -42,7 +43,7 @@ from fullswarm.simulation.world import World
 TOLERANCE_S = 1e-9
 NUMBERED = re.compile(r"\br\d+\b")
 """A robot in the network conditions of an experiment; a trial's robots have its seed in their names."""
-ALL_ARRIVED, TIME_LIMIT = "all arrived", "time limit"
+ALL_ARRIVED, ALL_SETTLED, TIME_LIMIT = "all arrived", "arrived or settled", "time limit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +133,7 @@ def drive(
         reason = _run(swarm, request, witness, stopped)
         outcome = _outcome(swarm, request, witness)
         track.end()
+        trajectory = track.trajectory()
         evidence, nearest = witness.evidence(), witness.nearest()
     finally:
         swarm.stop()
@@ -140,6 +142,7 @@ def drive(
     return Measurement(
         outcome=msgspec.structs.replace(
             outcome,
+            quiet_s=quiet_after_s(trajectory),
             deadlocks=report.deadlocks,
             deadlock_s=report.deadlock_s,
             **_per_second(report.onboard, outcome.simulated_s),
@@ -149,7 +152,7 @@ def drive(
         onboard=report.onboard,
         truth=witness.values(),
         per_robot=joined(report.per_robot, witness.per_robot()),
-        trajectory=track.trajectory(),
+        trajectory=trajectory,
         evidence=evidence,
         watched=witness.source,
         approaches=nearest,
@@ -159,13 +162,17 @@ def drive(
 
 def _run(swarm: Swarm, request: TrialRequest, witness: Witness, stopped: Callable[[], bool]) -> str:
     """Let time pass until the trial is over; return why."""
+    rest = Rest()
     while swarm.passed_s < request.limit_s - TOLERANCE_S:
         if swarm.advance(stopped):
             raise TrialStopped("it was stopped")
         if reason := swarm.end_reason():
             return reason
-        if _arrived(witness, request).all():
+        arrived = _arrived(witness, request)
+        if arrived.all():
             return ALL_ARRIVED
+        if rest.lasts_s(swarm.passed_s, witness.pose) >= END_S and (arrived | swarm.settled()).all():
+            return ALL_SETTLED
     return request.limit_reason
 
 
@@ -176,10 +183,11 @@ def _arrived(witness: Witness, request: TrialRequest) -> NDArray[np.bool_]:
 
 def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
     """Return how it is now, at the end."""
-    counted = witness.tally()
+    counted, arrived = witness.tally(), _arrived(witness, request)
     return Outcome(
         robots=len(swarm.config.robots),
-        arrived=int(_arrived(witness, request).sum()),
+        arrived=int(arrived.sum()),
+        settled=int((swarm.settled() & ~arrived).sum()),
         robot_events=int(counted.robot_events.sum()),
         obstacle_events=int(counted.obstacle_events.sum()),
         safe_start=request.safe_start,

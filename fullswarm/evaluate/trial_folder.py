@@ -141,6 +141,8 @@ class Evidence:
     heading: NDArray[np.int32]  # (t, n) likewise
     command: NDArray[np.int32]  # (t, n, 2) m/s, rad/s likewise, rounded towards zero; row s was obeyed in step s
     above: NDArray[np.float64]  # (a, 4) the commands above the limits, not rounded: step, robot, m/s, rad/s
+    mover_radius_m: NDArray[np.float64]  # (m,) of bodies that no agent commands
+    mover_xy: NDArray[np.int32]  # (t, m, 2) likewise, each in the same place throughout a step; row 0: in the first
     bend_step: NDArray[np.int32]  # (b,)
     bend_robot: NDArray[np.int32]  # (b,)
     bend: NDArray[np.int32]  # (b, p, 2) changes from part to part, the first from where the step began
@@ -155,7 +157,7 @@ class Evidence:
         """Return what a trial keeps of it."""
         if mode == "always" or (mode == "contacts" and self.has_contact):
             return self
-        motion = ("xy", "heading", "command", "above", "bend_step", "bend_robot", "bend")
+        motion = ("xy", "heading", "command", "above", "mover_xy", "bend_step", "bend_robot", "bend")
         return replace(self, **{name: getattr(self, name)[:0] for name in motion})
 
 
@@ -453,10 +455,11 @@ def read_evidence(folder: Path) -> dict[str, NDArray[Any]]:
     ConfigError
         There is none, it is damaged, or other code has written it.
     """
-    with _arrays(folder / EVIDENCE_FILE, "evidence") as file:
-        missing = {each.name for each in fields(Evidence)} - file.keys()
-        if missing or str(file["format"]) != EVIDENCE_FORMAT:
+    with _arrays(folder / EVIDENCE_FILE, "file of evidence") as file:
+        if str(file.get("format", "")) != EVIDENCE_FORMAT:
             raise ValueError(f"format '{file.get('format', '')}' is not {EVIDENCE_FORMAT}")
+        for name in sorted({each.name for each in fields(Evidence)} - file.keys()):
+            raise ValueError(f"it has no array '{name}'")
         return file
 
 

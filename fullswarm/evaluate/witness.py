@@ -151,6 +151,7 @@ class Referee:
         self._motion = [_grains(self._pose[:1], self._command[:1])]  # (t, n, 5) x, y, heading, command
         self._bends: list[tuple[int, NDArray[np.int64], Array]] = []
         self._above: list[Array] = []
+        self._movers: list[NDArray[np.float64]] = []
 
     def sample(self) -> None:
         """Take in the last step."""
@@ -165,6 +166,8 @@ class Referee:
                 fixed = near[:, 1] >= -found.fixed
                 near, gap_m = near[fixed], gap_m[fixed]
             self._near.append((self._row, near.copy(), gap_m.copy()))
+        if found.fixed < len(found.solids.obstacles):
+            self._movers.append(found.solids.obstacles[found.fixed :, :2].copy())
         if len(found.pairs) or self._touching:
             self._count(time_s)
         if self._row == SPAN:
@@ -188,8 +191,9 @@ class Referee:
                     self.pairs.add((min(first, second), max(first, second)))
                 else:
                     counts[1, first] += 1
-            rows = np.flatnonzero(touched)
-            self.touched[rows] = True
+            self.touched |= touched > 0
+        if self._touching:  # also what a mover pushes: its way through the step is no straight one
+            rows = np.flatnonzero(found.contacts)
             self._bends.append((self._steps, rows, found.path[1:, rows].swapaxes(0, 1).copy()))
         self.robots.update(time_s, counts[0])
         self.obstacles.update(time_s, counts[1])
@@ -236,6 +240,8 @@ class Referee:
         """Return what is needed to count everything again."""
         bodies, found, standard, nearest = self._bodies, self._bodies.referee, self._standard, self.approaches.nearest
         motion = np.concatenate(self._motion)
+        places = np.array(self._movers).reshape(-1, len(found.solids.obstacles) - found.fixed, 2)
+        movers: NDArray[np.int32] = np.round(places / GRAIN).astype(np.int32)
         bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
         steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))
         ways = np.round(np.array([way for *_, way in bends]).reshape(-1, len(found.part_s), 2) / GRAIN).astype(np.int32)
@@ -262,6 +268,8 @@ class Referee:
             heading=motion[:, :, 2],
             command=motion[:, :, 3:],
             above=np.concatenate([np.zeros((0, 4)), *self._above]),
+            mover_radius_m=found.solids.obstacles[found.fixed :, 6].copy(),
+            mover_xy=np.diff(movers, axis=0, prepend=np.int32(0)),
             bend_step=steps,
             bend_robot=rows,
             bend=np.diff(ways, axis=1, prepend=starts),

@@ -71,16 +71,17 @@ def row_state(row: RobotRow) -> RowState:
         rolls = health.moving and not abs(row.speed_m_s) < STANDSTILL_M_S
         return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
     alarm = health.behaviour or health.stop_code not in DELIBERATE
-    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm:
+    settled = health.stop_code == Code.SETTLED
+    if health.stop_reason and health.stop_code != Code.EXPIRED and alarm and not settled:
         return RowState("STOPPED", health.stop_reason, attention=True)
-    doing = "moving" if health.moving else "standing"
+    doing = "moving" if health.moving else "settled" if settled else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
         doing = f"{health.lifecycle.lower()}, not ready"
     if health.contacts:
         return RowState(f"{doing}, TOUCHING", attention=True)
     if 0.0 <= health.battery < LOW_BATTERY:
         return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
-    return RowState(doing)
+    return RowState(doing, health.stop_reason if doing == "settled" else "")
 
 
 def advise(row: RobotRow) -> str:
@@ -100,6 +101,8 @@ def _of(health: RobotHealth) -> str:
         return _CAUSES.get(health.fault_code, PREVENTED)
     if health.estop:
         return "Check that its surroundings are free, then clear the e-stop."
+    if health.stop_code == Code.SETTLED:
+        return "Nothing, if that is near enough; else give it another goal, or make room."
     if health.stop_reason and (known := _on_stop(health)):
         return known
     if 0.0 <= health.battery < LOW_BATTERY:

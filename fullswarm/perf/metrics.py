@@ -47,6 +47,9 @@ COLUMNS = {
     "heading_rad": Column("rad", "estimated heading"),
     "goal_m": Column("m", "distance to the goal or target that it was given; none without one"),
     "arrived_s": Column("s", "from the request until it last entered its goal's disc; none outside it"),
+    "settled": Column(
+        "", "1 while it stands as near to its goal as it can get, outside the goal's disc; none otherwise"
+    ),
     "still_s": Column("s", "since it last moved by more than its radius; none without a task"),
     "gap_m": Column("m", "smallest gap to a neighbour so far: between centres, less both radii", "least"),
     "distance_m": Column("m", "distance travelled", "add"),
@@ -102,8 +105,13 @@ METRICS = {
         OFTEN_S,
     ),
     "arrival": Metric(
-        "Which robots are at their goals, and since when, counted from the request",
-        {"fraction": ("share", "arrived_s"), "mean_s": ("mean", "arrived_s"), "last_s": ("max", "arrived_s")},
+        "Which robots are at their goals, and since when, counted from the request; which settled as near as possible",
+        {
+            "fraction": ("share", "arrived_s"),
+            "mean_s": ("mean", "arrived_s"),
+            "last_s": ("max", "arrived_s"),
+            "settled": ("count", "settled"),
+        },
         "arrived_s",
     ),
     "separation": Metric("Smallest gap between two robots", {"min_m": ("min", "gap_m")}, "gap_m"),

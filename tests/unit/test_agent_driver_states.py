@@ -10,13 +10,14 @@ import pytest
 
 from fullswarm.agent.node import AgentNode
 from fullswarm.agent.state import Identity
+from fullswarm.bus.codec import decode, encode
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import STAND, Description, Hazard, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.drivers.fleet import OneRobot
 from fullswarm.keys import Keys
-from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat
+from fullswarm.messages import ControlAck, ControlRequest, HealthReport, Heartbeat, RobotStates
 from fullswarm.operator.robot_state import advise
 from fullswarm.operator.view import RobotRow
 from fullswarm.reasons import Code
@@ -201,3 +202,15 @@ def test_a_stop_button_without_words_of_its_driver_is_told_too(lone: Lone) -> No
     lone.base.hazards = Hazard.ESTOP_BUTTON
     lone.runtime.run(0.6)
     assert reports[-1].robots[0].stop_reason == "a person pressed its stop button or took it over"
+
+
+def test_the_states_of_a_robot_without_limits_can_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    without = Description("test", "test", 0.17, Limits(1e9, 1e9, 1e9, 1e9), senses_pose=True)
+    monkeypatch.setattr(Base, "description", without)
+    lone = Lone()
+    received: list[RobotStates] = []
+    lone.bus.subscribe(KEYS.state(), RobotStates, received.append)
+    lone.runtime.run(0.5)
+    lone.agent.close()
+    assert received
+    assert all(decode(encode(states), RobotStates) == states for states in received)

@@ -136,7 +136,7 @@ def _guard(seed: int, run: Callable[..., int]) -> np.ndarray:
         estimates.Nearby(start, other, places, heard, zeros, zeros, zeros),
         barrier.Arena(np.array([[2.5, 2.5, 0.5, 0.2, 0.7, 0.0]]), np.array([0.0, 0.0, 5.0, 5.0])),
         moving,
-        Filtered(twists, deviation, np.zeros(count, np.int64)),
+        Filtered(twists, deviation, np.zeros(count, np.int64), np.zeros(count, bool)),
         barrier.HalfPlanes(*np.empty((5, barrier.MAX_ROWS))),
         Measured(pose, np.zeros((count, 2)), zeros, np.zeros((count, 2))), 0.0, 0.02,
     )  # fmt: skip

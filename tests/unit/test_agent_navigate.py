@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.behaviours import navigate
@@ -90,10 +90,13 @@ FORWARD = np.array([[0.4, 0.0]])
 LIMIT = np.array([0.5])
 
 
-def turned(deadlocks: Deadlocks, now_s: float, pose: np.ndarray, wished: np.ndarray = FORWARD) -> float:
+def turned(
+    deadlocks: Deadlocks, now_s: float, pose: np.ndarray, wished: np.ndarray = FORWARD,
+    twist: tuple[float, float] = (0.0, 0.0),
+) -> float:  # fmt: skip
     """Return by how much the wish is turned to the right, rad."""
     answer = wished.copy()
-    deadlocks.resolve(now_s, answer, np.ones(1, bool), pose, LIMIT)
+    deadlocks.resolve(now_s, answer, np.ones(1, bool), pose, np.array([twist]), LIMIT)
     assert np.hypot(*answer[0]) == pytest.approx(np.hypot(*wished[0]))
     return -math.atan2(answer[0, 1], answer[0, 0])
 
@@ -113,11 +116,31 @@ def test_who_stands_although_it_wishes_to_go_steps_aside_and_then_goes_on() -> N
 def test_who_makes_way_or_turns_or_wishes_nothing_is_left_alone() -> None:
     deadlocks = Deadlocks(["r1"])
     for k in range(300):
-        assert turned(deadlocks, 0.02 * k, np.array([[0.004 * k, 0.0, 0.0]])) == 0.0
+        assert turned(deadlocks, 0.02 * k, np.array([[0.004 * k, 0.0, 0.0]]), twist=(0.2, 0.0)) == 0.0
     for k in range(300):
-        assert turned(deadlocks, 6.0 + 0.02 * k, np.array([[1.2, 0.0, 0.01 * k]])) == 0.0
+        assert turned(deadlocks, 6.0 + 0.02 * k, np.array([[1.2, 0.0, 0.01 * k]]), twist=(0.0, 0.5)) == 0.0
     for k in range(300):
         assert turned(deadlocks, 12.0 + 0.02 * k, np.zeros((1, 3)), np.array([[0.01, 0.0]])) == 0.0
+
+
+@pytest.mark.parametrize("sigma_m", [0.03, 0.05])
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_noise_of_the_pose_is_no_motion_and_hides_none(sigma_m: float, seed: int) -> None:
+    noise = np.random.default_rng(seed)
+    stands, drives = Deadlocks(["r1"]), Deadlocks(["r1"])
+    for k in range(400):
+        x, y = noise.normal(0.0, sigma_m, 2)
+        turned(stands, 0.02 * k, np.array([[x, y, 0.0]]))
+        assert turned(drives, 0.02 * k, np.array([[0.004 * k + x, y, 0.0]]), twist=(0.2, 0.0)) == 0.0
+    assert int(stands.deadlock_count[0]) >= 2
+
+
+def test_wheels_that_slip_are_no_motion() -> None:
+    deadlocks = Deadlocks(["r1"])
+    for k in range(500):
+        turned(deadlocks, 0.02 * k, np.zeros((1, 3)), twist=(0.2, 0.0))
+    assert int(deadlocks.deadlock_count[0]) >= 1
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 10_000))

@@ -55,6 +55,7 @@ def driven(seed: int, steps: int, engine: str = "kinematic") -> tuple[Record, Me
             "boxes": [(1.2, 1.2, 0.3, 0.2, rng.uniform(0.0, 3.0)), (0.3, 1.3, 0.2, 0.2, 0.4)],
             "speed_limit_m_s": rng.choice([0.5, 2.0, 4.0]),
             "accel_limit_m_s2": 20.0,
+            "movers": [{"waypoints": [(0.6, 2.2), (2.2, 1.7)], "speed_m_s": 0.6, "radius_m": 0.15, "repeat": "back"}],
             "bodies": {"r1": {"radius_m": 0.1}, "r2": {"radius_m": 0.22}},
         }
     )
@@ -83,6 +84,8 @@ def driven(seed: int, steps: int, engine: str = "kinematic") -> tuple[Record, Me
         obstacle_events=int(counted.obstacle_events.sum()),
         safe_start=True,
         simulated_s=steps * world.dt_s,
+        mover_events=counted.mover_events,
+        mover_hits=counted.mover_hits,
         above_limits=counted.above_limits,
         pairs_touched=counted.pairs_touched,
         robots_touched=counted.robots_touched,
@@ -117,7 +120,7 @@ def test_an_independent_recount_agrees_with_the_referee_in_random_worlds(
 
 def test_the_random_worlds_have_contacts_of_all_kinds_and_commands_above_the_limits() -> None:
     outcomes = [record.outcome for record, _ in (driven(seed, 120) for seed in range(4))]
-    for name in ("robot_events", "obstacle_events", "above_limits", "arrived"):
+    for name in ("robot_events", "obstacle_events", "mover_events", "mover_hits", "above_limits", "arrived"):
         assert sum(getattr(each, name) for each in outcomes) > 0, name
 
 
@@ -141,6 +144,7 @@ def crowded() -> tuple[Record, Measurement]:
         ("robot_events", -1),
         ("robot_events", 2),
         ("obstacle_events", -1),
+        ("mover_events", 1),
         ("pairs_touched", -1),
         ("robots_touched", -1),
         ("above_limits", -1),
@@ -271,6 +275,7 @@ def test_a_gap_between_poses_that_cannot_be_seen_is_undecided() -> None:
             "step_s": np.array(step_s), "touch_m": np.array(touch_m), "part_s": np.array([step_s]),
             "limits": np.full((2, 2), 10.0), "goals": np.zeros((2, 2)), "goal_radius_m": np.array(0.1),
             "xy": motion[:, :, :2], "heading": motion[:, :, 2], "command": motion[:, :, 3:],
+            "mover_radius_m": np.zeros(0), "mover_xy": np.zeros((19, 0, 2), np.int32),
             "above": np.zeros((0, 4)), "bend_step": none, "bend_robot": none, "bend": np.zeros((0, 1, 2), np.int32),
         }
     )  # fmt: skip

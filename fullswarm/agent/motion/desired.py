@@ -11,6 +11,7 @@ import structlog
 
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
+from fullswarm.agent.motion.settling import Settling
 from fullswarm.agent.neighbours.estimates import Nearby, Neighbours
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap
 from fullswarm.agent.neighbours.standing import Standing
@@ -42,13 +43,13 @@ class DesiredMotion:
 
     def __init__(
         self, settings: AgentConfig, bounds_m: Bounds, senses_obstacles: bool, state: AgentState, tasks: Tasks,
-        neighbours: Neighbours, obstacle_map: ObstacleMap, deadlocks: Deadlocks, safety: SafetyFilter,
-        controller: RobotController, evasion: Evasion,
+        neighbours: Neighbours, obstacle_map: ObstacleMap, settling: Settling, deadlocks: Deadlocks,
+        safety: SafetyFilter, controller: RobotController, evasion: Evasion,
     ) -> None:  # fmt: skip
         self._config, self._bounds, self._state = settings, bounds_m, state
         self._tasks, self._neighbours, self._obstacle_map = tasks, neighbours, obstacle_map
-        self._deadlocks, self._filter, self._controller = deadlocks, safety, controller
-        self._evasion = evasion
+        self._settling, self._deadlocks, self._evasion = settling, deadlocks, evasion
+        self._filter, self._controller = safety, controller
         count = len(state.radius)
         # Robots that sense no obstacles have their map instead.
         self.sees_obstacles = senses_obstacles
@@ -99,12 +100,15 @@ class DesiredMotion:
             planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
         if not planar and not tasks.any_filtered:
             return
-        if tasks.any_filtered:
-            # A stick's twist is not turned: its operator sees the robot.
-            self._deadlocks.resolve(now_s, self._planar, tasks.lasting, pose, self._controller.speed_limit)
         reach_m = settings.sensing_radius_m
         self._near = near = neighbours.around(position, reach_m) if tasks.any_filtered else self._alone
         obstacles = reading.obstacles if self.sees_obstacles else self._obstacle_map.given
+        if tasks.any_filtered:
+            self._settling.hold(now_s, self._planar, pose, reading.twist, self._state.sigma, near, obstacles)
+            # A stick's twist is not turned: its operator sees the robot.
+            self._deadlocks.resolve(
+                now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
+            )
         if tasks.any_filtered and settings.evade:
             self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured

@@ -31,6 +31,9 @@ CENTRALISED = ""
 
 HEARING = "hearing_m"
 
+ARRIVE_M = 0.1
+"""A robot so near its goal has arrived, when neither the request nor the file says another radius."""
+
 
 def _kind(name: str, value: Value) -> tuple[str, str]:
     """Return what robots must have in common to share one call of a control law: kinds, texts and hearing range."""
@@ -50,6 +53,15 @@ def _alike(one: ControlRequest, other: ControlRequest) -> bool:
 
 def _number(value: Value | None, otherwise: float) -> float:
     return float(value) if isinstance(value, int | float) else otherwise
+
+
+def goal_of(request: ControlRequest) -> tuple[float, float]:
+    """Return the point that a request sends a robot to, its `goal` or `target`; NaN when there is none."""
+    point = request.parameters.get("goal", request.parameters.get("target"))
+    if not isinstance(point, list) or len(point) != 2:
+        return math.nan, math.nan
+    x, y = (float(each) if isinstance(each, int | float) else math.nan for each in point)
+    return x, y
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +107,8 @@ class Tasks:
     survives_core : (n,) it goes on without the core
     team : (n,) which robots its control law counts as neighbours; 0: all that are sensed
     expires_at_s : (n,) when it ends by itself; inf
+    goal_m, reach_m : (n, 2), (n,) where the robot is to go, NaN for a task without such a point, and within how much of
+        it the request counts as carried out
     margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
     """
 
@@ -110,6 +124,8 @@ class Tasks:
     team: Index = field(init=False)
     margin_m: Array = field(init=False)
     gain_per_s: Array = field(init=False)
+    goal_m: Array = field(init=False)
+    reach_m: Array = field(init=False)
     expires_at_s: Array = field(init=False)
     any_filtered: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
@@ -124,6 +140,8 @@ class Tasks:
         self.margin_m = np.full(self.count, self.usual_margin_m)
         self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
         self.expires_at_s = np.full(self.count, math.inf)
+        self.goal_m = np.full((self.count, 2), math.nan)
+        self.reach_m = np.full(self.count, ARRIVE_M)
 
     def enable(self, row: int, task: Task) -> None:
         """Give robot `row` a task in place of the one it has.
@@ -141,6 +159,8 @@ class Tasks:
         self.of[row] = task
         self.expires_at_s[row] = task.expires_at_s
         self.team[row] = request.team
+        self.goal_m[row] = goal_of(request)
+        self.reach_m[row] = _number(request.parameters.get("arrive_radius_m"), ARRIVE_M)
         if request.filtered:
             self.lasting[row] = request.expires_s <= 0.0
             self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
@@ -170,6 +190,7 @@ class Tasks:
         self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
         self.expires_at_s[row] = math.inf
         self.team[row] = 0
+        self.goal_m[row] = math.nan
         self._groups = None
 
     def groups(self) -> list[Group]:

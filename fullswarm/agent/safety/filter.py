@@ -37,6 +37,14 @@ QUIET_S = 10.0
 FEW = 5
 
 
+HELD_SHARE, RELEASED_SHARE = 0.1, 0.2
+"""A robot is held while the projection leaves less than this of its desired speed: where the half-planes meet in a
+corner, the direction of what little is left jumps from one border to the other with each millimetre. A held robot turns
+to where it wants to go, and does not reverse. It is released by the greater share."""
+FACING_RAD = 0.15
+"""A held robot whose heading differs by less from the desired direction does not turn."""
+
+
 class RobotParams(NamedTuple):
     """What each robot is and can do, (n,) each; see :func:`robot_params`.
 
@@ -99,12 +107,13 @@ class Filtered(NamedTuple):
     """What :func:`guard` fills.
 
     `twist`: (n, 2) m/s and rad/s, in and out. `deviation`: (n, 4) size, sum over time and vector of the change, see
-    :class:`SafetyFilter`; the vector is old where the size is zero. `verdict`: (n,).
+    :class:`SafetyFilter`; the vector is old where the size is zero. `verdict`: (n,). `held`: (n,), see `HELD_SHARE`.
     """
 
     twist: Array
     deviation: Array
     verdict: Index
+    held: Flags
 
 
 class Given(NamedTuple):
@@ -136,6 +145,21 @@ def robot_params(
         overrun_m=np.array([each.overrun_m for each in limits]),
         dead_time_s=np.array([each.dead_time_s for each in limits]),
     )
+
+
+@kernel
+def steer(
+    allowed_x: float, allowed_y: float, desired_x: float, desired_y: float, heading: float, held: bool,
+    speed_gain: float, turn_gain_per_s: float,
+) -> tuple[float, float, bool]:  # fmt: skip
+    """Map a projected velocity to speed and turn rate; `held`: whether the robot was held before, and is; see above."""
+    allowed = allowed_x * allowed_x + allowed_y * allowed_y
+    share = RELEASED_SHARE if held else HELD_SHARE
+    speed, turn = unicycle(allowed_x, allowed_y, heading, speed_gain, turn_gain_per_s)
+    if allowed >= share * share * (desired_x * desired_x + desired_y * desired_y):
+        return speed, turn, False
+    _, turn = unicycle(desired_x, desired_y, heading, speed_gain, turn_gain_per_s)
+    return max(speed, 0.0), turn if math.fabs(turn) >= FACING_RAD * turn_gain_per_s else 0.0, True
 
 
 @kernel
@@ -181,7 +205,7 @@ def guard(
     radius, top_speed, least_speed, turn_limits, accels, turn_accels, overrun_s, overrun_max_m, dead_time_s = robots
     velocity, filtered, gain, margin_m = requested
     pose, motion, stamp_s, sigma = measured
-    twists, deviation, verdict = out
+    twists, deviation, verdict, held = out
     news = 0
     for i in range(velocity.shape[0]):
         ux = velocity[i, 0]
@@ -253,7 +277,9 @@ def guard(
                     off = math.hypot(ux - desired_x, uy - desired_y)
                     deviation[i, 2] = ux - desired_x
                     deviation[i, 3] = uy - desired_y
-                speed, turn = unicycle(ux, uy, heading, speed_gain, turn_gain_per_s)
+                speed, turn, held[i] = steer(
+                    ux, uy, desired_x, desired_y, heading, held[i], speed_gain, turn_gain_per_s
+                )  # fmt: skip
                 desired_speed = speed
                 if off > 0.0:  # what the unicycle map makes of the desired velocity, without its arctangents
                     desired_speed = speed_gain * (desired_x * ahead_x + desired_y * ahead_y)
@@ -314,6 +340,7 @@ class SafetyFilter:
         deviation = np.zeros((count, 4))
         self.deviation_m_s, self.deviation_m, self.change_m_s = deviation[:, 0], deviation[:, 1], deviation[:, 2:]
         self.verdict = np.zeros(count, np.int64)
+        self._held = np.zeros(count, bool)
         scratch = np.empty((len(HalfPlanes._fields), MAX_ROWS))
         self._robots, self._planes = robots, HalfPlanes(*scratch)
         # Plain Python reads lists still faster than views.
@@ -342,7 +369,7 @@ class SafetyFilter:
 
     def _take(self, requested: Requested, near: Nearby, obstacles: Array, twist: Array) -> None:
         """Keep these arrays or their views; they seldom are others than in the tick before, and views cost time."""
-        arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict)
+        arena, out = Arena(obstacles, self.bounds_m), Filtered(twist, self._deviation, self.verdict, self._held)
         self.given = given = Given(
             self._robots, self.commands.underway, requested, near, arena, self._objects, out, self._planes
         )  # fmt: skip

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fullswarm.agent.neighbours.estimates import Nearby
-from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import ARRIVE_M, Task, Tasks, goal_of
 from fullswarm.agent.pose.conflicts import Near
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.state import AgentState, Identity
@@ -22,8 +22,6 @@ from fullswarm.messages import RobotMeasurement
 from fullswarm.runtime import LoopStats
 
 PERIOD_S = 0.1
-ARRIVE_M = 0.1
-"""A robot so near its goal has arrived, when neither the request nor the file says another radius."""
 FRESH_S = 0.3
 """A neighbour whose newest state is older counts for no gap: it may be anywhere."""
 
@@ -168,16 +166,9 @@ class MetricSampler:
 
     def _aim(self, row: int, task: Task) -> None:
         request, goals = task.request, self._goals
-        point = request.parameters.get("goal", request.parameters.get("target"))
         reach_m = self._arrive_radius_m or request.parameters.get("arrive_radius_m")
         goals[row, REACH] = reach_m if isinstance(reach_m, int | float) else ARRIVE_M
-        goals[row, :2] = _point(point)
+        goals[row, :2] = goal_of(request)
         if request.request_id != self._of[row]:  # the same request comes again after a restart of the core
             self._of[row], goals[row, ASKED] = request.request_id, task.arrived_s
             self._state[row, ARRIVED] = math.nan
-
-
-def _point(value: object) -> tuple[float, float]:
-    if isinstance(value, list) and len(value) == 2 and all(isinstance(each, int | float) for each in value):
-        return float(value[0]), float(value[1])
-    return math.nan, math.nan

@@ -17,17 +17,19 @@ from fullswarm.agent.safety.filter import SafetyFilter
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
-from fullswarm.kernels import Array, kernel
+from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys, cell_of
 from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
-from fullswarm.reasons import NONE, Reason, reason
+from fullswarm.reasons import NONE, Code, Reason, reason
 from fullswarm.runtime import LoopStats
 
 T = TypeVar("T")
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
+LARGEST_LIMITS = 1e4, 1e4, 1e5
+"""m/s, rad/s, m/s²: what :class:`RobotStates` can state. A driver may have no limits, and its states must arrive."""
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
 
@@ -50,6 +52,7 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
     limits : (n, 3) what each can do: m/s, rad/s, m/s²
     """
@@ -57,13 +60,15 @@ class Reports:
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
-        blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting,
+        blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
+        self._settled_by = settled_by
         self._waiting, self._now_s = waiting, -math.inf
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, limits.T.tolist())
+        stated = np.minimum(limits, LARGEST_LIMITS)
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated.T.tolist())
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
 
     def states(
@@ -150,7 +155,8 @@ class Reports:
         if number in (StopReason.OVERLAP, StopReason.FRAME):
             return self._conflicts.reason(row)
         if number == StopReason.MOVING:
-            return self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s)
+            why = self._blocked.get(row, NONE) or self._waiting.reason(row, self._now_s)
+            return why or (reason(Code.SETTLED) if self._settled_by[row] else NONE)
         if number in (StopReason.IDLE, StopReason.HAZARD):
             return self._ended[row] if number == StopReason.IDLE else NONE
         return reason(CODES[number])

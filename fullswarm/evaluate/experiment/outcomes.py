@@ -36,6 +36,9 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     reversals_per_s: float | None = None  # of a wheel's commanded speed, mean of both wheels
     speed_variation_m_s2: float | None = None  # total variation of the commanded speed
     turn_variation_rad_s2: float | None = None  # and of the commanded turn rate
+    settled: int = 0  # not in the disc, but as near to it as they could get
+    # from the last progress of any robot until the last motion; None: all arrived, or robots moved to the end
+    quiet_s: float | None = None
 
     mover_events: int = 0  # a robot touched a mover by its own motion
     mover_hits: int = 0  # a mover touched a robot that stood or went away from it: no collision of the robot's
@@ -166,6 +169,9 @@ class CellResult:
             "longest_s": max((each.simulated_s for each in outcomes), default=None),
             "deadlocks": sum(each.deadlocks for each in outcomes) if known else None,
             "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3) if known else None,
+            "settled": sum(each.settled for each in outcomes) if known else None,
+            "quiet_s": max((each.quiet_s for each in outcomes if each.quiet_s is not None), default=None),
+            "never_quiet": sum(each.arrived < each.robots and each.quiet_s is None for each in outcomes),
             **{name: self.least_of(name) for name in ("separation_m", "clearance_m", "time_to_contact_s")},
             "reversals_per_s": self.mean_of("reversals_per_s"),
             "speed_variation_m_s2": self.mean_of("speed_variation_m_s2"),

@@ -193,6 +193,9 @@ def _compare(
             said, of = getattr(outcome, name), getattr(counted, name)
             if said is not None and not of.holds(said):
                 yield f"{name} is {said}, recounted {of}"
+        by_movers = outcome.mover_events + outcome.mover_hits
+        if not counted.mover_contacts.holds(by_movers):
+            yield f"mover_events and mover_hits are {by_movers} in all, recounted {counted.mover_contacts}"
         if counted.commands_known and outcome.above_limits != counted.above_limits:
             yield f"above_limits is {outcome.above_limits}, recounted {counted.above_limits}"
     if not counted.arrived.holds(outcome.arrived):

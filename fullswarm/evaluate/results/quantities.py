@@ -45,6 +45,8 @@ WORK = Quantity(
 )  # the paper's work, made comparable between sizes
 COVERAGE = Quantity((("truth", "coverage.fraction"), ("onboard", "coverage.fraction")), "Arena covered", "%", 100.0)
 REVERSALS = Quantity((("outcome", "reversals_per_s"),), "Reversals of a wheel", "1/s", decimals=2)
+SETTLED = Quantity((("outcome", "settled_fraction"),), "Robots that settled as near as possible", "%", 100.0)
+QUIET = Quantity((("outcome", "quiet_s"),), "Motion after the last progress", "s")
 SPEED_VARIATION = Quantity((("outcome", "speed_variation_m_s2"),), "Variation of the speed", "m/s²", decimals=2)
 TURN_VARIATION = Quantity((("outcome", "turn_variation_rad_s2"),), "Variation of the turn rate", "rad/s²", decimals=2)
 SHOWN = (COLLISIONS, ARRIVED, TIME, WORK, COVERAGE)
@@ -75,10 +77,11 @@ def _of_outcome(outcome: Outcome | None) -> dict[str, float]:
         "safe_start": float(outcome.safe_start),
         "above_limits": float(outcome.above_limits),
         "deadlocks": float(outcome.deadlocks),
+        "settled_fraction": outcome.settled / outcome.robots if outcome.robots else 0.0,
         "deadlock_s": outcome.deadlock_s,
     }
     for name in (
-        "pairs_touched", "robots_touched", "separation_m", "clearance_m", "time_to_contact_s",
+        "pairs_touched", "robots_touched", "separation_m", "clearance_m", "time_to_contact_s", "quiet_s",
         "reversals_per_s", "speed_variation_m_s2", "turn_variation_rad_s2",
     ):  # fmt: skip
         count = getattr(outcome, name)

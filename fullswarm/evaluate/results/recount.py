@@ -61,6 +61,7 @@ class Recount:
     end_s: float = 0.0
     robot_events: Range = field(default_factory=Range)
     obstacle_events: Range = field(default_factory=Range)
+    mover_contacts: Range = field(default_factory=Range)  # whoever brought them about
     pairs_touched: Range = field(default_factory=Range)
     robots_touched: Range = field(default_factory=Range)
     above_limits: int = 0
@@ -138,11 +139,11 @@ class Motion:
 class Touches:
     """Which gaps were contacts, collected step by step."""
 
-    def __init__(self, motion: Motion, names: list[str]) -> None:
-        self._motion, self._names = motion, names
+    def __init__(self, motion: Motion, names: list[str], obstacles: int) -> None:
+        self._motion, self._names, self._obstacles = motion, names, obstacles
         shape = motion.steps, motion.count
-        self.sure: tuple[Flags, Flags] = np.zeros(shape, bool), np.zeros(shape, bool)  # with robots, with obstacles
-        self.maybe: tuple[Flags, Flags] = np.zeros(shape, bool), np.zeros(shape, bool)
+        # With robots, with obstacles, with movers.
+        self.sure, self.maybe = (tuple(np.zeros(shape, bool) for _ in range(3)) for _ in range(2))
         self.pairs: set[tuple[int, int]] = set()
         self.pairs_maybe: set[tuple[int, int]] = set()
         self.undecided = 0
@@ -162,14 +163,15 @@ class Touches:
                 if sure:
                     self.unrecorded.append(self._text(s, i, j, float(gap_m[at])))
                 continue  # undecided, and the referee says that it was none
-            kind = 0 if j >= 0 else 1
+            kind = 0 if j >= 0 else 1 if -1 - j < self._obstacles else 2
             for each in involved:
                 (self.sure if sure else self.maybe)[kind][s, each] = True
             if j >= 0:
                 (self.pairs if sure else self.pairs_maybe).add((min(i, j), max(i, j)))
 
     def _text(self, step: int, one: int, other: int, gap_m: float) -> str:
-        name = self._names[other] if other >= 0 else f"obstacle {-1 - other}"
+        beyond = -1 - other - self._obstacles
+        name = self._names[other] if other >= 0 else f"obstacle {-1 - other}" if beyond < 0 else f"mover {beyond}"
         return (
             f"{self._names[one]} and {name} came within {gap_m:.4f} m at {(step + 1) * self._motion.step_s:.2f} s, "
             "but no contact is recorded"
@@ -187,10 +189,11 @@ def recount(stored: Mapping[str, NDArray[Any]]) -> Recount:
     found = Recount(steps=motion.steps, end_s=motion.steps * motion.step_s)
     found.bound_m = np.nan_to_num(motion.bound_m).max(axis=0, initial=0.0)
     found.detour_m = motion.detours_m()
-    touches, soonest = Touches(motion, names), Soonest(motion.step_s)
+    touches, soonest = Touches(motion, names, len(stored["obstacles"])), Soonest(motion.step_s)
     found.closest_m = _pairs(motion, touches, soonest)
     found.wall_m = _obstacles(motion, stored["obstacles"].astype(float), touches, soonest)
     found.time_to_contact_s = soonest.least_s, soonest.most_s
+    _movers(motion, stored, touches)
     _count(motion, touches, found)
     _check_ways(motion, touches, names, found)
     _commands(stored, names, found)
@@ -351,6 +354,25 @@ def _obstacles(motion: Motion, obstacles: Floats, touches: Touches, soonest: Soo
     return closest
 
 
+def _movers(motion: Motion, stored: Mapping[str, NDArray[Any]], touches: Touches) -> None:
+    """Take in all contacts of robots and movers, which stand still throughout a step."""
+    places = np.cumsum(stored["mover_xy"], axis=0, dtype=np.int32) * GRAIN
+    obstacles, everyone = len(stored["obstacles"]), np.arange(motion.count)
+    for first, last in motion.spans():
+        steps, corners = motion.corners(first, last)
+        for mover, radius_m in enumerate(stored["mover_radius_m"].tolist()):
+            place, touching = places[first:last, mover][:, None], motion.radius_m + radius_m
+            gap = _least_to_origin(motion.xy[first:last] - place, motion.xy[first + 1 : last + 1] - place) - touching
+            if len(steps):
+                ways = corners - places[steps, mover][:, None, None]
+                inner = _least_to_origin(ways[:, :-1], ways[:, 1:]).min(axis=1) - touching
+                gap[steps - first] = np.where(motion.bent[steps], inner, gap[steps - first])
+            tolerance = motion.bound_m[first:last] + ROUNDING_M
+            row, robot = np.nonzero(gap <= motion.touch_m + tolerance)
+            other = np.full(len(row), -1 - obstacles - mover)
+            touches.add(row + first, everyone[robot], other, gap[row, robot], tolerance[row, robot])
+
+
 # ------------------------------------------------------------------------------------------------------- counts
 def _events(hit: Flags, step_s: float) -> int:
     """Count contacts that began after at least `FREE_S` without one; (steps, n)."""
@@ -362,7 +384,7 @@ def _events(hit: Flags, step_s: float) -> int:
 
 
 def _count(motion: Motion, touches: Touches, found: Recount) -> None:
-    for kind, counted in enumerate((found.robot_events, found.obstacle_events)):
+    for kind, counted in enumerate((found.robot_events, found.obstacle_events, found.mover_contacts)):
         without = _events(touches.sure[kind], motion.step_s)
         with_them = _events(touches.sure[kind] | touches.maybe[kind], motion.step_s)
         counted.least, counted.most = min(without, with_them), max(without, with_them)
@@ -376,7 +398,7 @@ def _count(motion: Motion, touches: Touches, found: Recount) -> None:
 
 def _check_ways(motion: Motion, touches: Touches, names: list[str], found: Recount) -> None:
     """Check that who is recorded as touching did, and that ways through a step end where the next one begins."""
-    seen = touches.sure[0] | touches.sure[1] | touches.maybe[0] | touches.maybe[1]
+    seen = np.any([*touches.sure, *touches.maybe], axis=0)
     alone = np.argwhere(motion.bent & ~seen)[:SAID]
     found.contradictions += [
         f"{names[robot]} is recorded as touching at {(step + 1) * motion.step_s:.2f} s, but was near nothing"

@@ -30,7 +30,9 @@ from fullswarm.evaluate.results.quantities import (
     COLLISIONS,
     COVERAGE,
     PAIRS,
+    QUIET,
     REVERSALS,
+    SETTLED,
     SPEED_VARIATION,
     TIME,
     TOUCHED,
@@ -308,7 +310,7 @@ class Grid:
         return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-MEANS = (TIME, WORK, COVERAGE, REVERSALS, SPEED_VARIATION, TURN_VARIATION)
+MEANS = (TIME, WORK, COVERAGE, SETTLED, QUIET, REVERSALS, SPEED_VARIATION, TURN_VARIATION)
 """The last columns of the cells' table."""
 
 

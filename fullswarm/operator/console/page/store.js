@@ -101,12 +101,12 @@ export class Store extends Emitter {
     if (!this.hub) found.add("hub");
     if (this.core_age_s === null || this.core_age_s > OLD_S) found.add("core");
     for (const id of ids.length ? ids : this.ids()) {
-      const { estop, silent, fault, stop_reason: stopped, lifecycle } = this.info(id);
+      const { estop, silent, fault, stop_reason: stopped, stop_code: code, lifecycle } = this.info(id);
       const lease = this.leases.get(id);
       if (estop) found.add(`${id} e-stop`);
       if (silent) found.add(`${id} silent`);
       if (fault || lifecycle === "FAULT") found.add(`${id} fault`);
-      if (stopped) found.add(`${id} ${stopped}`);
+      if (stopped && code !== "settled") found.add(`${id} ${stopped}`);
       if (lease && !lease.mine) found.add(`${id} held`);
     }
     return found;

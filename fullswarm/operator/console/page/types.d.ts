@@ -22,6 +22,7 @@ export interface Robot {
   state_why: string;
   attention: boolean;
   stop_reason: string;
+  stop_code: string;
   fault: string;
   advice: string;
   battery: number | null;
