@@ -110,7 +110,7 @@ class One:
         near, pose = among(others), np.array([[*self.place, 0.0]])
         for _ in range(round(for_s / PERIOD_S)):
             self.now_s += PERIOD_S
-            desired = self.goal - self.place
+            desired: Array = self.goal - self.place
             sigma = np.array([[sigma_m, 0.0]])
             self.settling.hold(self.now_s, desired, pose, np.zeros((1, 2)), sigma, near, boxes)
         return desired
