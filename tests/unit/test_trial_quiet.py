@@ -18,7 +18,8 @@ def run_of(x_m: np.ndarray, heading_rad: np.ndarray | None = None) -> Trajectory
     if heading_rad is not None:
         pose[:, 0, 2] = heading_rad
     return Trajectory(
-        ids=("r1",), time_s=np.array([STEP_S * k for k in range(len(x_m))]), pose=pose, touching=np.zeros((len(x_m), 1), bool),
+        ids=("r1",), time_s=np.array([STEP_S * k for k in range(len(x_m))]), pose=pose,
+        touching=np.zeros((len(x_m), 1), bool),
         goals=np.array([[10.0, 0.0]]), goal_radius_m=0.5, radius_m=np.array([0.17]), boxes=np.zeros((0, 5)),
         bounds_m=np.array([0.0, 0.0, 20.0, 20.0]),
     )  # fmt: skip
