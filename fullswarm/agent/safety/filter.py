@@ -229,9 +229,8 @@ def guard(
         accel = accels[i]
         approach_s = max(APPROACH_S, 3.0 * period_s)
         # The braking barrier uses all of the brakes: it is for makes that follow their ramps exactly.
-        barrier_gain = gain[i]
-        if barrier_gain == 0.0 and (dead_time_s[i] > 0.0 or overrun_s[i] > 0.0):
-            barrier_gain = min(LOOSE_GAIN_PER_S, accel / top)
+        exact = dead_time_s[i] == 0.0 and overrun_s[i] == 0.0
+        barrier_gain = gain[i] if gain[i] > 0.0 or exact else min(LOOSE_GAIN_PER_S, accel / top)
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -250,8 +249,8 @@ def guard(
             overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way, reach_m,
-                near, arena, planes, objects,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way,
+                reach_m, near, arena, planes, objects,
                 math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
             )  # fmt: skip
             if way > 0.0:
