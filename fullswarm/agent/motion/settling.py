@@ -5,7 +5,7 @@ A robot settles when it is slow and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
 - every place in its goal's disc is taken or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`;
-- it has come no nearer for `GIVE_UP_S`, and there is no room ahead nor to its sides: between walls, or in a jam.
+- it has come no nearer for `GIVE_UP_S`, and there is no room for a robot ahead nor at its sides: in a corridor, a jam.
 
 The first two are judged where the goal is at most `WINDOW_M` away, so that all robots around it are sensed. While there
 is a free place in the goal's disc that can be reached they do not hold, also for a robot at its rim.
@@ -152,12 +152,13 @@ def is_enclosed(
                 apart = radius + states[row, 5] + spread_m[row]
                 if (bx - ax) * (bx - ax) + (by - ay) * (by - ay) >= apart * apart:
                     continue
-                # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other.
+                # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other. An end
+                # on the other line counts to one side, so that a robot right on the way is crossed once, not twice.
                 side_a = (x - from_x) * (ay - from_y) - (y - from_y) * (ax - from_x)
                 side_b = (x - from_x) * (by - from_y) - (y - from_y) * (bx - from_x)
                 side_from = (bx - ax) * (from_y - ay) - (by - ay) * (from_x - ax)
                 side_to = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-                crosses = 1 if side_a * side_b < 0.0 and side_from * side_to < 0.0 else 0
+                crosses = 1 if (side_a > 0.0) != (side_b > 0.0) and (side_from > 0.0) != (side_to > 0.0) else 0
                 if label[two] < 0:
                     label[two] = label[one] ^ crosses
                     queue[queued] = two
@@ -202,9 +203,10 @@ def place_left(
         to_goal = math.hypot(goal_x - x, goal_y - y)
         if to_goal > within_m + radius:
             continue
-        if to_goal > ROUNDING_M and math.fabs(to_goal - radius) <= within_m:
-            at_x = x + radius / to_goal * (goal_x - x)
-            at_y = y + radius / to_goal * (goal_y - y)
+        if math.fabs(to_goal - radius) <= within_m:
+            # Of a robot at the goal all points of the circle are equally near.
+            at_x = x + (radius / to_goal * (goal_x - x) if to_goal > ROUNDING_M else radius)
+            at_y = y + (radius / to_goal * (goal_y - y) if to_goal > ROUNDING_M else 0.0)
             if is_open(
                 i,
                 at_x,
@@ -314,7 +316,21 @@ def rule_for(
         ):
             return GOAL_TAKEN
     if waited_s >= GIVE_UP_S and not has_room(
-        i, x, y, ux, uy, radius, clearance_m, len(TILTS), start, other, places, states, spread_m, obstacles, bounds_m
+        i,
+        x,
+        y,
+        ux,
+        uy,
+        2.0 * radius,
+        clearance_m,
+        len(TILTS),
+        start,
+        other,
+        places,
+        states,
+        spread_m,
+        obstacles,
+        bounds_m,
     ):
         return SHUT_IN
     return NOT_SETTLED
