@@ -92,7 +92,8 @@ def case(kind: str, width_m: float, position: int) -> Case:
     ]
     near = _scatter(rng, 4 if kind == "corridor" else ROBOTS, -0.5 * thick_m)
     starts = [(*_turned(centre, yaw, x, y), float(rng.uniform(-math.pi, math.pi))) for x, y in near]
-    beyond = [(0.5 * thick_m + 1.7 + 0.5 * (row % 2), 0.55 * (row - 3.5)) for row in range(ROBOTS)]
+    # So far apart that a robot can pass between two that have arrived.
+    beyond = [(0.5 * thick_m + 1.7 + 0.5 * (row % 2), 0.85 * (row - 3.5)) for row in range(ROBOTS)]
     if kind == "corridor":
         starts += [(*_turned(centre, yaw, -x, -y), float(rng.uniform(-math.pi, math.pi))) for x, y in near]
         beyond = [*beyond[::2], *((-x, y) for x, y in beyond[::2])]

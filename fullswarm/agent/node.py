@@ -357,6 +357,7 @@ class AgentNode:
             self.metrics.sample(now_s)
             columns = {
                 "deviation_m": self.filter.deviation_m,
+                "no_way": np.array([float(row in self.desired.blocked) for row in range(len(self._fleet.ids))]),
                 "settled": np.where(self.settling.settled, 1.0, math.nan),
                 "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
                 **self.calculators.columns(),

@@ -175,6 +175,7 @@ class MoverConfig(Section):
 
     waypoints: Annotated[tuple[Point, ...], Field(min_length=1)]  # m; it starts at the first one
     speed_m_s: float = Field(1.0, ge=0.0, le=10.0)
+    accel_m_s2: float = Field(2.0, gt=0.0, le=1e4)  # from standstill at each waypoint, and to it
     radius_m: float = Field(0.25, gt=0.0, le=50.0)
     start_s: float = Field(0.0, ge=0.0, le=1e6)  # simulated time at which it leaves
     repeat: Literal["back", "loop", "once"] = "back"  # at the last waypoint: return the same way, go to the first, stay

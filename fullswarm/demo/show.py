@@ -49,7 +49,7 @@ CIRCLE = [
 
 MIXED_ACTS = (
     Act("formation_bc", {"targets": [list(each) for each in CIRCLE], "gain": 2.0}, 0.5),
-    Act("move_to_goal_bc", {"goal": [4.9, 4.5], "arrive_radius_m": 1.5, "gain": 2.0}, 0.5),
+    Act("move_to_goal_bc", {"goal": [4.9, 4.5], "arrive_radius_m": 1.8, "gain": 2.0}, 0.5),  # rovers keep wide gaps
 )
 NEAR_M = 0.2
 """A robot has arrived when it is so close to its target, or within the radius that the request names."""

@@ -240,7 +240,7 @@ class Referee:
         """Return what is needed to count everything again."""
         bodies, found, standard, nearest = self._bodies, self._bodies.referee, self._standard, self.approaches.nearest
         motion = np.concatenate(self._motion)
-        places = np.array(self._movers).reshape(-1, len(found.solids.obstacles) - found.fixed, 2)
+        places = np.array(self._movers).reshape(len(self._movers), len(found.solids.obstacles) - found.fixed, 2)
         movers: NDArray[np.int32] = np.round(places / GRAIN).astype(np.int32)
         bends = [(step, row, way) for step, rows, ways in self._bends for row, way in zip(rows, ways, strict=True)]
         steps, rows = (np.array([each[column] for each in bends], np.int32) for column in (0, 1))

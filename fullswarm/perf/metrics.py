@@ -56,6 +56,7 @@ COLUMNS = {
     "events": Column("", "contacts begun; two robots that meet count one each", "add"),
     "deadlock_count": Column("", "how often it was found blocked and stepped aside", "add"),
     "sidestep_s": Column("s", "time spent on stepping aside", "add"),
+    "no_way": Column("", "1 while it knows no way to where it is to drive, else 0"),
     "deviation_m": Column("m", "distance between desired and filtered motion, added up over time", "add"),
     "reversals": Column("", "how often a wheel's commanded speed changed its sign, mean of both wheels", "add"),
     "speed_variation_m_s": Column("m/s", "total variation of the commanded speed", "add"),
@@ -120,6 +121,7 @@ METRICS = {
         {"deadlock_count": ("sum", "deadlock_count"), "sidestep_s": ("sum", "sidestep_s")},
         "deadlock_count",
     ),
+    "ways": Metric("Robots that know no way to their goals", {"blocked": ("positive", "no_way")}, "no_way"),
     "filter": Metric(
         "How much the safety filter changed",
         {"total_m": ("sum", "deviation_m"), "mean_m": ("mean", "deviation_m"), "max_m": ("max", "deviation_m")},

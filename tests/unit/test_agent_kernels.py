@@ -21,7 +21,18 @@ from fullswarm.agent.neighbours import estimates
 from fullswarm.agent.neighbours.objects import no_objects
 from fullswarm.agent.safety import barrier
 from fullswarm.agent.safety.dead_time import Underway
-from fullswarm.agent.safety.filter import Filtered, Measured, Requested, RobotParams, Tuning, guard
+from fullswarm.agent.safety.filter import (
+    FACING_RAD,
+    HELD_SHARE,
+    RELEASED_SHARE,
+    Filtered,
+    Measured,
+    Requested,
+    RobotParams,
+    Tuning,
+    guard,
+    steer,
+)
 from fullswarm.messages import RobotStates
 
 seeds = st.integers(0, 2**32 - 1)
@@ -201,3 +212,23 @@ def test_only_the_last_states_of_a_host_count_whatever_came_before(messages: lis
 
     for whole, last in zip(received(messages), received(messages[-1:]), strict=True):
         np.testing.assert_array_equal(whole[:2], last[:2])
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.0, 2 * math.pi), st.floats(0.0, 0.09))
+@settings(max_examples=50, deadline=None)
+def test_a_held_robot_turns_to_where_it_wants_to_go_whatever_little_is_allowed(
+    heading: float, direction: float, share: float
+) -> None:
+    allowed = share * math.cos(direction), share * math.sin(direction)
+    speed, turn, held = steer.plain(*allowed, 1.0, 0.0, heading, False, 1.0, 3.0)
+    assert held
+    assert speed >= 0.0, "it does not reverse"
+    assert turn == pytest.approx(-3.0 * heading if abs(heading) > FACING_RAD else 0.0, abs=1e-9)
+    assert steer.plain(*allowed, 1.0, 0.0, heading, True, 1.0, 3.0) == (speed, turn, True)
+
+
+def test_a_robot_is_released_by_more_than_by_what_it_is_held() -> None:
+    allowed = 0.5 * (HELD_SHARE + RELEASED_SHARE)
+    for before in (False, True):
+        assert steer.plain(0.0, allowed, 1.0, 0.0, 0.0, before, 1.0, 3.0)[2] == before
+        assert not steer.plain(0.0, 1.1 * RELEASED_SHARE, 1.0, 0.0, 0.0, before, 1.0, 3.0)[2]

@@ -15,7 +15,7 @@ from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestSt
 from fullswarm.operator.render import fleet_table, footer_lines
 from fullswarm.operator.robot_state import row_state
 from fullswarm.operator.view import FleetView, NodeRow, RobotRow, Snapshot
-from fullswarm.reasons import Code
+from fullswarm.reasons import Code, reason
 from fullswarm.runtime import Runtime
 
 KEYS = Keys("lab")
@@ -132,6 +132,13 @@ def test_a_closed_view_receives_nothing(listening: Listening) -> None:
 def said(seen: RobotRow) -> tuple[str, bool]:
     state = row_state(seen)
     return state.text, state.attention
+
+
+def test_a_settled_robot_is_shown_with_its_reason_and_needs_no_attention() -> None:
+    why = reason(Code.SETTLED)
+    text, attention = said(row(behaviour="move_to_goal_bc", stop_reason=why.text, stop_code=why.code, moving=False))
+    assert text == f"settled: {why.text}"
+    assert not attention
 
 
 @pytest.mark.parametrize(

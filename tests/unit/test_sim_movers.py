@@ -27,11 +27,23 @@ def world(*starts: tuple[float, float, float], engine: str = "kinematic", **sett
     [("back", 1.0, (1.0, 0.0)), ("back", 5.0, (1.0, 0.0)), ("once", 9.0, (2.0, 1.0)), ("loop", 3.5, (1.553, 0.776))],
 )
 def test_a_mover_goes_along_its_waypoints(repeat: str, time_s: float, place: tuple[float, float]) -> None:
-    way = {"waypoints": [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0)], "speed_m_s": 1.0, "repeat": repeat}
+    way = {"waypoints": [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0)], "speed_m_s": 1.0, "accel_m_s2": 1e4, "repeat": repeat}
     movers = Movers([MoverConfig.model_validate(way), MoverConfig(waypoints=((7.0, 7.0),))])
     movers.set_time(time_s)
     assert movers.place[0] == pytest.approx(place, abs=1e-3)
     assert movers.place[1].tolist() == [7.0, 7.0]
+
+
+@pytest.mark.parametrize("repeat", ["back", "loop", "once"])
+def test_a_mover_keeps_its_speed_and_acceleration(repeat: str) -> None:
+    way = {"waypoints": [(0.0, 0.0), (2.0, 0.0), (2.0, 0.3)], "speed_m_s": 1.0, "accel_m_s2": 2.0, "repeat": repeat}
+    movers, places = Movers([MoverConfig.model_validate(way)]), []
+    for step in range(2000):
+        movers.set_time(0.01 * step)
+        places.append(movers.place[0].copy())
+    velocity = np.diff(places, axis=0) / 0.01
+    assert np.hypot(*velocity.T).max() == pytest.approx(1.0, abs=1e-6)
+    assert np.hypot(*(np.diff(velocity, axis=0) / 0.01).T).max() < 2.0 + 1e-6
 
 
 @pytest.mark.parametrize("engine", ["kinematic", "pybullet"])

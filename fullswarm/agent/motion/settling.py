@@ -152,12 +152,13 @@ def is_enclosed(
                 apart = radius + states[row, 5] + spread_m[row]
                 if (bx - ax) * (bx - ax) + (by - ay) * (by - ay) >= apart * apart:
                     continue
-                # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other.
+                # Whether the lines (a, b) and (from, to) cross: the ends of each lie on both sides of the other. An end
+                # on the other line counts to one side, so that a robot right on the way is crossed once, not twice.
                 side_a = (x - from_x) * (ay - from_y) - (y - from_y) * (ax - from_x)
                 side_b = (x - from_x) * (by - from_y) - (y - from_y) * (bx - from_x)
                 side_from = (bx - ax) * (from_y - ay) - (by - ay) * (from_x - ax)
                 side_to = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-                crosses = 1 if side_a * side_b < 0.0 and side_from * side_to < 0.0 else 0
+                crosses = 1 if (side_a > 0.0) != (side_b > 0.0) and (side_from > 0.0) != (side_to > 0.0) else 0
                 if label[two] < 0:
                     label[two] = label[one] ^ crosses
                     queue[queued] = two
@@ -202,9 +203,10 @@ def place_left(
         to_goal = math.hypot(goal_x - x, goal_y - y)
         if to_goal > within_m + radius:
             continue
-        if to_goal > ROUNDING_M and math.fabs(to_goal - radius) <= within_m:
-            at_x = x + radius / to_goal * (goal_x - x)
-            at_y = y + radius / to_goal * (goal_y - y)
+        if math.fabs(to_goal - radius) <= within_m:
+            # Of a robot at the goal all points of the circle are equally near.
+            at_x = x + (radius / to_goal * (goal_x - x) if to_goal > ROUNDING_M else radius)
+            at_y = y + (radius / to_goal * (goal_y - y) if to_goal > ROUNDING_M else 0.0)
             if is_open(
                 i,
                 at_x,

@@ -265,8 +265,9 @@ def half_planes(
 
 @kernel
 def shorten(
-    planes: HalfPlanes, count: int, x: float, y: float, way: float, swing: float, reverses: bool, gain: float
-) -> None:
+    planes: HalfPlanes, count: int, x: float, y: float, way: float, swing: float, reverses: bool, unsure: float,
+    gain: float,
+) -> None:  # fmt: skip
     """Reduce the rooms by what a body uses up on a way that nothing can change any more.
 
     A path of length `way` that turns by `swing` <= π/2 in all leads along its chord, and stays within half its length
@@ -276,11 +277,13 @@ def shorten(
     ----------
     x, y : m, displacement in the end; `way`, m, length of the path
     reverses : it goes forwards and backwards
+    unsure : rad by which the heading at its end may be off
     """
     normal_x, normal_y, limits, blur, room = planes
     bulge = 0.5 * way * math.sin(0.5 * min(swing, math.pi))
     reverses = reverses or swing > 0.5 * math.pi
     for k in range(count):
+        blur[k] += unsure
         nearer = max(0.0, normal_x[k] * x + normal_y[k] * y) + bulge + blur[k] * way
         if reverses or nearer > way:
             nearer = way

@@ -15,19 +15,21 @@ import numpy as np
 from fullswarm.geometry import clamp
 from fullswarm.kernels import Array, Index, kernel, views
 
-ENTRIES = 64
-"""Commands kept: a dead time of a second at 50 Hz, and some more for those between two ticks."""
+FOREVER_S = 1e9
+"""Before the first command none was in force for so long."""
 
 
 class Given(NamedTuple):
-    """The set-points that were in force, as rings of `ENTRIES`; the newest is at `newest` (1,).
+    """The set-points that were in force, as rings of k; the newest is at `newest` (1,).
 
     `speed`, `turn`: (k, n) m/s and rad/s, as a body can follow them: it brakes with its limits. `since_s`, `until_s`:
-    (k,) when each was in force.
+    (k,) when each was in force. `speed_now`, `turn_now`: (n,) of the newest.
     """
 
     speed: Array
     turn: Array
+    speed_now: Array
+    turn_now: Array
     since_s: Array
     until_s: Array
     newest: Index
@@ -38,7 +40,8 @@ class Underway(NamedTuple):
 
     `speed`, `turn`: m/s and rad/s then. `fastest`: m/s, the greatest until then. `turned`: rad, change of the heading.
     `x`, `y`: m, displacement in the frame of the heading now; `way`: m, length of the path; `swing`: rad, how much it
-    turns to and fro on it. `reverses`: 1 if it changes its direction, else 0.
+    turns to and fro on it. `reverses`: 1 if it changes its direction, else 0. `unsure`: rad by which `turned` may be
+    off: the dead time began within a command, all of which is in `way`.
     """
 
     speed: Array
@@ -50,6 +53,7 @@ class Underway(NamedTuple):
     way: Array
     swing: Array
     reverses: Array
+    unsure: Array
 
 
 @kernel
@@ -61,15 +65,29 @@ def follow(now: float, wanted: float, most: float) -> float:
 
 
 @kernel
-def keep(given: Given, applied: Array, accel: Array, turn_accel: Array, since_s: float, now_s: float) -> None:
-    """Take in the set-points `applied` (n, 2) that were in force from `since_s` until now."""
-    last = given.newest[0]
-    at = (last + 1) % given.speed.shape[0]
+def keep(
+    given: Given, applied: Array, accel: Array, turn_accel: Array, since_s: float, now_s: float, least_s: float
+) -> None:
+    """Take in the set-points `applied` (n, 2) that were in force from `since_s` until now.
+
+    Those that follow an entry shorter than `least_s` are averaged with it.
+    """
     passed_s = now_s - since_s
+    at = given.newest[0]
+    before_s = given.until_s[at] - given.since_s[at]
+    if before_s >= least_s:
+        at = (at + 1) % given.speed.shape[0]
+        before_s = 0.0
+        given.since_s[at] = since_s
+    share = passed_s / (before_s + passed_s)
     for i in range(applied.shape[0]):
-        given.speed[at, i] = follow(given.speed[last, i], applied[i, 0], accel[i] * passed_s)
-        given.turn[at, i] = follow(given.turn[last, i], applied[i, 1], turn_accel[i] * passed_s)
-    given.since_s[at] = since_s
+        speed = follow(given.speed_now[i], applied[i, 0], accel[i] * passed_s)
+        most = turn_accel[i] * passed_s
+        turn = clamp(applied[i, 1], given.turn_now[i] - most, given.turn_now[i] + most)
+        given.speed[at, i] = speed if share == 1.0 else (1.0 - share) * given.speed[at, i] + share * speed
+        given.turn[at, i] = turn if share == 1.0 else (1.0 - share) * given.turn[at, i] + share * turn
+        given.speed_now[i] = speed
+        given.turn_now[i] = turn
     given.until_s[at] = now_s
     given.newest[0] = at
 
@@ -80,8 +98,8 @@ def carry_on(given: Given, dead_time_s: Array, now_s: float, out: Underway) -> N
     entries = given.speed.shape[0]
     newest = given.newest[0]
     for i in range(dead_time_s.shape[0]):
-        out.speed[i] = given.speed[newest, i]
-        out.turn[i] = given.turn[newest, i]
+        out.speed[i] = given.speed_now[i]
+        out.turn[i] = given.turn_now[i]
         back = 0
         # Entries that were in force before the dead time began have had their effect.
         while back < entries and given.until_s[(newest - back) % entries] > now_s - dead_time_s[i] + 1e-6:
@@ -92,19 +110,22 @@ def carry_on(given: Given, dead_time_s: Array, now_s: float, out: Underway) -> N
         way = 0.0
         swing = 0.0
         fastest = 0.0
+        unsure = 0.0
         ahead = False
         astern = False
         for step in range(back):
             entry = (newest - (back - 1 - step)) % entries
             lasted_s = given.until_s[entry] - given.since_s[entry]
             speed = given.speed[entry, i]
-            angle = given.turn[entry, i] * lasted_s
+            over_s = clamp(now_s - dead_time_s[i] - given.since_s[entry], 0.0, lasted_s)
+            unsure += math.fabs(given.turn[entry, i]) * over_s
+            angle = given.turn[entry, i] * (lasted_s - over_s)
             middle = heading + 0.5 * angle
             x += speed * lasted_s * math.cos(middle)
             y += speed * lasted_s * math.sin(middle)
             heading += angle
             way += math.fabs(speed) * lasted_s
-            swing += math.fabs(angle)
+            swing += math.fabs(given.turn[entry, i]) * lasted_s
             fastest = max(fastest, math.fabs(speed))
             ahead = ahead or speed > 0.0
             astern = astern or speed < 0.0
@@ -115,6 +136,7 @@ def carry_on(given: Given, dead_time_s: Array, now_s: float, out: Underway) -> N
         out.way[i] = way
         out.swing[i] = swing
         out.reverses[i] = 1.0 if ahead and astern else 0.0
+        out.unsure[i] = unsure
 
 
 @kernel
@@ -151,6 +173,7 @@ class Commands:
     Parameters
     ----------
     dead_time_s, accel, turn_accel : (n,) s, m/s², rad/s², as the makes state
+    period_s : from tick to tick; some updates come between two
 
     Attributes
     ----------
@@ -158,13 +181,15 @@ class Commands:
     any : there is a robot with one
     """
 
-    def __init__(self, dead_time_s: Array, accel: Array, turn_accel: Array) -> None:
-        count = len(dead_time_s)
+    def __init__(self, dead_time_s: Array, accel: Array, turn_accel: Array, period_s: float) -> None:
+        count, self._least_s = len(dead_time_s), 0.5 * period_s
+        entries = 4 + math.ceil(2.0 * float(dead_time_s.max(initial=0.0)) / period_s)
         self._dead_time_s, self._accel, self._turn_accel = dead_time_s, accel, turn_accel
         self.any = bool((dead_time_s > 0.0).any())
         self._given = Given(
-            speed=np.zeros((ENTRIES, count)), turn=np.zeros((ENTRIES, count)), since_s=np.full(ENTRIES, -math.inf),
-            until_s=np.full(ENTRIES, -math.inf), newest=np.zeros(1, np.int64),
+            speed=np.zeros((entries, count)), turn=np.zeros((entries, count)), speed_now=np.zeros(count),
+            turn_now=np.zeros(count), since_s=np.full(entries, -FOREVER_S),
+            until_s=np.full(entries, -0.5 * FOREVER_S), newest=np.zeros(1, np.int64),
         )  # fmt: skip
         self.underway = Underway(*np.zeros((len(Underway._fields), count)))
         self._viewed = views(self._given), views(self.underway)
@@ -174,6 +199,6 @@ class Commands:
         """Take in the set-points `applied` (n, 2) since the last call: what was applied then holds until now."""
         if self._since_s < now_s:
             given, out = (self._given, self.underway) if keep.run is not keep.plain else self._viewed
-            keep.run(given, applied, self._accel, self._turn_accel, self._since_s, now_s)
+            keep.run(given, applied, self._accel, self._turn_accel, self._since_s, now_s, self._least_s)
             carry_on.run(given, self._dead_time_s, now_s, out)
         self._since_s = now_s

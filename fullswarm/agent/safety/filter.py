@@ -246,7 +246,10 @@ def guard(
                 math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
             )  # fmt: skip
             if way > 0.0:
-                shorten(planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0, gain[i])
+                shorten(
+                    planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0,
+                    underway.unsure[i], gain[i],
+                )  # fmt: skip
             if count < 0:
                 why = CROWDED
         if why != FREE:
@@ -342,7 +345,7 @@ class SafetyFilter:
         self._robots, self._planes = robots, HalfPlanes(*scratch)
         # Plain Python reads lists still faster than views.
         self._robots_viewed, self._planes_listed = views(robots), HalfPlanes._make(scratch.tolist())
-        self.commands = Commands(robots.dead_time_s, robots.accel, robots.turn_accel)
+        self.commands = Commands(robots.dead_time_s, robots.accel, robots.turn_accel, tuning.period_s)
         self._deviation = deviation
         self.given: Given | None = None
         self._guard: Callable[[Measured, float, float], int]

@@ -1,8 +1,8 @@
 """Scenarios: arenas for trials, as data. In: a name or a TOML file, a seed. Out: boxes, start poses, goals.
 
 The four of the paper (IV.A): ``empty``, ``empty_dense``, ``uniform``, ``concave``; its unmeasured ``corridor``;
-and ``antipodal``, ``antipodal_table`` for deadlock. What the paper leaves open is stated in each file. A new scenario
-is one more TOML file here; a new importer one more module in ``importers/``.
+``antipodal``, ``antipodal_table`` for deadlock; ``door_…``, ``opposing_…`` for passages. What the paper leaves open is
+stated in each file. A new scenario is one more TOML file here; a new importer one more module in ``importers/``.
 
 ``model.py``       the scenario and its file
 ``placement.py``   the places of boxes and robots for a seed

@@ -79,6 +79,7 @@ class Spawn(Section):
     shape: Literal["rectangle", "ellipse"] = "rectangle"  # ellipse: evenly by angle on the one inside the region
     spacing_m: float = Field(0.6, ge=MINIMUM_SPACING_M)
     heading_rad: float | None = None  # None: uniform at random; on an ellipse: towards its centre
+    mirrored: bool = False  # every second robot starts in the region mirrored at the goal's centre: flows that meet
 
 
 class RandomBoxes(Section):
@@ -87,6 +88,17 @@ class RandomBoxes(Section):
     count: int = Field(ge=1, le=1000)
     size_m: tuple[PositiveFloat, PositiveFloat] = (1.0, 1.0)
     region_m: Rectangle
+
+
+class Door(Section):
+    """A wall across the arena with a door in it; the seed draws the door's place and the wall's angle."""
+
+    width_m: PositiveFloat
+    thickness_m: PositiveFloat = 0.2
+    around_m: Point  # the door's middle lies within `wander_m` of it, along either axis
+    wander_m: float = Field(0.5, ge=0.0, le=100.0)
+    yaw_rad: float = 0.0  # of the way through, within `turned_rad`
+    turned_rad: float = Field(0.4, ge=0.0, le=3.2)
 
 
 class Goal(Section):
@@ -106,6 +118,7 @@ class Scenario(Section):
     walls: bool = True
     boxes: Annotated[tuple[Box, ...], AfterValidator(_solid)] = ()
     random_boxes: RandomBoxes | None = None
+    door: Door | None = None
     movers: tuple[MoverConfig, ...] = ()  # bodies that no agent commands
     spawn: Spawn
     goal: Goal
@@ -121,6 +134,10 @@ class Scenario(Section):
             if left < x_min or low < y_min or right > x_max or high > y_max:
                 raise ValueError(f"{table}.region_m reaches out of bounds_m")
         x, y = self.goal.centre_m
+        if self.spawn.mirrored:
+            left, low, right, high = self.spawn.region_m
+            if 2 * x - right < x_min or 2 * x - left > x_max or 2 * y - high < y_min or 2 * y - low > y_max:
+                raise ValueError("spawn.region_m, mirrored at goal.centre_m, reaches out of bounds_m")
         if not (x_min <= x <= x_max and y_min <= y <= y_max):
             raise ValueError("goal.centre_m lies out of bounds_m")
         return self
@@ -159,12 +176,13 @@ def scenario_to_toml(scenario: Scenario, notes: Iterable[str] = ()) -> str:
     for note in notes:
         # A comment ends at the line's end, and may hold no control character.
         document.add(tomlkit.comment("".join(each if each.isprintable() else " " for each in note)))
-    for key, value in scenario.model_dump(exclude={"boxes", "random_boxes", "movers", "spawn", "goal"}).items():
+    for key, value in scenario.model_dump(exclude={"boxes", "random_boxes", "door", "movers", "spawn", "goal"}).items():
         document.add(key, list(value) if isinstance(value, tuple) else value)
     if scenario.boxes:
         document.add("boxes", _boxes(scenario))
     for key, section in (
         ("random_boxes", scenario.random_boxes),
+        ("door", scenario.door),
         ("spawn", scenario.spawn),
         ("goal", scenario.goal),
     ):

@@ -8,7 +8,7 @@ import numpy as np
 
 from fullswarm.config import WorldConfig
 from fullswarm.errors import ConfigError
-from fullswarm.evaluate.scenarios.model import MINIMUM_SPACING_M, Box, Scenario
+from fullswarm.evaluate.scenarios.model import MINIMUM_SPACING_M, Box, Door, Scenario
 from fullswarm.kernels import Array
 
 CLEARANCE_M = 0.1
@@ -19,7 +19,7 @@ GAP_M = 0.06
 
 _TRIES = 2000  # per robot, or for all boxes, before everything is placed anew
 _ROUNDS = 10
-_BOXES, _ROBOTS = 1, 2  # streams of random numbers: places of boxes and robots must not be related
+_BOXES, _ROBOTS, _DOOR = 1, 2, 3  # streams of random numbers: places of boxes and robots must not be related
 
 
 def boxes_for(scenario: Scenario, seed: int) -> tuple[Box, ...]:
@@ -33,6 +33,8 @@ def boxes_for(scenario: Scenario, seed: int) -> tuple[Box, ...]:
         They do not fit into their region, or `seed` is negative.
     """
     wanted = scenario.random_boxes
+    if scenario.door is not None:
+        scenario = scenario.model_copy(update={"boxes": (*scenario.boxes, *_wall(scenario, scenario.door, seed))})
     if wanted is None:
         return scenario.boxes
     rng = _generator(seed, _BOXES)
@@ -51,6 +53,27 @@ def boxes_for(scenario: Scenario, seed: int) -> tuple[Box, ...]:
         where=f"scenario {scenario.name}: random_boxes",
         hint="fewer or smaller boxes, or a larger region_m",
     )
+
+
+def _wall(scenario: Scenario, door: Door, seed: int) -> tuple[Box, Box]:
+    """Return the two parts of a wall on either side of its door; they reach beyond the arena."""
+    rng = _generator(seed, _DOOR)
+    x, y = np.array(door.around_m) + rng.uniform(-door.wander_m, door.wander_m, 2)
+    yaw = door.yaw_rad + float(rng.uniform(-door.turned_rad, door.turned_rad))
+    x_min, y_min, x_max, y_max = scenario.bounds_m
+    length_m = math.hypot(x_max - x_min, y_max - y_min)
+    off_m = 0.5 * (door.width_m + length_m)
+    left, right = (
+        (
+            float(x - sign * off_m * math.sin(yaw)),
+            float(y + sign * off_m * math.cos(yaw)),
+            door.thickness_m,
+            length_m,
+            yaw,
+        )
+        for sign in (-1.0, 1.0)
+    )
+    return left, right
 
 
 def spawn(scenario: Scenario, n: int, seed: int, radius_m: float | Array) -> Array:
@@ -144,9 +167,12 @@ def _scatter(scenario: Scenario, boxes: Array, radius_m: Array, spacing_m: float
     fixed_heading = scenario.spawn.heading_rad
     n = len(radius_m)
     poses = np.empty((n, 3))
+    middle_x, middle_y = scenario.goal.centre_m
     for i in range(n):
         for _ in range(_TRIES):
             x, y, heading = rng.uniform((left, low, -math.pi), (right, high, math.pi))
+            if scenario.spawn.mirrored and i % 2:
+                x, y = 2.0 * middle_x - x, 2.0 * middle_y - y
             apart = np.hypot(poses[:i, 0] - x, poses[:i, 1] - y)
             far = (apart >= np.maximum(spacing_m, radius_m[:i] + radius_m[i] + GAP_M)).all()
             if far and _is_clear(scenario, boxes, (x, y), float(radius_m[i])):
