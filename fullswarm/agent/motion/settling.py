@@ -5,7 +5,7 @@ A robot settles when it is slow and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
 - every place in its goal's disc is taken or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`;
-- it has come no nearer for `GIVE_UP_S`, and there is no room ahead nor to its sides: between walls, or in a jam.
+- it has come no nearer for `GIVE_UP_S`, and there is no room for a robot ahead nor at its sides: in a corridor, a jam.
 
 The first two are judged where the goal is at most `WINDOW_M` away, so that all robots around it are sensed. While there
 is a free place in the goal's disc that can be reached they do not hold, also for a robot at its rim.
@@ -316,7 +316,21 @@ def rule_for(
         ):
             return GOAL_TAKEN
     if waited_s >= GIVE_UP_S and not has_room(
-        i, x, y, ux, uy, radius, clearance_m, len(TILTS), start, other, places, states, spread_m, obstacles, bounds_m
+        i,
+        x,
+        y,
+        ux,
+        uy,
+        2.0 * radius,
+        clearance_m,
+        len(TILTS),
+        start,
+        other,
+        places,
+        states,
+        spread_m,
+        obstacles,
+        bounds_m,
     ):
         return SHUT_IN
     return NOT_SETTLED

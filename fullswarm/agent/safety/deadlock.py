@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fullswarm.geometry import wrap
-from fullswarm.kernels import Array, Flags, Index, bound, kernel
+from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
 
 BLOCKED_S = 1.0
 WAY_SHARE = 0.15
@@ -174,7 +174,8 @@ class Deadlocks:
             deadlocks=self.deadlock_count,
             seed=np.array([zlib.crc32(robot.encode()) for robot in ids], np.int64),
         )
-        self._sidestep = bound(partial(sidestep.run, self.progress))
+        progress = views(self.progress) if sidestep.run is sidestep.plain else self.progress
+        self._sidestep = bound(partial(sidestep.run, progress))
 
     def resolve(
         self, now_s: float, desired: Array, filtered: Flags, pose: Array, twist: Array, speed_limit: Array
