@@ -96,7 +96,10 @@ class AgentNode:
         )
         # γ v is the hardest braking the filter will ask for; it must not exceed what the wheels can do.
         gain_limit = accel / self.controller.speed_limit
-        self.tasks = Tasks(len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit)
+        self.tasks = Tasks(
+            len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
+            settings.coordination,
+        )  # fmt: skip
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
         self.neighbours.delay_of = self.core_clock.delay_s

@@ -20,6 +20,7 @@ STEEPEST_DEG = 89.0
 # Ranges that fleet files, the core's database, requests and robots share: (least, greatest).
 SAFETY_MARGIN_M = (0.0, 1.0)
 BARRIER_GAIN_PER_S = (0.01, 20.0)
+BARRIERS = ("braking", "linear")
 SPEED_LIMIT_M_S = (0.01, 10.0)
 TURN_LIMIT_RAD_S = (0.01, 20.0)
 HEARING_M = (0.0, 1000.0)
@@ -133,7 +134,10 @@ class AgentConfig(Section):
     speed_gain: float = Field(1.0, gt=0.0, le=100.0)  # K_v of the paper
     turn_gain_per_s: float = Field(3.0, gt=0.0, le=100.0)  # K_w of the paper
     safety_margin_m: float = Field(0.03, ge=SAFETY_MARGIN_M[0], le=SAFETY_MARGIN_M[1])
-    # γ: share of the gap that may be closed per second
+    # γ of the linear barrier: share of the gap that may be closed per second
+    # what limits the approach: the distance in which the robot can brake, or γ of the gap per second as in the paper
+    barrier: Literal["braking", "linear"] = "braking"
+    coordination: bool = True  # robots with a goal, behind the filter, avoid one another in advance
     barrier_gain_per_s: float = Field(2.0, ge=BARRIER_GAIN_PER_S[0], le=BARRIER_GAIN_PER_S[1])
     bounds_m: Bounds | None = None  # arena for real robots; None: the world's, or none
     # auto: ekf (fuse odometry with noisy poses or with fixes) unless the driver senses a pose that is filtered already

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 from pydantic import model_validator
 
-from fullswarm.config.models import BARRIER_GAIN_PER_S, SAFETY_MARGIN_M, Section
+from fullswarm.config.models import BARRIER_GAIN_PER_S, BARRIERS, SAFETY_MARGIN_M, Section
 from fullswarm.messages import Value
 
 Kind = Literal["number", "integer", "flag", "word", "point", "points"]
@@ -105,5 +105,10 @@ class Parameter(Section):
 
 SAFETY_MARGIN = Parameter(type="number", unit="m", min=SAFETY_MARGIN_M[0], max=SAFETY_MARGIN_M[1])
 BARRIER_GAIN = Parameter(type="number", unit="1/s", min=BARRIER_GAIN_PER_S[0], max=BARRIER_GAIN_PER_S[1])
-FILTER = {"safety_margin_m": SAFETY_MARGIN, "barrier_gain_per_s": BARRIER_GAIN}
-"""The safety filter's settings, which the core appends to every filtered request."""
+FILTER = {
+    "safety_margin_m": SAFETY_MARGIN,
+    "barrier_gain_per_s": BARRIER_GAIN,
+    "barrier": Parameter(type="word", choices=BARRIERS),
+    "coordination": Parameter(type="flag"),
+}
+"""Settings of a filtered request. The core appends the first two to each; a record may fix the others as `static`."""

@@ -68,6 +68,7 @@ class Body:
     pose: np.ndarray
     filtered: bool = True
     sigma: tuple[float, float] = (0.0, 0.0)
+    linear: bool = False
     noise: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
 
     def __post_init__(self) -> None:
@@ -77,7 +78,7 @@ class Body:
             np.array([limits.turn_rad_s]), np.array([True]),
         )  # fmt: skip
         self.filter = SafetyFilter(("r",), self.robots, Tuning(PERIOD_S, 3.0, 1.0, 3.0, CONFIDENCE), BOUNDS)
-        self.gain = np.array([min(2.0, limits.accel_m_s2 / limits.speed_m_s)])
+        self.gain = np.array([min(2.0, limits.accel_m_s2 / limits.speed_m_s) if self.linear else 0.0])
         self.tick = 0
         self.verdicts: set[int] = set()
 
@@ -175,12 +176,13 @@ def start(seed: int) -> tuple[np.random.Generator, np.ndarray]:
     return rng, np.array([[3.2, 1.0, rng.uniform(-math.pi, math.pi)]])
 
 
+@pytest.mark.parametrize("linear", [False, True], ids=["braking", "linear"])
 @pytest.mark.parametrize("limits", [PAPER, CREATE, SLUGGISH], ids=["paper", "create", "sluggish"])
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=12, deadline=None)
-def test_no_law_gets_a_lone_robot_out_or_into_its_margin(limits: Limits, seed: int) -> None:
+def test_no_law_gets_a_lone_robot_out_or_into_its_margin(limits: Limits, linear: bool, seed: int) -> None:
     rng, pose = start(seed)
-    body = Body(limits, pose)
+    body = Body(limits, pose, linear=linear)
     assert attack(body, rng, 800) >= MARGIN_M - 1e-5
     assert body.verdicts <= {0, LIMITED}, "what it promised could be driven at every tick"
 

@@ -77,7 +77,9 @@ def test_rooms_lose_at_least_what_the_path_uses_up(seed: int) -> None:
     planes.normal_x[:5], planes.normal_y[:5] = normals.T
     planes.room[:5] = 20.0
     way, swing = float(np.abs(speeds).sum()), float(np.abs(turns).sum())
-    shorten(planes, 5, path[-1, 0], path[-1, 1], way, swing, bool(speeds.min() < 0.0 < speeds.max()), 0.1, 2.0)
+    shorten(
+        planes, 5, path[-1, 0], path[-1, 1], way, swing, bool(speeds.min() < 0.0 < speeds.max()), 0.1, 2.0, 1.0, 0.1
+    )
     used = np.maximum(0.0, (path @ normals.T).max(axis=0))
     assert (20.0 - planes.room[:5] >= used - 1e-9).all()
     assert (20.0 - planes.room[:5] <= way + 1e-9).all()

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.coordination import Coordinator, Crowd
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
 from fullswarm.agent.motion.settling import Settling
@@ -59,6 +60,8 @@ class DesiredMotion:
         self._standing = Standing(neighbours)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
+        crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
+        self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.law_error = [NONE] * count
         self.blocked: dict[int, Reason] = {}
         self.news = False
@@ -109,6 +112,8 @@ class DesiredMotion:
             self._deadlocks.resolve(
                 now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
             )
+        if planar and tasks.any_filtered:
+            self._coordinator.apply(self._planar, pose, reading.twist, near)
         if tasks.any_filtered and settings.evade:
             self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured

@@ -30,6 +30,7 @@ CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
+LINEAR = "linear"
 
 ARRIVE_M = 0.1
 """A robot so near its goal has arrived, when neither the request nor the file says another radius."""
@@ -107,19 +108,23 @@ class Tasks:
     survives_core : (n,) it goes on without the core
     team : (n,) which robots its control law counts as neighbours; 0: all that are sensed
     expires_at_s : (n,) when it ends by itself; inf
+    coordinated : (n,) it is lasting, has a goal, and the robot avoids its neighbours in advance
     goal_m, reach_m : (n, 2), (n,) where the robot is to go, NaN for a task without such a point, and within how much of
         it the request counts as carried out
-    margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones
+    margin_m, gain_per_s : (n,) settings of the filter: the request's, else the usual ones; a gain of 0: braking barrier
     """
 
     count: int
     usual_margin_m: float
     usual_gain_per_s: float
     gain_limit_per_s: Array  # (n,) what the brakes can follow
+    usual_barrier: str = LINEAR
+    usually_coordinated: bool = False
     of: list[Task | None] = field(init=False)
     active: NDArray[np.bool_] = field(init=False)
     filtered: NDArray[np.bool_] = field(init=False)
     lasting: NDArray[np.bool_] = field(init=False)
+    coordinated: NDArray[np.bool_] = field(init=False)
     survives_core: NDArray[np.bool_] = field(init=False)
     team: Index = field(init=False)
     margin_m: Array = field(init=False)
@@ -135,10 +140,12 @@ class Tasks:
         self.active = np.zeros(self.count, bool)
         self.filtered = np.zeros(self.count, bool)
         self.lasting = np.zeros(self.count, bool)
+        self.coordinated = np.zeros(self.count, bool)
         self.survives_core = np.zeros(self.count, bool)
         self.team = np.zeros(self.count, np.int64)
         self.margin_m = np.full(self.count, self.usual_margin_m)
-        self.gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
+        gain_per_s = np.minimum(self.usual_gain_per_s, self.gain_limit_per_s)
+        self.gain_per_s = gain_per_s if self.usual_barrier == LINEAR else np.zeros(self.count)
         self.expires_at_s = np.full(self.count, math.inf)
         self.goal_m = np.full((self.count, 2), math.nan)
         self.reach_m = np.full(self.count, ARRIVE_M)
@@ -165,7 +172,12 @@ class Tasks:
             self.lasting[row] = request.expires_s <= 0.0
             self.margin_m[row] = _number(request.parameters.get("safety_margin_m"), self.usual_margin_m)
             gain_per_s = _number(request.parameters.get("barrier_gain_per_s"), self.usual_gain_per_s)
-            self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row])
+            linear = request.parameters.get("barrier", self.usual_barrier) == LINEAR
+            self.gain_per_s[row] = min(gain_per_s, self.gain_limit_per_s[row]) if linear else 0.0
+        # A law without a goal of its own is about the neighbours: what keeps robots apart in advance would change it.
+        has_goal = not math.isnan(self.goal_m[row, 0])
+        wanted = request.parameters.get("coordination", self.usually_coordinated) is True
+        self.coordinated[row] = wanted and has_goal and request.filtered and request.expires_s <= 0.0
         if alike and self._renew(row, request):
             return
         self.active[row] = True
@@ -188,6 +200,7 @@ class Tasks:
         """Take robot `row`'s task away."""
         self.of[row] = None
         self.active[row] = self.filtered[row] = self.lasting[row] = self.survives_core[row] = False
+        self.coordinated[row] = False
         self.expires_at_s[row] = math.inf
         self.team[row] = 0
         self.goal_m[row] = math.nan

@@ -130,6 +130,17 @@ def project(desired_x: float, desired_y: float, planes: HalfPlanes, count: int) 
 
 
 @kernel
+def approach_limit(room_m: float, gain: float, accel: float, approach_s: float) -> float:
+    """Return how fast a body may use up `room_m`, m/s: γ of it per second, or what its brakes allow if `gain` is 0.
+
+    The brakes: the speed v at which it goes on for `approach_s` and then stops within the room, ``v t + v²/2a``.
+    """
+    if gain > 0.0:
+        return gain * room_m
+    return accel * (math.sqrt(approach_s * approach_s + 2.0 * room_m / accel) - approach_s)
+
+
+@kernel
 def approach_m(closing: float, stop_s: float, limits: Array) -> float:
     """Return how far an object that closes in at `closing` m/s may come in `stop_s`, >= 0.
 
@@ -142,8 +153,8 @@ def approach_m(closing: float, stop_s: float, limits: Array) -> float:
 
 @kernel
 def object_planes(
-    x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, binding_m: float,
-    stop_s: float, objects: Objects, planes: HalfPlanes, count: int,
+    x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, accel: float, approach_s: float,
+    binding_m: float, stop_s: float, objects: Objects, planes: HalfPlanes, count: int,
 ) -> int:  # fmt: skip
     """Add the constraints of moving objects to `count` ones; return how many there are then, -1: it must not move.
 
@@ -170,7 +181,7 @@ def object_planes(
             normal_x[count] = nx
             normal_y[count] = ny
             room[count] = max(0.0, gap)
-            limits[count] = gain * room[count]
+            limits[count] = approach_limit(room[count], gain, accel, approach_s)
             blur[count] = unsure_m / distance + swing
             count += 1
     return count
@@ -178,8 +189,9 @@ def object_planes(
 
 @kernel
 def half_planes(
-    i: int, x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, speed_limit: float,
-    reach_m: float, near: Nearby, arena: Arena, planes: HalfPlanes, objects: Objects, stop_s: float,
+    i: int, x: float, y: float, clearance_m: float, unsure_m: float, swing: float, gain: float, accel: float,
+    approach_s: float, speed_limit: float, way: float, reach_m: float, near: Nearby, arena: Arena, planes: HalfPlanes,
+    objects: Objects, stop_s: float,
 ) -> int:  # fmt: skip
     """Collect the constraints of robot `i` at (x, y); return how many there are, -1 when it must not move at all.
 
@@ -190,6 +202,8 @@ def half_planes(
     ----------
     clearance_m, unsure_m : radius plus margin and error of the position; how far the robot may be from (x, y)
     swing : error of the robot's heading, rad: all normals may be off by it
+    gain : γ in 1/s; 0: what the brakes allow, see :func:`approach_limit`
+    way : how far it will go before a new command acts, m
     reach_m : obstacles farther away are not sensed
     planes : out
     objects, stop_s : what moves and does not keep its half; how long the robot takes to stop
@@ -199,7 +213,8 @@ def half_planes(
     normal_x, normal_y, limits, blur, room = planes
     count = 0
     clearance_m += unsure_m
-    binding_m = speed_limit / gain * (1.0 + swing)
+    binding_m = speed_limit / gain if gain > 0.0 else speed_limit * (approach_s + 0.5 * speed_limit / accel)
+    binding_m = (binding_m + way) * (1.0 + swing)
     twice_m = 2.0 * binding_m
     blur_share = twice_m / clearance_m
     for pair in range(start[i], start[i + 1]):
@@ -223,7 +238,7 @@ def half_planes(
             normal_x[count] = dx / distance
             normal_y[count] = dy / distance
             room[count] = left_m
-            limits[count] = gain * left_m
+            limits[count] = approach_limit(left_m, gain, accel, approach_s)
             blur[count] = far_off / distance + swing
             count += 1
     for row in range(obstacles.shape[0]):
@@ -237,11 +252,13 @@ def half_planes(
             normal_x[count] = nx
             normal_y[count] = ny
             room[count] = max(0.0, gap - clearance_m)
-            limits[count] = gain * room[count]
+            limits[count] = approach_limit(room[count], gain, accel, approach_s)
             blur[count] = swing
             count += 1
     if objects.used[0] > 0:
-        count = object_planes(x, y, clearance_m, unsure_m, swing, gain, binding_m, stop_s, objects, planes, count)
+        count = object_planes(
+            x, y, clearance_m, unsure_m, swing, gain, accel, approach_s, binding_m, stop_s, objects, planes, count
+        )
         if count < 0:
             return -1
     nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
@@ -257,7 +274,7 @@ def half_planes(
             normal_x[count] = sign if horizontal else 0.0
             normal_y[count] = 0.0 if horizontal else sign
             room[count] = max(0.0, to_edge)
-            limits[count] = gain * room[count]
+            limits[count] = approach_limit(room[count], gain, accel, approach_s)
             blur[count] = swing
             count += 1
     return count
@@ -266,7 +283,7 @@ def half_planes(
 @kernel
 def shorten(
     planes: HalfPlanes, count: int, x: float, y: float, way: float, swing: float, reverses: bool, unsure: float,
-    gain: float,
+    gain: float, accel: float, approach_s: float,
 ) -> None:  # fmt: skip
     """Reduce the rooms by what a body uses up on a way that nothing can change any more.
 
@@ -289,7 +306,7 @@ def shorten(
             nearer = way
         left_m = room[k] - nearer
         room[k] = left_m if left_m > 0.0 else 0.0
-        limits[k] = gain * room[k]
+        limits[k] = approach_limit(room[k], gain, accel, approach_s)
 
 
 @kernel

@@ -30,6 +30,17 @@ def towards(now: float, desired: float, step: float) -> float:
 
 
 @kernel
+def stop_distance(speed: float, most: float, period_s: float) -> float:
+    """Return how far a body goes that loses `most` of its speed >= 0 per second, in commands of one period each.
+
+    That is v²/2a where the stop takes whole periods. The last command may take less speed than a period could, and
+    the body then glides for all of it.
+    """
+    rest = speed - most * period_s * math.floor(speed / (most * period_s))
+    return 0.5 * (speed * speed / most + rest * (period_s - rest / most))
+
+
+@kernel
 def way(now: float, then: float, most: float, period_s: float) -> float:
     """Return how far it goes from `now` over `then`, one period later, down to zero at `most` per s².
 
@@ -37,7 +48,17 @@ def way(now: float, then: float, most: float, period_s: float) -> float:
     """
     before = math.fabs(now) if now * then > 0.0 or then == 0.0 else 0.0
     after = math.fabs(then)
-    return max(after, 0.5 * (before + after)) * period_s + 0.5 * after * after / most
+    return max(after, 0.5 * (before + after)) * period_s + stop_distance(after, most, period_s)
+
+
+@kernel
+def rate_within(angle: float, periods: float, most: float, period_s: float) -> float:
+    """Return the rate at which `periods` periods and the stop after them, see :func:`stop_distance`, take `angle`."""
+    # The stop from k whole steps and a rest takes (k² step / 2 + (k + 1/2) rest) T: linear between whole steps.
+    step = most * period_s
+    whole = math.floor(math.sqrt(periods * periods + 2.0 * angle / (step * period_s)) - periods)
+    left = angle - step * period_s * whole * (0.5 * whole + periods)
+    return whole * step + max(0.0, left) / ((whole + 0.5 + periods) * period_s)
 
 
 @kernel
@@ -45,13 +66,13 @@ def fastest(angle: float, now: float, most: float, period_s: float) -> float:
     """Return the turn rate >= 0 one period from `now` whose :func:`way` is `angle`; -1 when there is none."""
     if angle < 0.0:
         return -1.0
-    rate = most * (math.sqrt(period_s * period_s + 2.0 * angle / most) - period_s)
+    rate = rate_within(angle, 1.0, most, period_s)
     if rate >= now:
         return rate
     angle -= 0.5 * now * period_s
     if angle < 0.0:
         return -1.0
-    return most * (math.sqrt(0.25 * period_s * period_s + 2.0 * angle / most) - 0.5 * period_s)
+    return rate_within(angle, 0.5, most, period_s)
 
 
 @kernel

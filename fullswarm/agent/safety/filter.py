@@ -35,6 +35,10 @@ LONGEST_S = 0.1
 """A deviation counts for so long at most in its sum over time."""
 QUIET_S = 10.0
 FEW = 5
+LOOSE_GAIN_PER_S = 2.0
+"""γ of the linear barrier, or less, for makes with a dead time or an overrun, whatever form is set."""
+APPROACH_S = 0.1
+"""The last part of an approach decays with this time constant; see ``barrier.approach_limit``."""
 
 
 HELD_SHARE, RELEASED_SHARE = 0.1, 0.2
@@ -81,8 +85,8 @@ class Requested(NamedTuple):
     """What the filter is given of each robot's task.
 
     `velocity`: (n, 2) m/s, world frame, desired; NaN: there is none, the desired motion is the robot's twist.
-    `filtered`: (n,) behind the filter or straight through the paper's map. `gain`, `margin_m`: (n,) γ in 1/s, gap to
-    keep.
+    `filtered`: (n,) behind the filter or straight through the paper's map. `gain`, `margin_m`: (n,) γ in 1/s, 0: the
+    braking barrier; gap to keep.
     """
 
     velocity: Array
@@ -223,6 +227,10 @@ def guard(
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
         accel = accels[i]
+        approach_s = max(APPROACH_S, 3.0 * period_s)
+        # The braking barrier uses all of the brakes: it is for makes that follow their ramps exactly.
+        exact = dead_time_s[i] == 0.0 and overrun_s[i] == 0.0
+        barrier_gain = gain[i] if gain[i] > 0.0 or exact else min(LOOSE_GAIN_PER_S, accel / top)
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -241,14 +249,14 @@ def guard(
             overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
             count = half_planes(
-                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], gain[i], top + gain[i] * way, reach_m, near,
-                arena, planes, objects,
+                i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way,
+                reach_m, near, arena, planes, objects,
                 math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
             )  # fmt: skip
             if way > 0.0:
                 shorten(
                     planes, count, moved_x, moved_y, way, underway.swing[i], underway.reverses[i] > 0.0,
-                    underway.unsure[i], gain[i],
+                    underway.unsure[i], barrier_gain, accel, approach_s,
                 )  # fmt: skip
             if count < 0:
                 why = CROWDED
