@@ -191,13 +191,15 @@ class Runtime:
 
     def stats(self) -> LoopStats:
         """Return how the periodic timers have kept their deadlines so far."""
-        timers = [timer for _, _, timer in self._timers if timer.period_s is not None]
-        return LoopStats(
-            ticks=sum(timer.ticks for timer in timers),
-            late=sum(timer.late for timer in timers),
-            missed=sum(timer.missed for timer in timers),
-            worst_late_s=max((timer.worst_late_s for timer in timers), default=0.0),
-        )
+        ticks = late = missed = 0
+        worst_late_s = 0.0
+        for _, _, timer in self._timers:
+            if timer.period_s is not None:
+                ticks += timer.ticks
+                late += timer.late
+                missed += timer.missed
+                worst_late_s = max(worst_late_s, timer.worst_late_s)
+        return LoopStats(ticks=ticks, late=late, missed=missed, worst_late_s=worst_late_s)
 
     def stop(self) -> None:
         """End :meth:`run` for good after the current callback. Any thread or signal handler may call it."""

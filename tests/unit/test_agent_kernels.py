@@ -11,6 +11,7 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy import sparse
 
 from fullswarm import kernels
@@ -32,6 +33,7 @@ from fullswarm.agent.safety.filter import (
     guard,
     steer,
 )
+from fullswarm.messages import RobotStates
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -177,6 +179,39 @@ def test_compiled_and_plain_agree() -> None:
         for seed in range(5):
             np.testing.assert_allclose(call(seed, kernel), call(seed, kernel.plain), atol=1e-12)
     assert decide.run is not decide.plain
+
+
+few = st.sampled_from([0.1, 0.2])
+pairs = st.tuples(few, few)
+unstated = st.just(())
+
+
+@st.composite
+def host_states(draw: st.DrawFn) -> RobotStates:
+    limits = draw(st.booleans())
+    aims = draw(st.booleans())
+    return RobotStates(
+        host="h", sequence=1, stamp_s=draw(few), robots=("a", "b"), x_m=draw(pairs), y_m=draw(pairs),
+        heading_rad=draw(pairs), speed_m_s=draw(pairs), turn_rad_s=draw(pairs), radius_m=draw(pairs),
+        teams=draw(unstated | st.sampled_from([(1, 1), (1, 2)])),
+        speed_limit_m_s=draw(pairs) if limits else (), turn_limit_rad_s=draw(pairs) if limits else (),
+        accel_m_s2=draw(pairs) if limits else (), sigma_m=draw(unstated | pairs), sigma_rad=draw(unstated | pairs),
+        aim_x_m=draw(pairs) if aims else (), aim_y_m=draw(pairs) if aims else (),
+    )  # fmt: skip
+
+
+@given(st.lists(host_states(), min_size=1, max_size=6))
+@settings(max_examples=200, deadline=None)
+def test_only_the_last_states_of_a_host_count_whatever_came_before(messages: list[RobotStates]) -> None:
+    def received(some: list[RobotStates]) -> list[np.ndarray]:
+        known = estimates.Neighbours(("own",), 0.5)
+        known.delay_of = lambda states, now_s: now_s - states.stamp_s
+        for states in some:
+            known.receive(structs.replace(states, sequence=len(messages)), 1.0)
+        return [known.states, known.limits, known.teams, known.sigma, known.aims, known.delay_s, known.arrival_s]
+
+    for whole, last in zip(received(messages), received(messages[-1:]), strict=True):
+        np.testing.assert_array_equal(whole[:2], last[:2])
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 2 * math.pi), st.floats(0.0, 0.09))

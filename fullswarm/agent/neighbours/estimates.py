@@ -125,6 +125,7 @@ class Neighbours:
         self.now_s, self._stale = 0.0, True
         self.count = 0
         self.names: list[str] = []
+        self._others = 0  # of them, robots of other agents
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
@@ -176,6 +177,7 @@ class Neighbours:
         if kept == self._kept and math.isfinite(sum(map(sum, columns))):
             self.states[self._place] = table.T
             self.arrival_s[self._place] = now_s
+            self.delay_s[self._place] = self.delay_of(states, now_s)
             if states.aim_x_m or self._aimed:
                 self.aims[self._place] = _aims(states).T
                 self._aimed = bool(states.aim_x_m)
@@ -357,6 +359,8 @@ class Neighbours:
 
     def longest_delay_s(self, now_s: float) -> float:
         """Return the greatest delay of the states that still count, s; NaN when there are none of other robots."""
+        if not self._others:
+            return math.nan
         fresh = now_s - self.arrival_s[: self.count] <= self._timeout_s
         fresh[self.own_row[self.own_row >= 0]] = False
         return float(self.delay_s[: self.count][fresh].max()) if fresh.any() else math.nan
@@ -377,6 +381,8 @@ class Neighbours:
                 self.count += 1
                 if robot in self.ids:
                     self.own_row[self.ids.index(robot)] = self._row_of[robot]
+                else:
+                    self._others += 1
         self._grow(self.count)
         rows = np.array([self._row_of[robot] for robot in robots], np.int64)
         if len(robots) > 1:

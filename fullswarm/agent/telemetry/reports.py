@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from fullswarm.agent.core_clock import CoreClock
-from fullswarm.agent.motion.robot_controller import CODES, StopReason, explain_hazards
+from fullswarm.agent.motion.robot_controller import CODES, MOVING, StopReason, explain_hazards
 from fullswarm.agent.orders.tasks import Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.fixes import Fixes
@@ -46,6 +46,18 @@ def moved_on(pose: Array, twist: Array, stamp_s: Array, now_s: float, there: Arr
         there[i, 2] = pose[i, 2] + age_s * twist[i, 1]
 
 
+@kernel
+def driving_to(reason: Index, aim: Array, there: Array, out: Array) -> bool:
+    """Fill `out` (n, 2) with the aims of robots that move and have one, else with `there`; tell if there are any."""
+    found = False
+    for i in range(out.shape[0]):
+        going = reason[i] == MOVING and math.isfinite(aim[i, 0])
+        found = found or going
+        out[i, 0] = aim[i, 0] if going else there[i, 0]
+        out[i, 1] = aim[i, 1] if going else there[i, 1]
+    return found
+
+
 class Reports:
     """Makes the messages of one agent: states of its robots for the neighbours, health for the core and operators.
 
@@ -70,6 +82,7 @@ class Reports:
         stated = np.minimum(limits, LARGEST_LIMITS)
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated.T.tolist())
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
+        self._aim = np.zeros((len(state.radius), 2))
 
     def states(
         self, keys: Keys, cell_m: float, sequence: int, now_s: float, clock: CoreClock
@@ -125,11 +138,9 @@ class Reports:
 
         Both empty when no robot says that it is driving anywhere.
         """
-        state = self._state
-        going = (state.stop_reason == StopReason.MOVING) & np.isfinite(state.aim[:, 0])
-        if not going.any():
+        if not driving_to.run(self._state.stop_reason, self._state.aim, there, self._aim):
             return [], []
-        x_m, y_m = np.where(going[:, None], state.aim, there[:, :2]).T.tolist()
+        x_m, y_m = self._aim.T.tolist()
         return x_m, y_m
 
     def health(self, loop: LoopStats, version: str, now_s: float) -> HealthReport:
