@@ -10,8 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from types import MappingProxyType
-
-import msgspec
+from typing import NamedTuple
 
 
 class Code(enum.StrEnum):
@@ -121,7 +120,7 @@ DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, C
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
-class Reason(msgspec.Struct, frozen=True):
+class Reason(NamedTuple):
     """One reason. False when there is none.
 
     Attributes
@@ -133,7 +132,7 @@ class Reason(msgspec.Struct, frozen=True):
 
     code: str = Code.NONE
     text: str = ""
-    parameters: Mapping[str, str] = {}
+    parameters: Mapping[str, str] = NOTHING
 
     def __bool__(self) -> bool:
         return self.code != "" or self.text != ""

@@ -274,6 +274,6 @@ def test_a_start_that_no_brake_can_save_is_braked_and_told() -> None:
 def test_who_starts_inside_the_margin_may_leave_it_and_not_go_deeper() -> None:
     body = Body(CREATE, np.array([[3.0, RADIUS_M + 0.01, 0.5 * math.pi]]))
     assert min(body.go((0.0, -1.0)) for _ in range(50)) >= 0.01 - 1e-5
-    for _ in range(50):
+    for _ in range(100):  # it has turned to where it wanted to go, so it turns back first
         body.go((0.0, 1.0))
     assert body.pose[0, 1] > 0.5

@@ -159,7 +159,7 @@ class Neighbours:
         older = newest and states.sequence < newest[0] and states.stamp_s <= newest[1]
         if newest and older and now_s - newest[2] < ANEW_S:
             return
-        if not _fits(states):
+        if not states.robots or not _fits(states):
             return
         self._newest[states.host] = (states.sequence, states.stamp_s, now_s)
         if states.own_frame:
