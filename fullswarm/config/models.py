@@ -152,8 +152,8 @@ class AgentConfig(Section):
     fix_first_count: int = Field(3, ge=1, le=10_000)
     fix_reanchor_count: int = Field(5, ge=2, le=10_000)  # so many outliers that agree, one after the other,
     fix_reanchor_s: float = Field(0.5, ge=0.0, le=60.0)  # over so long: the robot was carried, the pose jumps to them
-    start_sigma_m: float = Field(0.1, gt=0.0, le=100.0)  # how well a robot is put on the start pose of this file
-    start_sigma_rad: float = Field(0.1, gt=0.0, le=100.0)
+    start_sigma_m: float = Field(0.05, gt=0.0, le=100.0)  # how well a robot is put on the start pose of this file
+    start_sigma_rad: float = Field(0.05, gt=0.0, le=100.0)
     # standard deviation of odometry after 1 m; it grows with the root
     odometry_sigma_m: float = Field(0.02, gt=0.0, le=100.0)
     odometry_sigma_rad: float = Field(0.03, gt=0.0, le=100.0)  # of its heading after 1 m or a turn of 1 rad

@@ -110,4 +110,4 @@ def test_creep_alone_widens_a_belief() -> None:
     pose_filter = PoseFilter([0.0, 0.0, 0.0], True, 0.5, CONFIG, fuse)
     pose_filter.follow(0.0, [0.0, 0.0, 0.0], [0.0, 0.0])
     pose_filter.follow(1.0, [0.0, 0.0, 0.0], [0.0, 0.0])
-    assert pose_filter.sigma == pytest.approx((math.hypot(0.1, CREEP_M), math.hypot(0.1, CREEP_RAD)))
+    assert pose_filter.sigma == pytest.approx((math.hypot(0.05, CREEP_M), math.hypot(0.05, CREEP_RAD)))

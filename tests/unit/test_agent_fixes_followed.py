@@ -16,7 +16,7 @@ def test_without_fixes_the_pose_is_odometry_on_the_start_pose(lab: Lab) -> None:
     assert lab.pose == pytest.approx(lab.truth(), abs=0.01)
     health = lab.now()
     assert (health.pose_source, health.pose_note) == ("odometry", "")
-    assert health.position_sigma_m > 0.1  # of the start pose, and growing
+    assert health.position_sigma_m > 0.05  # of the start pose, and growing
 
 
 def test_the_first_fix_says_where_it_is_and_the_health_report_where_from(lab: Lab) -> None:
