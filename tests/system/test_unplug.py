@@ -13,6 +13,8 @@ import pytest
 
 from tests.system.live import LiveSwarm
 
+pytestmark = pytest.mark.alone  # its bounds are those of devices, which other tests' load would exceed
+
 CONFIG = {
     "swarm": "unplug",
     "world": {"engine": "kinematic", "bounds_m": [0, 0, 60, 60]},

@@ -126,3 +126,17 @@ def test_a_driver_that_senses_its_pose_makes_its_own_of_the_fixes() -> None:
         assert (lab.health.pose_source, lab.health.pose_note) == ("driver", "its fixes have stopped")
     finally:
         lab.agent.close()
+
+
+def test_a_fix_before_the_driver_senses_its_pose_does_not_hold_the_robot_for_ever() -> None:
+    lab = Lab(Located)
+    driver = lab.driver
+    assert isinstance(driver, Located)
+    lab.origin = (9.0, 9.0, 0.0)  # far from the start pose: its first fixes have to agree
+    lab.seeing = True
+    lab.run(0.03)
+    assert lab.agent.fixes.unsettled[0]
+    driver.senses = Pose(9.0, 9.0, 0.0)
+    lab.run(0.1)
+    assert not lab.agent.fixes.unsettled[0]
+    assert not lab.agent.reflexes.pose_uncertain[0]

@@ -150,7 +150,9 @@ class Fixes:
         sigma_m = max(fix.position_sigma_m, LEAST_SIGMA)
         sigma_rad = min(max(fix.heading_sigma_rad, LEAST_SIGMA), math.pi)
         pose = Pose(fix.x_m, fix.y_m, fix.heading_rad)
-        if not self._senses(row):
+        if self._senses(row):
+            self._settle(row, unsettled=False)  # fixes may have come before the driver knew its pose
+        else:
             taken = self._estimator.take(row, Fix(at_s, pose, sigma_m, sigma_rad))
             self._settle(row, unsettled=taken.verdict is Verdict.PENDING)
             if taken.verdict is Verdict.PENDING:
