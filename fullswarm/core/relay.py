@@ -1,6 +1,6 @@
 """Passes on the states of robots to neighbours that do not receive them: a cut link between two robots.
 
-Agents report whom they receive (``Reception``, 2 Hz and on change). Where a robot should receive another one and
+Agents report which hosts they receive (``Reception``, 2 Hz and on change). Where a robot should receive another one and
 does not, the core subscribes to that one's states and sends the newest to the one that misses them, ten times a second,
 with their age. While no link is cut only the reports are sent, so the traffic per robot does not grow with the swarm.
 Nothing is stored: a core that is started again knows all after one report of each host.
@@ -30,7 +30,7 @@ OLDEST_S = 1.0
 
 @dataclass(slots=True)
 class _Host:
-    """One host: its newest report, whom it misses, and its states while somebody misses them."""
+    """One host: its newest report, the hosts that it misses, and its states while another host misses them."""
 
     report: Reception
     received_s: float
@@ -78,7 +78,7 @@ class StateRelay:
                 host.subscription.close()
         self._hosts.clear()
 
-    # ------------------------------------------------------------------ who misses whom
+    # ------------------------------------------------------------------ which host misses which
     def _on_report(self, report: Reception) -> None:
         now_s = self._scheduler.now_s()
         host = self._hosts.get(report.host)

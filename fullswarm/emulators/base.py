@@ -13,6 +13,7 @@ import queue
 import random
 import select
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
@@ -148,7 +149,7 @@ class Firmware(Protocol):
         ...
 
 
-class Emulator:
+class Emulator(ABC):
     """A robot to plug a driver into, from :meth:`start` to :meth:`close`; a context manager.
 
     Parameters
@@ -198,9 +199,10 @@ class Emulator:
     url: str
 
     @property
+    @abstractmethod
     def motors_on(self) -> bool:
         """Whether its motors obey set-points now: armed, in closed loop, in Safe mode."""
-        raise NotImplementedError
+        ...
 
     def start(self) -> Self:
         """Switch it on. Starting twice is fine."""
@@ -291,6 +293,7 @@ class Emulator:
     # ------------------------------------------------------------ the robot's thread
     def _power_on(self, now_s: float) -> None:
         """Start the firmware, where starting does something."""
+        del now_s
 
     def _run(self) -> None:
         try:

@@ -17,7 +17,7 @@ from fullswarm.simulation.obstacles import static_obstacles
 
 
 class Way:
-    """The way of one mover: it stops at each waypoint, as somebody does who turns round."""
+    """The way of one mover: it stops at each waypoint, as a person does who turns round."""
 
     def __init__(self, settings: MoverConfig) -> None:
         self._settings = settings

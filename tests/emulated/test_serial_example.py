@@ -64,6 +64,10 @@ class LineRobot(Emulator):
         super().__init__(LineFirmware(body), [port], body, MonotonicClock())
         self.url = f"line://{port.address}"
 
+    @property
+    def motors_on(self) -> bool:
+        return True
+
     def speed(self) -> Twist:
         now = self.body.state()
         return Twist(now.speed_m_s, now.turn_rad_s)

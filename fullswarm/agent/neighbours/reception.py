@@ -19,7 +19,7 @@ LEAST_S = 0.25
 
 
 class ReceptionReporter:
-    """Reports to the core whom this agent receives; the core relays the states of those that it misses.
+    """Reports to the core which hosts this agent receives; the core relays the states that are missing.
 
     Parameters
     ----------

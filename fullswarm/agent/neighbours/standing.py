@@ -60,7 +60,7 @@ def watch(now_s: float, places: Array, aims: Array, arrival_s: Array, count: int
 
 
 class Standing:
-    """Watches the neighbours while somebody asks for it."""
+    """Watches the neighbours while a control law asks for it."""
 
     def __init__(self, neighbours: Neighbours) -> None:
         self._neighbours = neighbours
