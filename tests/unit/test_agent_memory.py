@@ -306,6 +306,7 @@ def _setpoints(network: str | None) -> np.ndarray:
         )
         lockstep.run(6.0)
         assert answers[-1].phase == "running"
-        return np.array(seen)
+        found: np.ndarray = np.array(seen)
+        return found
     finally:
         lockstep.close()
