@@ -17,7 +17,7 @@ from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.motion.settling import Settling, Wanted
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours
 from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.neighbours.reception import ReceptionReporter
@@ -103,7 +103,9 @@ class AgentNode:
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
         self.neighbours.delay_of = self.core_clock.delay_s
-        self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self._state_subscriptions = CellSubscriptions(
+            bus, keys.state, RobotStates, config.state_cell_m, self._on_states
+        )  # fmt: skip
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
             alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
 from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
-from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
-from fullswarm.messages import RobotStates
+from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
+from fullswarm.messages import Message, RobotStates
+
+M = TypeVar("M", bound=Message)
 
 MANY_CELLS = 64
 
@@ -288,7 +290,7 @@ class Neighbours:
 
         Parameters
         ----------
-        listened : whether all of a disc (x, y, radius in m) is listened to: ``StateSubscriptions.covers``
+        listened : whether all of a disc (x, y, radius in m) is listened to: ``CellSubscriptions.covers``
         """
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
@@ -371,6 +373,10 @@ class Neighbours:
         fresh = ages[ages <= self._timeout_s]
         return float(fresh.max()) if len(fresh) else 0.0
 
+    def row_of(self, robot: str) -> int:
+        """Return the row of a robot that was received, -1 if it never was."""
+        return self._row_of.get(robot, -1)
+
     def _rows(self, robots: tuple[str, ...]) -> Index:
         if self._batch is not None and self._batch[0] == robots:
             return self._batch[1]
@@ -443,11 +449,18 @@ def _fits(states: RobotStates) -> bool:
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
 
 
-class StateSubscriptions:
-    """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
+class CellSubscriptions(Generic[M]):
+    """Subscriptions to the messages of the grid cells around the own robots; they follow as the robots move.
 
-    def __init__(self, bus: Bus, keys: Keys, cell_m: float, receive: Callable[[RobotStates], None]) -> None:
-        self._bus, self._keys, self._cell_m, self._receive = bus, keys, cell_m, receive
+    Parameters
+    ----------
+    key_of : returns the key expression of a cell
+    """
+
+    def __init__(
+        self, bus: Bus, key_of: Callable[[str], str], kind: type[M], cell_m: float, receive: Callable[[M], None]
+    ) -> None:
+        self._bus, self._key_of, self._kind, self._cell_m, self._receive = bus, key_of, kind, cell_m, receive
         self._cells: dict[str, Subscription] = {}
 
     def follow(self, position: Array, reach_m: float) -> None:
@@ -457,7 +470,7 @@ class StateSubscriptions:
         """
         wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
-            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._receive, latest=True)
+            self._cells[cell] = self._bus.subscribe(self._key_of(cell), self._kind, self._receive, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
 
