@@ -174,7 +174,7 @@ class Ping(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2"):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -185,6 +185,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
     team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
+    members: Names = ()  # all robots of the request, in its order; empty for an intent, which is sent too often
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
     expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival

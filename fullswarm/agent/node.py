@@ -23,7 +23,7 @@ from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing
 from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.neighbours.silent import SilentSearch
 from fullswarm.agent.orders.inbox import Inbox
-from fullswarm.agent.orders.tasks import Tasks
+from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
@@ -98,7 +98,7 @@ class AgentNode:
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(
             len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
-            settings.coordination,
+            settings.coordination, fleet.ids, config.world_or_default.seed,
         )  # fmt: skip
         self.neighbours = _neighbours(settings, fleet, self.controller, accel)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
@@ -143,6 +143,7 @@ class AgentNode:
         self._estimator = estimator_for(config, fleet, start)
         state.sigma = self._estimator.sigma
         self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
+        self.desired.context.contacts = self.fixes.touches
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -213,10 +214,15 @@ class AgentNode:
         return self._identity
 
     def wake(self) -> None:
-        """Act on a message now instead of at the next period; with many robots the next tick does it."""
+        """Act on a message now instead of at the next period; the next tick does it with many robots.
+
+        It also does with a control law that remembers, which is called once per tick.
+        """
         self._dirty = True
         if len(self._fleet.ids) == 1 and self._state.reading is not None:
-            self._act(self._scheduler.now_s(), self._state.reading)
+            groups = self.tasks.groups()
+            if not self.tasks.any_apart:
+                self._act(self._scheduler.now_s(), self._state.reading, groups, at_tick=False)
 
     # ------------------------------------------------------------------ the tick
     def tick(self) -> None:
@@ -233,7 +239,7 @@ class AgentNode:
         if reading.bodies is not None or self.objects.any:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
-        self._act(now_s, reading)
+        self._act(now_s, reading, self.tasks.groups())
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
@@ -262,13 +268,12 @@ class AgentNode:
                 log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
             return np.full((len(self._fleet.ids), 3), math.nan)
 
-    def _act(self, now_s: float, reading: FleetReading) -> None:
+    def _act(self, now_s: float, reading: FleetReading, groups: list[Group], *, at_tick: bool = True) -> None:
         """Evaluate the control laws, decide and command the drivers."""
         period_s = 1.0 / self._config.control_rate_hz
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
-        groups = self.tasks.groups()
-        self.desired.gather(groups, now_s, reading)
+        self.desired.gather(groups, now_s, reading, dt_s, at_tick=at_tick)
         self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
         # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
         link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()

@@ -145,6 +145,7 @@ class Neighbours:
         self.silent = 0
         self.own_frame_host, self.own_frame_s = "", -math.inf
         self._near: Nearby | None = None
+        self._rank = np.zeros(0, np.int64)  # of each robot's name among all
         self._grow(max(16, len(ids)))
 
     def receive(self, states: RobotStates, now_s: float) -> None:
@@ -339,6 +340,19 @@ class Neighbours:
         if team is not None and self._mixed(team):
             keep_team.run(start, other, team, self.teams)
         return start, other
+
+    def within_by_name(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+        """Do what `within` does, with the neighbours of each robot in the order of their names.
+
+        Else they come in the order in which they were first received, which differs from agent to agent, and so does
+        the last bit of a sum over them.
+        """
+        start, other = self.within(position, reach_m, team)
+        if len(self._rank) != self.count:
+            self._rank = np.argsort(np.argsort(np.array(self.names, np.str_)))
+        found = other[: start[-1]]
+        of = np.repeat(np.arange(len(position)), start[1:] - start[:-1])
+        return start, found[np.lexsort((self._rank[found], of))]
 
     def _mixed(self, team: Index) -> bool:
         """Tell whether an own robot, of `team` (n,), may have received one that is not of its team."""
