@@ -493,9 +493,11 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
+    message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
+    message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/3"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

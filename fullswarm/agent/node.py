@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
+from fullswarm.agent.messaging.exchange import Exchange
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
@@ -144,6 +145,12 @@ class AgentNode:
         state.sigma = self._estimator.sigma
         self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
         self.desired.context.contacts = self.fixes.touches
+        self.exchange = Exchange(
+            bus, keys, scheduler, identity.host, fleet.ids, config.state_cell_m, state, self.tasks, self.neighbours,
+            settings.sensing_radius_m, 1.0 / settings.control_rate_hz,
+            FOLLOW_PERIOD_S * float(self.controller.speed_limit.max()),
+        )  # fmt: skip
+        self.desired.context.channel = self.exchange.channel
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -160,7 +167,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
         )  # fmt: skip
@@ -240,6 +247,7 @@ class AgentNode:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading, self.tasks.groups())
+        self.exchange.send()
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
@@ -310,8 +318,9 @@ class AgentNode:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         # What comes within reach before the next call must be subscribed already.
         way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
-        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        reach_m = max([self._config.sensing_radius_m, self.exchange.reach_m, *reaches_m]) + way_m
         self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
+        self.exchange.follow()
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
@@ -322,6 +331,7 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         self.reception.update()
+        self.exchange.watch()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -372,7 +382,9 @@ class AgentNode:
                 "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
                 **self.calculators.columns(),
             }
-            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, columns)
+            message = self.metrics.message(
+                now_s, self._identity, self._loop(), self._bus, self.exchange.counts, columns
+            )
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
@@ -407,6 +419,7 @@ class AgentNode:
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()
+        self.exchange.close()
         self._object_subscription.close()
         self.silent_search.close()
         self.fixes.close()

@@ -1,8 +1,8 @@
 """Reads what a control law declares to broadcast: the dataclass ``Says`` of its module, made of `rows` like ``Memory``.
 
-    @dataclass
-    class Says:
-        estimate: Array = rows(2)
+@dataclass
+class Says:
+    estimate: Array = rows(2)
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Counts(NamedTuple):
 
     sent: int
     received: int
-    throttled: int
+    dropped: int  # beyond their senders' rates
 
 
 class Exchange:

@@ -21,17 +21,20 @@ from pydantic import ValidationError
 
 from fullswarm import registry
 from fullswarm.agent import memory
+from fullswarm.agent.messaging.declaration import RANGE, RATE, layout_of
 from fullswarm.agent.view import Params, Shared, View, column_width
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
-from fullswarm.messages import ControlRequest, Value
+from fullswarm.messages import SAYS_HZ, ControlRequest, Value
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
+EXACT = (HEARING, RANGE, RATE)
+"""Parameters that are the same for all robots of one call of a control law."""
 LINEAR = "linear"
 
 ARRIVE_M = 0.1
@@ -41,7 +44,7 @@ ARRIVE_M = 0.1
 def _kind(name: str, value: Value) -> tuple[str, str]:
     """Return what robots must have in common to share one call of a control law: kinds, texts and hearing range."""
     width = column_width(value)
-    return name, str(width) if width and name != HEARING else repr(value)
+    return name, str(width) if width and name not in EXACT else repr(value)
 
 
 def _alike(one: ControlRequest, other: ControlRequest) -> bool:
@@ -107,6 +110,7 @@ class Group:
     rows: Index
     params: Params
     hearing_m: float  # 0: the sensing radius
+    exact: tuple[Value | None, ...]  # the values of `EXACT`
     shared: Shared | None  # the request that all of them run, if the law is called once per request
     memory: Any = None  # as the law's module declares it
 
@@ -197,8 +201,11 @@ class Tasks:
         alike = before is not None and _alike(before.request, request)
         if not alike and task.law != CENTRALISED:
             module = registry.law_module(task.law)
+            # A wrong declaration is refused here.
             if declares(module):
-                memory.allocate(module.Memory, 0)  # a wrong declaration is refused here
+                memory.allocate(module.Memory, 0)
+                self._apart.add(task.law)
+            if layout_of(module) is not None:
                 self._apart.add(task.law)
         goes_on = _continues(before, task)
         self.of[row] = task
@@ -268,7 +275,7 @@ class Tasks:
         for group in self._groups or ():
             place = bisect_left(group.rows, row)  # NumPy's own search takes ten times as long for a few rows
             if place < len(group.rows) and group.rows[place] == row:
-                same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
+                same_reach = group.exact == tuple(map(request.parameters.get, EXACT))
                 # By the class: a parameter may be called "update".
                 return same_reach and Params.update(group.params, place, request.parameters)
         return False
@@ -316,6 +323,7 @@ class Tasks:
             rows=np.array(rows, np.int64),
             params=Params(parameters),
             hearing_m=_number(parameters[0].get(HEARING), 0.0),
+            exact=tuple(map(parameters[0].get, EXACT)),
             shared=Shared(requests[0].request_id, requests[0].members) if law in self._apart else None,
             memory=kept,
         )
@@ -371,7 +379,12 @@ GREATEST = 1e7
 LONGEST = 1000
 """Of a text that no record knows, in characters."""
 
-OWN = {**FILTER, "hearing_m": Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1])}
+OWN = {
+    **FILTER,
+    HEARING: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RANGE: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RATE: Parameter(type="number", unit="1/s", min=0.1, max=SAYS_HZ),
+}
 """Parameters that the agent itself reads, whatever the control law."""
 
 Allowed = Mapping[str, tuple[Parameter, ...]]
