@@ -7,7 +7,6 @@ board and the whole swarm in a lockstep trial, so both run the same control laws
 ``node.py``           wires the parts to the bus, the timers and each other; the tick
 ``state.py``          poses, twists, readings and set-points of the n robots; the node writes them
 ``view.py``           the input of a control law: the world as its robots sense it, and its parameters
-``memory.py``         what a control law remembers: declared arrays with one row per robot
 ``core_clock.py``     the core's clock, and how old neighbours' states are on arrival
 ``message_delay.py``  the delay of messages from a computer with another clock
 ``orders/``           incoming requests, commands, stops and e-stops; the tasks they create

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent import memory
-from fullswarm.agent.memory import allocate, rows
+from fullswarm import memory
 from fullswarm.agent.view import Params, View
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import ConfigError
@@ -19,6 +18,7 @@ from fullswarm.kernels import Array, Flags, Index
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import with_network
+from fullswarm.memory import allocate, rows
 from fullswarm.messages import RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.operator.params import ParamClient
@@ -306,6 +306,7 @@ def _setpoints(network: str | None) -> np.ndarray:
         )
         lockstep.run(6.0)
         assert answers[-1].phase == "running"
-        return np.array(seen)
+        found: np.ndarray = np.array(seen)
+        return found
     finally:
         lockstep.close()

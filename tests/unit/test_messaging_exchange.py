@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.agent.memory import rows
+from fullswarm.memory import rows
 from fullswarm.agent.view import Params, View
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.config import SwarmConfig

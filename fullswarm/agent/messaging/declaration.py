@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fullswarm.agent import memory
+from fullswarm import memory
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.messages import SAYS_BYTES, SAYS_HZ

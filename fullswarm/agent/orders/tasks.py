@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from fullswarm import registry
-from fullswarm.agent import memory
+from fullswarm import memory, registry
 from fullswarm.agent.messaging.declaration import RANGE, RATE, layout_of
-from fullswarm.agent.view import Params, Shared, View, column_width
+from fullswarm.agent.view import Params, Shared, View
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import SAYS_HZ, ControlRequest, Value
+from fullswarm.parameters import column_width
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
