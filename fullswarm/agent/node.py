@@ -267,7 +267,9 @@ class AgentNode:
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
-        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
+        self.reflexes.watch_geofence(
+            self._state.pose, self._state.twist, self.controller.desired, self.filter.commands.underway
+        )
         # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
         link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
         ready = self._drivers.look()
