@@ -29,7 +29,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
-from fullswarm.agent.safety.startup import check_stopping
+from fullswarm.agent.safety.startup import check_stopping, vaguest_fix_m
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
@@ -140,7 +140,10 @@ class AgentNode:
         )
         self._estimator = estimator_for(config, fleet, start)
         state.sigma = self._estimator.sigma
-        self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
+        self.fixes = Fixes(
+            bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
+            vague_m=vaguest_fix_m(config, fleet.descriptions),
+        )  # fmt: skip
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
