@@ -1,8 +1,8 @@
 """Drivers and behaviours by name: a table first, entry points only on a miss.
 
 Importing this file imports none of them. Outside packages use the entry point groups ``fullswarm.drivers`` (URL scheme
-→ record of the make, or its driver class alone) and ``fullswarm.behaviours`` (law name → module). A name of the table
-cannot be taken over.
+→ record of the make, or its driver class alone), ``fullswarm.behaviours`` (name of a law on board → module) and
+``fullswarm.centralised`` (name of a law on the base station → module). A name of the table cannot be taken over.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from fullswarm.errors import ConfigError, did_you_mean
 
 DRIVER_GROUP = "fullswarm.drivers"
 BEHAVIOUR_GROUP = "fullswarm.behaviours"
+CENTRALISED_GROUP = "fullswarm.centralised"
 
 DRIVERS = MappingProxyType(
     {
@@ -54,6 +55,11 @@ LAWS = MappingProxyType(
             "stop",
         )
     }
+)
+
+_CENTRALISED = "fullswarm.core.centralised.behaviours"
+CENTRALISED = MappingProxyType(
+    {name: f"{_CENTRALISED}.{name}" for name in ("formation_assigned", "voronoi_centralised", "teleop_centroid")}
 )
 
 
@@ -114,6 +120,21 @@ def law_module(name: str) -> Any:
     return _import(target.partition(":")[0], name)
 
 
+@functools.cache
+def centralised_module(name: str) -> Any:
+    """Return the module that holds the centralised law `name`; found once per process.
+
+    Raises
+    ------
+    ConfigError
+        Unknown law, or a plug-in that does not import.
+    """
+    target = CENTRALISED.get(name) or _entry_point(CENTRALISED_GROUP, name)
+    if target is None:
+        raise ConfigError(f"no centralised law '{name}'", hint=did_you_mean(name, centralised_names()))
+    return _import(target.partition(":")[0], name)
+
+
 def driver_schemes() -> tuple[str, ...]:
     """Return all URL schemes that have a driver, plug-ins included."""
     return (*DRIVERS, *_entry_point_names(DRIVER_GROUP, DRIVERS))
@@ -124,14 +145,21 @@ def law_names() -> tuple[str, ...]:
     return (*LAWS, *_entry_point_names(BEHAVIOUR_GROUP, LAWS))
 
 
+def centralised_names() -> tuple[str, ...]:
+    """Return the names of all centralised laws, plug-ins included."""
+    return (*CENTRALISED, *_entry_point_names(CENTRALISED_GROUP, CENTRALISED))
+
+
 def record_files() -> tuple[Path, ...]:
     """Return the record files of outside behaviours: ``<law>.toml`` beside the law's module, if there is one.
 
     Finding them imports no law, so that a computer without a law's libraries can still be the core.
     """
     files = []
-    for name in _entry_point_names(BEHAVIOUR_GROUP, LAWS):
-        module = (_entry_point(BEHAVIOUR_GROUP, name) or "").partition(":")[0]
+    outside = [(BEHAVIOUR_GROUP, name) for name in _entry_point_names(BEHAVIOUR_GROUP, LAWS)]
+    outside += [(CENTRALISED_GROUP, name) for name in _entry_point_names(CENTRALISED_GROUP, CENTRALISED)]
+    for group, name in outside:
+        module = (_entry_point(group, name) or "").partition(":")[0]
         try:
             spec = importlib.util.find_spec(module)
         except (ImportError, ValueError):

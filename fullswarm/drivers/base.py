@@ -20,6 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.drivers.actuators import Actuator
 from fullswarm.kernels import Array
 
 NO_OBSTACLES: Array = np.zeros((0, 6))
@@ -146,6 +147,7 @@ class Description:
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
+    actuators: tuple[Actuator, ...] = ()  # what it has beside its wheels; its driver then is an `Actuates`
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,6 +304,18 @@ class Fleet(Protocol):
 
     def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Tell robot `row` where it was seen, world frame; nothing happens if its driver does not take fixes."""
+        ...
+
+    def actuate(self, row: int, name: str, value: object) -> None:
+        """Bring an actuator of robot `row` into a state, see :mod:`fullswarm.drivers.actuators`; returns at once.
+
+        Raises
+        ------
+        ValueError
+            The robot has no such actuator, or it does not take that value.
+        DriverError
+            The robot takes it in another state only.
+        """
         ...
 
     def close(self) -> None:
