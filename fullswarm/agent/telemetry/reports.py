@@ -29,7 +29,7 @@ T = TypeVar("T")
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
 LARGEST_LIMITS = 1e4, 1e4, 1e5, 1e7, 1e7
-"""m/s, rad/s, m/s², m, s: what :class:`RobotStates` can state. A driver may have no limits, and its states must arrive."""
+"""m/s, rad/s, m/s², m, s: what :class:`RobotStates` can state. A driver may have no limits; its states must arrive."""
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
 
