@@ -73,6 +73,10 @@ class Pose:
     heading_rad: float
 
 
+DECAYED = 4.0
+"""So many time constants, and what decays with them is over."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What the wheels can do; a driver clips to them, which shows in what it returns.
@@ -90,6 +94,15 @@ class Limits:
     overrun_s: float = 0.0
     overrun_m: float = 0.0
     dead_time_s: float = 0.0
+
+    def stop_extra(self, speed_m_s: float) -> tuple[float, float]:
+        """Return by how much a stop from a speed takes longer than the acceleration says: m and s.
+
+        What an overrun leaves of the speed decays with `overrun_s`; after four times that it counts as none.
+        """
+        late_m = speed_m_s * self.dead_time_s if self.dead_time_s > 0.0 else 0.0  # a speed may have no limit
+        over_m = min(self.overrun_s * speed_m_s, self.overrun_m) if self.overrun_s > 0.0 else 0.0
+        return late_m + over_m, self.dead_time_s + DECAYED * self.overrun_s
 
     def clip(self, twist: Twist) -> Twist:
         """Return a twist held within speed and turn rate, each by itself."""
