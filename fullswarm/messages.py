@@ -323,6 +323,9 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     speed_limit_m_s: Speeds = ()
     turn_limit_rad_s: Turns = ()
     accel_m_s2: Accelerations = ()
+    # By how much a stop from full speed takes longer than the acceleration says, dead time included; empty: by nothing.
+    stop_extra_m: Sigmas = ()
+    stop_extra_s: Sigmas = ()
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
     sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
     sigma_rad: Sigmas = ()  # of the heading
@@ -602,6 +605,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         == len(m.radius_m) and all(
             len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
         )
+        and len(m.stop_extra_m) == len(m.stop_extra_s) in (0, len(m.robots))
         and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.memory import rows
 from fullswarm.agent.view import Params, View
 from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.config import SwarmConfig
@@ -19,6 +18,7 @@ from fullswarm.kernels import Array, Flags, Index
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import with_network
+from fullswarm.memory import rows
 from fullswarm.messages import (
     BehaviourBroadcast,
     BroadcastValues,
