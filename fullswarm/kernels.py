@@ -70,7 +70,7 @@ class Kernel(Generic[P, R]):
             other.compile()
         fields = _tuple_fields(self.__wrapped__)
         source = _flattened(self.__wrapped__, fields)
-        options = {} if _allocates(self.__wrapped__) else {"_nrt": False}
+        options: dict[str, Any] = {} if _allocates(self.__wrapped__) else {"_nrt": False}
         self.compiled = numba.njit(cache=True, error_model="numpy", forceinline=bool(fields), **options)(
             _linked(source, "compiled")
         )
@@ -236,7 +236,7 @@ def views(arrays: Arrays) -> Arrays:
 
     Their items are Python's own numbers, with which a kernel in plain Python takes half the time.
     """
-    return arrays._make([memoryview(each) if isinstance(each, np.ndarray) else each for each in arrays])
+    return arrays._make([memoryview(each) if hasattr(each, "dtype") else each for each in arrays])
 
 
 @kernel

@@ -90,7 +90,7 @@ def summed(count: int) -> float:
 
 
 def by_another(pair: Pair, out: Array) -> float:
-    return making(out.shape[0]) + pair.first[0]
+    return making(out.shape[0]) + float(pair.first[0])
 
 
 making = Kernel(summed)
