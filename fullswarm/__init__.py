@@ -31,6 +31,8 @@ Further files:
 ``output.py``      stdout is data, stderr is progress
 ``reasons.py``     Why robots do not move and requests are refused: codes for programs, texts for people
 ``recent.py``      A dict that keeps its newest entries
+``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
+``parameters.py``  Parameters of a request as a control law reads them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors

@@ -13,6 +13,7 @@ key                                                     message                w
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
+``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
@@ -110,6 +111,10 @@ class Keys:
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""
         return f"{self.swarm}/state/{cell}/{host}"
+
+    def broadcast(self, cell: str = ANY, host: str = ANY) -> str:
+        """What behaviours broadcast to neighbours, by grid cell as the states."""
+        return f"{self.swarm}/broadcast/{cell}/{host}"
 
     def reception(self, host: str = ANY) -> str:
         """Whose states a host receives."""

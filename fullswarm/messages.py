@@ -441,6 +441,9 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     speed_limit_m_s: Speeds = ()
     turn_limit_rad_s: Turns = ()
     accel_m_s2: Accelerations = ()
+    # By how much a stop from full speed takes longer than the acceleration says, dead time included; empty: by nothing.
+    stop_extra_m: Sigmas = ()
+    stop_extra_s: Sigmas = ()
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
     sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
     sigma_rad: Sigmas = ()  # of the heading
@@ -478,6 +481,66 @@ class RelayedStates(Message, frozen=True, kw_only=True):
     relayed: Annotated[tuple[Relayed, ...], Meta(max_length=MOST)]
     sequence: Ordinal = 0
     stamp_s: Stamp = 0.0
+
+
+MOST_NUMBERS = 8
+"""Of one value in a shared table."""
+LARGEST_STAMP = 2**53
+TABLE_BUCKETS = 8
+"""Into which the keys of a shared table are divided; each has a number in its digest."""
+SAYS_BYTES = 256
+"""Of what one robot broadcasts for its behaviour, at most; a number takes 8 bytes."""
+SAYS_HZ = 10.0
+"""How often one robot broadcasts for its behaviour, at most."""
+
+ShortText = Annotated[str, Meta(max_length=64)]
+Hash = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class TableEntry(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """One entry of a shared table with its Lamport stamp; part of TableUpdate."""
+
+    key: ShortText
+    value: Finite | ShortText | Annotated[tuple[Finite, ...], Meta(max_length=MOST_NUMBERS)]
+    stamp: Annotated[int, Meta(ge=0, le=LARGEST_STAMP)]
+    writer: ShortText  # the robot
+
+
+class TableUpdate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is new in one robot's replica of the shared table of a request; part of BehaviourBroadcast."""
+
+    robot: str
+    team: Team
+    law: str
+    entries: Annotated[tuple[TableEntry, ...], Meta(max_length=64)] = ()
+    digest: Annotated[tuple[Hash, ...], Meta(max_length=TABLE_BUCKETS)] = ()  # of the replica; empty: not stated
+
+
+class BroadcastValues(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What control laws broadcast of the robots of one team; part of BehaviourBroadcast.
+
+    `fields`: names and how many numbers each has. `values`: the numbers of the first robot, then of the next one. The
+    receiver checks that they fit.
+    """
+
+    team: Team
+    law: str
+    robots: Names
+    fields: Annotated[dict[str, Annotated[int, Meta(ge=1, le=SAYS_BYTES // 8)]], Meta(max_length=SAYS_BYTES // 8)]
+    values: Annotated[tuple[Finite, ...], Meta(max_length=MOST * SAYS_BYTES // 8)]
+
+
+class BehaviourBroadcast(Message, frozen=True, kw_only=True):
+    """What the behaviours of a host's robots broadcast to their neighbours, at most one per tick and grid cell.
+
+    A robot is in it no more often than its behaviour's rate, `SAYS_HZ` at most.
+    """
+
+    host: str
+    sequence: Ordinal
+    stamp_s: Stamp
+    values: Annotated[tuple[BroadcastValues, ...], Meta(max_length=MOST)] = ()
+    tables: Annotated[tuple[TableUpdate, ...], Meta(max_length=MOST)] = ()
 
 
 class Interventions(Message, frozen=True, kw_only=True):
@@ -658,6 +721,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         == len(m.radius_m) and all(
             len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
         )
+        and len(m.stop_extra_m) == len(m.stop_extra_s) in (0, len(m.robots))
         and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))

@@ -29,7 +29,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
-from fullswarm.agent.safety.startup import check_stopping
+from fullswarm.agent.safety.startup import check_stopping, vaguest_fix_m
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
@@ -100,7 +100,9 @@ class AgentNode:
             len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
             settings.coordination,
         )  # fmt: skip
-        self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        top_speed = self.controller.speed_limit.tolist()
+        extra = np.array([each.stop_extra(top) for each, top in zip(limits, top_speed, strict=True)]).reshape(-1, 2)
+        self.neighbours = _neighbours(settings, fleet, self.controller, accel, extra)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
         self.neighbours.delay_of = self.core_clock.delay_s
         self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
@@ -140,7 +142,10 @@ class AgentNode:
         )
         self._estimator = estimator_for(config, fleet, start)
         state.sigma = self._estimator.sigma
-        self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
+        self.fixes = Fixes(
+            bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
+            vague_m=vaguest_fix_m(config, fleet.descriptions),
+        )  # fmt: skip
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -159,7 +164,7 @@ class AgentNode:
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
             settled_by=self.settling.rule,
-            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
+            limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
         self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
@@ -267,7 +272,9 @@ class AgentNode:
         self._last_act_s = now_s
         groups = self.tasks.groups()
         self.desired.gather(groups, now_s, reading)
-        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
+        self.reflexes.watch_geofence(
+            self._state.pose, self._state.twist, self.controller.desired, self.filter.commands.underway
+        )
         # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
         link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
         ready = self._drivers.look()
@@ -426,7 +433,9 @@ def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
     )  # fmt: skip
 
 
-def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
+def _neighbours(
+    settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array, extra: Array
+) -> Neighbours:
     # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
@@ -435,6 +444,8 @@ def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         halt_s=settings.core_silence_s + settings.command_ttl_s,
         confidence=settings.pose_confidence_sigma,
+        extra_m=float(extra[:, 0].max()),
+        extra_s=float(extra[:, 1].max()),
     )
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 

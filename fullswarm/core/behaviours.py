@@ -19,7 +19,6 @@ from fullswarm import registry
 from fullswarm.config import Section
 from fullswarm.config.models import EXPIRES_S
 from fullswarm.config.parameter import Parameter, Raw
-from fullswarm.core.centralised.laws import CENTRALISED
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
 from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import ParamEntry, Value
@@ -164,8 +163,12 @@ def make_record(name: str, tables: Mapping[str, Any]) -> Record:
     except ValidationError as error:
         problems = [_problem(each) for each in error.errors()]
         raise ConfigError("; ".join(problems), where=where, hint=SEE) from None
-    if record.centralised and record.law not in CENTRALISED:
-        hint = did_you_mean(record.law, CENTRALISED)
+    if (
+        record.centralised
+        and record.law not in registry.CENTRALISED
+        and record.law not in (known := registry.centralised_names())
+    ):
+        hint = did_you_mean(record.law, known)
         raise ConfigError(f"law: no centralised law '{record.law}'", where=where, hint=hint)
     return record
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from fullswarm import registry
 from fullswarm.config.parameter import Parameter
 from fullswarm.core.behaviours import BEHAVIOURS, Library, Record, load_records, make_record, resolve, shape
-from fullswarm.core.centralised.laws import CENTRALISED
 from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.messages import Value
 from fullswarm.store import Store
@@ -39,7 +38,7 @@ def test_the_file_holds_what_the_paper_names_each_with_its_filtered_twin() -> No
 def test_every_law_exists() -> None:
     for record in RECORDS.values():
         if record.law:
-            assert record.law in (CENTRALISED if record.centralised else registry.LAWS)
+            assert record.law in (registry.CENTRALISED if record.centralised else registry.LAWS)
     assert [name for name, record in RECORDS.items() if not record.law] == ["stop"]
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -13,13 +14,16 @@ from scipy.optimize import minimize
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
 from fullswarm.config import SwarmConfig
-from fullswarm.core.centralised import laws
+from fullswarm.core.centralised.behaviours import formation_assigned, voronoi_centralised
 from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
-from fullswarm.core.centralised.laws import Memory
+from fullswarm.core.centralised.law import Law, State, load
 from fullswarm.core.centralised.node import CentralisedNode
+from fullswarm.core.centralised.view import View
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
+from fullswarm.memory import rows
+from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates, Value
+from fullswarm.parameters import Params
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.store import Store
 from tests.unit.core_swarm import KEYS, Swarm, fresh
@@ -37,7 +41,7 @@ def arena(speed_m_s: float = 0.5) -> Arena:
 def test_the_assignment_is_the_best_of_all(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, targets = rng.uniform(0, 10, (count, 2)), rng.uniform(0, 10, (count, 2))
-    chosen = laws.assign(positions, targets, np.full(count, -1))
+    chosen = formation_assigned.assign(positions, targets, np.full(count, -1))
 
     def cost(order: tuple[int, ...]) -> float:
         return float(((positions - targets[list(order)]) ** 2).sum())
@@ -48,18 +52,32 @@ def test_the_assignment_is_the_best_of_all(count: int, seed: int) -> None:
 def test_an_assignment_changes_only_when_it_is_clearly_better() -> None:
     targets = np.array([[0.0, 0.0], [1.0, 0.0]])
     kept = np.array([0, 1])
-    assert laws.assign(np.array([[0.52, 1.0], [0.48, 1.0]]), targets, kept).tolist() == [0, 1]
-    assert laws.assign(np.array([[0.9, 0.0], [0.1, 0.0]]), targets, kept).tolist() == [1, 0]
+    assert formation_assigned.assign(np.array([[0.52, 1.0], [0.48, 1.0]]), targets, kept).tolist() == [0, 1]
+    assert formation_assigned.assign(np.array([[0.9, 0.0], [0.1, 0.0]]), targets, kept).tolist() == [1, 0]
+
+
+def ask(state: State, positions: Array, params: dict[str, Value], *present: int) -> Array:
+    """Call a law for the robots `present` of a request, all when none are named."""
+    index = np.array(present or range(len(positions)))
+    count, zeros = len(index), np.zeros(len(index))
+    members = tuple(f"r{row}" for row in range(len(positions)))
+    view = View(
+        index, members, positions[index], zeros, np.zeros((count, 2)), zeros, state.appeared(index), 0.0, 0.05,
+        (0.0, 0.0, 9.0, 9.0),
+    )  # fmt: skip
+    return state.call(view, Params([params] * count))
+
+
+def of(law: str | Law, count: int) -> State:
+    return State(load(law) if isinstance(law, str) else law, tuple(f"r{row}" for row in range(count)), 0.0)
 
 
 def test_formation_goes_on_with_those_who_are_left() -> None:
-    memory: Memory = {}
-    params = {"targets": [[0.0, 0.0], [5.0, 0.0], [9.0, 0.0]], "gain": 1.0}
+    state = of("formation_assigned", 3)
+    params: dict[str, Value] = {"targets": [[0.0, 0.0], [5.0, 0.0], [9.0, 0.0]], "gain": 1.0}
     positions = np.array([[0.0, 1.0], [5.0, 1.0], [9.0, 1.0]])
-    everyone = laws.formation_assigned(positions, np.zeros(3), params, memory, np.arange(3))  # type: ignore[arg-type]
-    assert everyone.tolist() == [[0.0, -1.0]] * 3
-    two = laws.formation_assigned(positions[[0, 2]], np.zeros(2), params, memory, np.array([0, 2]))  # type: ignore[arg-type]
-    assert two.tolist() == [[0.0, -1.0]] * 2
+    assert ask(state, positions, params).tolist() == [[0.0, -1.0]] * 3
+    assert ask(state, positions, params, 0, 2).tolist() == [[0.0, -1.0]] * 2
 
 
 @given(st.integers(1, 12), st.integers(0, 10_000))
@@ -80,32 +98,87 @@ def test_voronoi_centroids_are_those_of_the_exact_cells(count: int, seed: int) -
         scale = 50 / np.linalg.norm(away)
         half = [middle + (corner - middle) * scale for corner in half]
         cells[i] = cells[i].intersection(shapely.Polygon(half))
-    found = laws.centroids(points, low, high)
+    found = voronoi_centralised.centroids(points, low, high)
     assert found == pytest.approx(np.array([[cell.centroid.x, cell.centroid.y] for cell in cells]), abs=2e-3)
 
 
 def test_voronoi_bears_robots_on_one_spot_and_outside() -> None:
     low, high = np.array([0.0, 0.0]), np.array([4.0, 4.0])
-    found = laws.centroids(np.array([[2.0, 2.0], [2.0, 2.0], [9.0, -3.0], [4.0, 4.0]]), low, high)
+    found = voronoi_centralised.centroids(np.array([[2.0, 2.0], [2.0, 2.0], [9.0, -3.0], [4.0, 4.0]]), low, high)
     assert np.isfinite(found).all()
     assert (found >= low).all()
     assert (found <= high).all()
-    alone = laws.centroids(np.array([[0.5, 3.0]]), low, high)
+    alone = voronoi_centralised.centroids(np.array([[0.5, 3.0]]), low, high)
     assert alone == pytest.approx(np.array([[2.0, 2.0]]), abs=1e-3)
 
 
 def test_the_centroid_follows_the_stick_and_the_places_are_kept() -> None:
-    memory: Memory = {}
-    params = {"vx": 1.0, "vy": 0.0, "speed_m_s": 0.4, "gain": 2.0}
-    positions, rows = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 3.0]]), np.arange(3)
-    first = laws.teleop_centroid(positions, np.zeros(3), params, memory, rows)
+    state = of("teleop_centroid", 3)
+    params: dict[str, Value] = {"vx": 1.0, "vy": 0.0, "speed_m_s": 0.4, "gain": 2.0}
+    positions = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 3.0]])
+    first = ask(state, positions, params)
     assert first == pytest.approx(np.array([[0.4, 0.0]] * 3))
     pushed = positions + np.array([[0.3, 0.0], [0.0, 0.0], [0.0, 0.0]])
-    then = laws.teleop_centroid(pushed, np.zeros(3), params, memory, rows)
+    then = ask(state, pushed, params)
     assert then.mean(axis=0) == pytest.approx([0.4, 0.0])
     assert then[0, 0] < 0.4 < then[1, 0]
-    fewer = laws.teleop_centroid(positions[1:], np.zeros(2), params, memory, rows[1:])
+    fewer = ask(state, positions, params, 1, 2)
     assert fewer == pytest.approx(np.array([[0.4, 0.0]] * 2))
+
+
+# ---------------------------------------------------------------- what a law remembers, and what it sees
+@dataclass
+class Memory:
+    calls: Array = rows(fill=0)
+
+
+def counting(view: View, params: Params, memory: Memory) -> Array:
+    memory.calls += 1
+    if params.fails[0, 0]:
+        raise RuntimeError("after it has written")
+    return np.stack([memory.calls.astype(float), view.appeared.astype(float)], axis=1)
+
+
+COUNTING = Law("counting", counting, planar=True, memory=Memory)
+
+
+def test_each_robot_keeps_its_own_memory_whoever_else_is_there() -> None:
+    state, spots, quiet = of(COUNTING, 3), np.zeros((3, 2)), {"fails": 0.0}
+    assert ask(state, spots, {**quiet}).tolist() == [[1, 1], [1, 1], [1, 1]]
+    assert ask(state, spots, {**quiet}, 0, 2).tolist() == [[2, 0], [2, 0]]
+    with pytest.raises(RuntimeError):
+        ask(state, spots, {"fails": 1.0})
+    assert ask(state, spots, {**quiet}).tolist() == [[3, 0], [2, 1], [3, 0]]  # the failure has left nothing
+    other = state.copy()
+    state.narrow(("r2", "r1"))
+    assert ask(state, spots[:2], {**quiet}).tolist() == [[4, 1], [3, 1]]
+    assert ask(other, spots, {**quiet}).tolist() == [[4, 0], [3, 0], [4, 0]]
+
+
+@pytest.mark.parametrize("answer", [np.zeros(2), np.zeros((2, 3)), np.full((2, 2), math.nan)])
+def test_an_answer_that_is_none_is_refused(answer: Array) -> None:
+    with pytest.raises(ValueError, match=r"shape|finite"):
+        ask(of(Law("odd", lambda *_: answer, planar=True, memory=None), 2), np.zeros((2, 2)), {})
+
+
+def test_pairs_are_all_others_in_the_terms_of_a_law_on_board() -> None:
+    positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
+    twist, heading = np.array([[1.0, 0.0], [2.0, 0.0], [0.5, 0.0]]), np.array([0.0, math.pi / 2, math.pi])
+    view = View(
+        np.array([0, 1, 3]), ("a", "b", "c", "d"), positions, heading, twist, np.full(3, 0.2), np.zeros(3, bool),
+        1.5, 0.05, (0.0, 0.0, 9.0, 9.0),
+    )  # fmt: skip
+    others = [[1, 2], [0, 2], [0, 1]]
+    for robot in range(3):
+        mine = view.of == robot
+        assert view.other[mine].tolist() == others[robot]
+        assert view.offset[mine].tolist() == (positions[others[robot]] - positions[robot]).tolist()
+        assert view.distance[mine] == pytest.approx(np.linalg.norm(positions[others[robot]] - positions[robot], axis=1))
+    assert view.sum(view.offset) == pytest.approx(positions.sum(axis=0) - 3.0 * positions)
+    assert (view.id.tolist(), view.neighbour_id.tolist()) == (["a", "b", "d"], ["b", "d", "a", "d", "a", "b"])
+    assert view.neighbour_index.tolist() == [1, 3, 0, 3, 0, 1]
+    assert view.neighbour_velocity[view.of == 0] == pytest.approx(np.array([[0.0, 2.0], [-0.5, 0.0]]))
+    assert view.time_s.tolist() == [1.5] * 3
 
 
 # ---------------------------------------------------------------- joint filter

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
-from fullswarm.core.centralised.laws import CENTRALISED
+from fullswarm.core.centralised.behaviours import formation_assigned
 from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.messages import CentralisedCommands, CentralisedRequest, ControlRequest, Heartbeat, RobotStates, Value
 from fullswarm.store import Store
@@ -119,7 +119,7 @@ def test_a_law_that_raises_anything_ends_nobody_else(monkeypatch: pytest.MonkeyP
         raise TypeError("outside code")
 
     swarm = Swarm(count=1)
-    monkeypatch.setitem(CENTRALISED, "formation_assigned", broken)
+    monkeypatch.setattr(formation_assigned, "velocity", broken)
     swarm.core.close()
     node = CentralisedNode(swarm.bus, swarm.runtime, swarm.config, "n1")
     swarm.bus.publish(KEYS.centralised_request("x"), centralised_request("k", "formation_assigned", "r0"))

@@ -26,12 +26,14 @@ from fullswarm.agent.motion.settling import (
     place_left,
 )
 from fullswarm.agent.neighbours.estimates import Nearby
+from fullswarm.agent.safety.barrier import Arena
 from fullswarm.kernels import Array
 
 RADIUS_M, MARGIN_M = 0.17, 0.03
 CLEARANCE_M = RADIUS_M + MARGIN_M
 NO_BOXES = np.zeros((0, 6))
 WIDE = np.array([-50.0, -50.0, 50.0, 50.0])
+OPEN_GROUND = Arena(NO_BOXES, WIDE)
 PERIOD_S = 0.1
 
 metres = st.floats(-1.5, 1.5, allow_subnormal=False).map(lambda value: round(value, 6))  # GEOS divides by the smallest
@@ -57,10 +59,7 @@ def taken(others: Array) -> shapely.Geometry:
 @settings(max_examples=60, deadline=None)
 def test_a_place_is_found_if_and_only_if_there_is_one(others: list[tuple[float, float]], within_m: float) -> None:
     near = among(np.array(others))
-    start, other, places, states, spread_m, _, _ = near
-    found = place_left.plain(
-        0, False, 5.0, 5.0, 0.0, 0.0, within_m, CLEARANCE_M, start, other, places, states, spread_m, NO_BOXES, WIDE
-    )
+    found = place_left.plain(0, False, 5.0, 5.0, 0.0, 0.0, within_m, CLEARANCE_M, near, OPEN_GROUND)
     left = shapely.Point(0.0, 0.0).buffer(within_m, quad_segs=64) - taken(np.array(others))
     if left.area > 1e-3:
         assert found
@@ -75,11 +74,11 @@ def test_a_place_is_found_if_and_only_if_there_is_one(others: list[tuple[float, 
 def test_a_place_is_enclosed_when_it_is_in_another_part_of_the_plane(
     others: list[tuple[float, float]], place: tuple[float, float]
 ) -> None:
-    start, other, places, states, spread_m, _, _ = among(np.array(others))
+    near = among(np.array(others))
     x, y = place
-    if not is_free.plain(0, x, y, CLEARANCE_M, True, start, other, places, states, spread_m, NO_BOXES, WIDE):
+    if not is_free.plain(0, x, y, CLEARANCE_M, True, near, OPEN_GROUND):
         return
-    enclosed = is_enclosed.plain(0, x, y, 5.0, 5.0, CLEARANCE_M, start, other, places, states, spread_m)
+    enclosed = is_enclosed.plain(0, x, y, 5.0, 5.0, CLEARANCE_M, near)
     plane = shapely.box(-9.0, -9.0, 9.0, 9.0) - taken(np.array(others))
     parts = [part for part in shapely.get_parts(plane) if part.distance(shapely.Point(place)) < 1e-3]
     assert enclosed == all(part.distance(shapely.Point(5.0, 5.0)) > 0.0 for part in parts)
@@ -89,8 +88,7 @@ def test_a_ring_encloses_its_middle_and_a_ring_with_a_gap_does_not() -> None:
     angle = np.arange(8) * math.pi / 4.0
     ring = np.stack([0.8 * np.cos(angle), 0.8 * np.sin(angle)], axis=1)
     for others, closed in ((ring, True), (ring[1:], False)):
-        start, other, places, states, spread_m, _, _ = among(others)
-        assert closed == is_enclosed.plain(0, 0.0, 0.0, 3.0, 0.1, CLEARANCE_M, start, other, places, states, spread_m)
+        assert closed == is_enclosed.plain(0, 0.0, 0.0, 3.0, 0.1, CLEARANCE_M, among(others))
 
 
 class One:

@@ -85,7 +85,8 @@ class Wild:
             case inspect.UnionType():
                 return self.any(self.chance.choice(info.types), self.chance.choice((0, 1, 2)))
             case inspect.StructType():
-                return self._struct(info, length)
+                fields = self._struct(info, length)
+                return list(fields.values()) if info.array_like else fields
             case inspect.NoneType():
                 return None
             case inspect.AnyType() | inspect.CustomType():

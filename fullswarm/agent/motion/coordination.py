@@ -91,6 +91,8 @@ def on_line(
     low = -high
     base_x = limit * nx
     base_y = limit * ny
+    # As in `barrier.project`, which is exact to 1e-12: here half-planes are often nearly parallel, and a border that
+    # others clip to nothing is an answer, not a rounding error. A call that both share would slow down the filter.
     for j in range(k):
         other_x = normal_x[j]
         other_y = normal_y[j]

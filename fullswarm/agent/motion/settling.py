@@ -92,11 +92,10 @@ class Wanted(NamedTuple):
 
 
 @kernel
-def is_free(
-    i: int, x: float, y: float, clearance_m: float, standing: bool, start: Index, other: Index, places: Array,
-    states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
-) -> bool:  # fmt: skip
+def is_free(i: int, x: float, y: float, clearance_m: float, standing: bool, near: Nearby, arena: Arena) -> bool:
     """Tell whether robot `i` could stand at (x, y) among the robots near it, or among those at standstill only."""
+    start, other, places, states, spread_m, _, _ = near
+    obstacles, bounds_m = arena
     for pair in range(start[i], start[i + 1]):
         row = other[pair]
         if standing and math.fabs(states[row, 3]) > STANDSTILL_M_S:
@@ -115,16 +114,14 @@ def is_free(
 
 
 @kernel
-def is_enclosed(
-    i: int, x: float, y: float, from_x: float, from_y: float, clearance_m: float, start: Index, other: Index,
-    places: Array, states: Array, spread_m: Array,
-) -> bool:  # fmt: skip
+def is_enclosed(i: int, x: float, y: float, from_x: float, from_y: float, clearance_m: float, near: Nearby) -> bool:
     """Tell whether robots at standstill near robot `i` close every way from (from_x, from_y) to (x, y).
 
     Two of them that leave no gap between them close the line between their centres. They enclose the place if such
     lines make a closed path that crosses the straight way an odd number of times: each robot gets a label, another one
     across a crossing, and on such a path the labels contradict each other.
     """
+    start, other, places, states, spread_m, _, _ = near
     count = start[i + 1] - start[i]
     label = np.full(count, -1, np.int64)
     queue = np.empty(count, np.int64)
@@ -170,28 +167,26 @@ def is_enclosed(
 
 @kernel
 def is_open(
-    i: int, x: float, y: float, way: bool, from_x: float, from_y: float, clearance_m: float, start: Index,
-    other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
-) -> bool:  # fmt: skip
+    i: int, x: float, y: float, way: bool, from_x: float, from_y: float, clearance_m: float, near: Nearby, arena: Arena
+) -> bool:
     """Tell whether (x, y) is free of robots at standstill and, if `way` counts, whether they leave a way to it."""
-    return is_free(i, x, y, clearance_m, True, start, other, places, states, spread_m, obstacles, bounds_m) and not (
-        way and is_enclosed(i, x, y, from_x, from_y, clearance_m, start, other, places, states, spread_m)
+    return is_free(i, x, y, clearance_m, True, near, arena) and not (
+        way and is_enclosed(i, x, y, from_x, from_y, clearance_m, near)
     )
 
 
 @kernel
 def place_left(
     i: int, way: bool, from_x: float, from_y: float, goal_x: float, goal_y: float, within_m: float, clearance_m: float,
-    start: Index, other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
+    near: Nearby, arena: Arena,
 ) -> bool:  # fmt: skip
     """Tell whether a place within `within_m` of the goal is open to robot `i` at (from_x, from_y): see `is_open`.
 
     Of a region bounded by circles the nearest point to the goal is the goal, the nearest point of a circle, or where
     two circles meet: no other places are tried.
     """
-    if is_open(
-        i, goal_x, goal_y, way, from_x, from_y, clearance_m, start, other, places, states, spread_m, obstacles, bounds_m
-    ):
+    start, other, places, states, spread_m, _, _ = near
+    if is_open(i, goal_x, goal_y, way, from_x, from_y, clearance_m, near, arena):
         return True
     for pair in range(start[i], start[i + 1]):
         row = other[pair]
@@ -207,22 +202,7 @@ def place_left(
             # Of a robot at the goal all points of the circle are equally near.
             at_x = x + (radius / to_goal * (goal_x - x) if to_goal > ROUNDING_M else radius)
             at_y = y + (radius / to_goal * (goal_y - y) if to_goal > ROUNDING_M else 0.0)
-            if is_open(
-                i,
-                at_x,
-                at_y,
-                way,
-                from_x,
-                from_y,
-                clearance_m,
-                start,
-                other,
-                places,
-                states,
-                spread_m,
-                obstacles,
-                bounds_m,
-            ):
+            if is_open(i, at_x, at_y, way, from_x, from_y, clearance_m, near, arena):
                 return True
         for later in range(pair + 1, start[i + 1]):
             row = other[later]
@@ -244,20 +224,7 @@ def place_left(
                 at_x = x + along * dx - sign * across * dy
                 at_y = y + along * dy + sign * across * dx
                 if math.hypot(goal_x - at_x, goal_y - at_y) <= within_m and is_open(
-                    i,
-                    at_x,
-                    at_y,
-                    way,
-                    from_x,
-                    from_y,
-                    clearance_m,
-                    start,
-                    other,
-                    places,
-                    states,
-                    spread_m,
-                    obstacles,
-                    bounds_m,
+                    i, at_x, at_y, way, from_x, from_y, clearance_m, near, arena
                 ):
                     return True
     return False
@@ -265,8 +232,8 @@ def place_left(
 
 @kernel
 def has_room(
-    i: int, x: float, y: float, ux: float, uy: float, way_m: float, clearance_m: float, tilts: int, start: Index,
-    other: Index, places: Array, states: Array, spread_m: Array, obstacles: Array, bounds_m: Array,
+    i: int, x: float, y: float, ux: float, uy: float, way_m: float, clearance_m: float, tilts: int, near: Nearby,
+    arena: Arena,
 ) -> bool:  # fmt: skip
     """Tell whether robot `i` could go `way_m` in one of the first `tilts` directions of `TILTS`, 0 is (ux, uy)."""
     for k in range(tilts):
@@ -274,21 +241,8 @@ def has_room(
         s = math.sin(TILTS[k])
         way_x = way_m * (c * ux - s * uy)
         way_y = way_m * (s * ux + c * uy)
-        if is_free(
-            i, x + way_x, y + way_y, clearance_m, False, start, other, places, states, spread_m, obstacles, bounds_m
-        ) and is_free(
-            i,
-            x + 0.5 * way_x,
-            y + 0.5 * way_y,
-            clearance_m,
-            False,
-            start,
-            other,
-            places,
-            states,
-            spread_m,
-            obstacles,
-            bounds_m,
+        if is_free(i, x + way_x, y + way_y, clearance_m, False, near, arena) and is_free(
+            i, x + 0.5 * way_x, y + 0.5 * way_y, clearance_m, False, near, arena
         ):
             return True
     return False
@@ -297,41 +251,20 @@ def has_room(
 @kernel
 def rule_for(
     i: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float, waited_s: float,
-    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, spread_m: Array,
-    obstacles: Array, bounds_m: Array,
+    radius: float, clearance_m: float, near: Nearby, arena: Arena,
 ) -> int:  # fmt: skip
     """Return by which rule robot `i`, slow and without progress for `waited_s`, settles now; see the module."""
     left_m = math.hypot(goal_x - x, goal_y - y)
     fit_m = clearance_m + FIT_M
     if left_m <= WINDOW_M:
         nearer_m = left_m - NEARER_RADII * radius
-        if not has_room(
-            i, x, y, ux, uy, 0.5 * radius, clearance_m, 1, start, other, places, states, spread_m, obstacles, bounds_m
-        ) and not place_left(
-            i, False, x, y, goal_x, goal_y, nearer_m, fit_m, start, other, places, states, spread_m, obstacles, bounds_m
+        if not has_room(i, x, y, ux, uy, 0.5 * radius, clearance_m, 1, near, arena) and not place_left(
+            i, False, x, y, goal_x, goal_y, nearer_m, fit_m, near, arena
         ):
             return NO_NEARER_PLACE
-        if waited_s >= WAIT_S and not place_left(
-            i, True, x, y, goal_x, goal_y, reach_m, fit_m, start, other, places, states, spread_m, obstacles, bounds_m
-        ):
+        if waited_s >= WAIT_S and not place_left(i, True, x, y, goal_x, goal_y, reach_m, fit_m, near, arena):
             return GOAL_TAKEN
-    if waited_s >= GIVE_UP_S and not has_room(
-        i,
-        x,
-        y,
-        ux,
-        uy,
-        2.0 * radius,
-        clearance_m,
-        len(TILTS),
-        start,
-        other,
-        places,
-        states,
-        spread_m,
-        obstacles,
-        bounds_m,
-    ):
+    if waited_s >= GIVE_UP_S and not has_room(i, x, y, ux, uy, 2.0 * radius, clearance_m, len(TILTS), near, arena):
         return SHUT_IN
     return NOT_SETTLED
 
@@ -339,34 +272,15 @@ def rule_for(
 @kernel
 def may_go_on(
     i: int, rule: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float,
-    radius: float, clearance_m: float, start: Index, other: Index, places: Array, states: Array, spread_m: Array,
-    obstacles: Array, bounds_m: Array,
+    radius: float, clearance_m: float, near: Nearby, arena: Arena,
 ) -> bool:  # fmt: skip
     """Tell whether robot `i`, which has settled by `rule`, could come nearer to its goal now."""
-    if not has_room(
-        i, x, y, ux, uy, radius, clearance_m, AHEAD, start, other, places, states, spread_m, obstacles, bounds_m
-    ):
+    if not has_room(i, x, y, ux, uy, radius, clearance_m, AHEAD, near, arena):
         return False
     if rule == SHUT_IN:
         return True
     within_m = reach_m if rule == GOAL_TAKEN else math.hypot(goal_x - x, goal_y - y) - NEARER_RADII * radius
-    return place_left(
-        i,
-        True,
-        x,
-        y,
-        goal_x,
-        goal_y,
-        within_m,
-        clearance_m + FIT_M,
-        start,
-        other,
-        places,
-        states,
-        spread_m,
-        obstacles,
-        bounds_m,
-    )
+    return place_left(i, True, x, y, goal_x, goal_y, within_m, clearance_m + FIT_M, near, arena)
 
 
 @kernel
@@ -377,8 +291,6 @@ def settle(
     """Set the desired velocities (n, 2) of settled robots to zero; see the module."""
     goal, least_m, nearer_s, check_s, rule, room_s, free_s, at_goal = state
     goals, reach_m, lasting, radius, margin_m, speed_limit = wanted
-    start, other, places, states, spread_m, _, _ = near
-    obstacles, bounds_m = arena
     for i in range(desired.shape[0]):
         goal_x = goals[i, 0]
         goal_y = goals[i, 1]
@@ -414,7 +326,7 @@ def settle(
             if rule[i] != NOT_SETTLED:
                 if not may_go_on(
                     i, rule[i], pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], radius[i],
-                    clearance_m, start, other, places, states, spread_m, obstacles, bounds_m,
+                    clearance_m, near, arena,
                 ):  # fmt: skip
                     free_s[i] = math.inf
                 elif free_s[i] == math.inf:
@@ -426,7 +338,7 @@ def settle(
             elif math.fabs(twist[i, 0]) <= SLOW_SHARE * speed_limit[i]:
                 rule[i] = rule_for(
                     i, pose[i, 0], pose[i, 1], ux, uy, goal_x, goal_y, reach_m[i], now_s - nearer_s[i], radius[i],
-                    clearance_m, start, other, places, states, spread_m, obstacles, bounds_m,
+                    clearance_m, near, arena,
                 )  # fmt: skip
                 free_s[i] = math.inf
         if rule[i] != NOT_SETTLED:

@@ -155,23 +155,7 @@ def _off_segment(x: Array, y: Array, dx: Array, dy: Array) -> Array:
 
 def free_ways(start: Array, end: Array, clearance_m: float, obstacles: Array) -> Flags:
     """Tell which straight ways (w, 2) to (w, 2) keep `clearance_m` from all obstacles: :func:`is_free` for many."""
-    free = np.ones(len(start), bool)
-    middle, reach_m = 0.5 * (start + end), 0.5 * np.hypot(*(end - start).T)
-    for x, y, half_x, half_y, yaw, corner_m in obstacles.tolist():
-        grown_m = clearance_m + corner_m
-        across = math.hypot(half_x, half_y) + grown_m + reach_m
-        close = (np.abs(middle[:, 0] - x) < across) & (np.abs(middle[:, 1] - y) < across) & free
-        near = np.flatnonzero(close)
-        if not len(near):
-            continue
-        ax, ay = _local(start[near] - (x, y), yaw)
-        bx, by = _local(end[near] - (x, y), yaw)
-        dx, dy = bx - ax, by - ay
-        blocked = _cross(ax, ay, dx, dy, half_x + grown_m, half_y) | _cross(ax, ay, dx, dy, half_x, half_y + grown_m)
-        for corner_x in (half_x, -half_x):
-            for corner_y in (half_y, -half_y):
-                blocked |= _off_segment(corner_x - ax, corner_y - ay, dx, dy) < grown_m
-        free[near[blocked]] = False
+    free: Flags = way_gaps(start, end, obstacles, clearance_m) >= clearance_m
     return free
 
 

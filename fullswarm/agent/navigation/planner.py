@@ -16,7 +16,6 @@ import numpy as np
 from fullswarm.agent.navigation.geometry import Bounds, gaps, way_gaps
 from fullswarm.agent.navigation.passages import WIDEST_M
 from fullswarm.agent.navigation.roadmap import SPAN_M, Clearance, Field, Roadmap, build_field, build_roadmap
-from fullswarm.errors import MissingExtra
 from fullswarm.kernels import Array, Flags
 from fullswarm.reasons import Code, Reason, reason
 
@@ -104,17 +103,10 @@ def widest_way_m(start: tuple[float, float], goal: tuple[float, float], obstacle
     """Return the width of the widest way between two places, m; 0 where none is wider than `THINNEST_M`.
 
     On a maximum spanning tree of the clearances the way between two nodes is the widest one.
-
-    Raises
-    ------
-    MissingExtra
-        SciPy is not installed.
     """
-    try:
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-    except ImportError as error:
-        raise MissingExtra("navigating needs SciPy", hint="pip install 'fullswarm[core]'") from error
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
     thin = build_roadmap(obstacles, bounds_m, Clearance(THINNEST_M, THINNEST_M))
     if not len(thin.points) or not len(thin.start):
         return 0.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
@@ -142,7 +143,15 @@ class Field:
 
 
 def build_roadmap(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> Roadmap:
-    """Return the graph of ways around `obstacles` (k, 6) within the arena."""
+    """Return the graph of ways around `obstacles` (k, 6) within the arena.
+
+    Raises
+    ------
+    MissingExtra
+        SciPy is not installed: a robot that does not navigate needs none.
+    """
+    if find_spec("scipy") is None:
+        raise MissingExtra("navigating needs SciPy", hint="pip install 'fullswarm[core]'")
     x_min, y_min, x_max, y_max = bounds_m
     cell_m = max(CELL_M, math.sqrt((x_max - x_min) * (y_max - y_min) / MOST_CELLS))
     columns, rows = (max(1, round((high - low) / cell_m)) for low, high in ((x_min, x_max), (y_min, y_max)))
@@ -161,13 +170,11 @@ def build_roadmap(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> R
     more_start, more_end = _links(points, len(cells))
     start, end = np.concatenate([start, more_start]), np.concatenate([end, more_end])
     length_m = np.hypot(*(points[end] - points[start]).T)
-    # Clearance falls by a metre per metre at most, so most ways need no closer look.
-    narrow = 0.5 * (clear_m[start] + clear_m[end] - length_m)
-    unsure = np.flatnonzero(narrow < clearance.least_m)
-    fits = np.ones(len(start), bool)
-    fits[unsure] = free_ways(points[start[unsure]], points[end[unsure]], clearance.least_m, solid)
+    fits = _way_clearances(points, clear_m, start, end, length_m, clearance.least_m, solid) >= clearance.least_m
     start, end, length_m = start[fits], end[fits], length_m[fits]
-    first, nodes = _by_cell(points, grid)
+    cell = _cells(points, grid)
+    first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=columns * rows))]).astype(np.int64)
+    nodes = np.argsort(cell, kind="stable").astype(np.int64)
     weight_m = length_m * _cost(np.minimum(clear_m[start], clear_m[end]), clearance)
     return Roadmap(grid, clearance, solid, passages, points, clear_m, start, end, weight_m, first, nodes)
 
@@ -235,27 +242,19 @@ def _links(points: Array, cells: int) -> tuple[Index, Index]:
     return start[once], end[once]
 
 
-def _by_cell(points: Array, grid: Grid) -> tuple[Index, Index]:
+def _cells(points: Array, grid: Grid) -> Index:
+    """Return in which cell each point (p, 2) lies, row by row, (p,); outside the grid the nearest one counts."""
     column = np.clip(np.floor((points[:, 0] - grid.x_min) / grid.cell_m), 0, grid.columns - 1)
     row = np.clip(np.floor((points[:, 1] - grid.y_min) / grid.cell_m), 0, grid.rows - 1)
-    cell = (row * grid.columns + column).astype(np.int64)
-    count = np.bincount(cell, minlength=grid.columns * grid.rows)
-    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), np.argsort(cell, kind="stable").astype(np.int64)
+    cells: Index = (row * grid.columns + column).astype(np.int64)
+    return cells
 
 
 def build_field(roadmap: Roadmap, goal: tuple[float, float]) -> Field:
-    """Return the ways to `goal`.
+    """Return the ways to `goal`."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
 
-    Raises
-    ------
-    MissingExtra
-        SciPy is not installed.
-    """
-    try:
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import dijkstra
-    except ImportError as error:
-        raise MissingExtra("navigating needs SciPy", hint="pip install 'fullswarm[core]'") from error
     clearance, solid = roadmap.clearance, roadmap.obstacles
     there = np.array([goal], float)
     goal_clear_m = float(gaps(there, solid, SPAN_M)[0])
@@ -280,9 +279,15 @@ def build_field(roadmap: Roadmap, goal: tuple[float, float]) -> Field:
     cost_m, before = dijkstra(graph, directed=False, indices=count, return_predecessors=True)
     following = np.where(before >= 0, before, NOWHERE).astype(np.int64)
     length_m = _lengths(points, following, cost_m)
+    going = np.flatnonzero(following >= 0)
+    then = following[going]
+    way_clear_m = clear_m.copy()
+    way_clear_m[going] = _way_clearances(
+        points, clear_m, going, then, np.hypot(*(points[then] - points[going]).T), clearance.preferred_m, solid
+    )
     ways = Ways(
         np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]), clear_m, following,
-        _way_clearances(points, clear_m, following, clearance, solid), cost_m, length_m,
+        way_clear_m, cost_m, length_m,
         _gates(points, following, roadmap.passages), *_with_goal(roadmap, there[0]), solid,
         np.column_stack(roadmap.passages),
     )  # fmt: skip
@@ -292,26 +297,21 @@ def build_field(roadmap: Roadmap, goal: tuple[float, float]) -> Field:
 
 def _with_goal(roadmap: Roadmap, goal: Array) -> tuple[Index, Index]:
     """Return the nodes by cell with the goal, the last node, among them."""
-    grid = roadmap.grid
-    column = min(max(math.floor((goal[0] - grid.x_min) / grid.cell_m), 0), grid.columns - 1)
-    row = min(max(math.floor((goal[1] - grid.y_min) / grid.cell_m), 0), grid.rows - 1)
-    cell = row * grid.columns + column
+    cell = int(_cells(goal[None], roadmap.grid)[0])
     first = roadmap.first.copy()
     nodes = np.insert(roadmap.nodes, int(first[cell + 1]), len(roadmap.points))
     first[cell + 1 :] += 1
     return first, nodes
 
 
-def _way_clearances(points: Array, clear_m: Array, following: Index, clearance: Clearance, solid: Array) -> Array:
-    """Return the least clearance between each node and the next, (m,) m; the node's own where none follows."""
-    found_m = clear_m.copy()
-    going = np.flatnonzero(following >= 0)
-    start, end = points[going], points[following[going]]
-    # Clearance falls by a metre per metre at most.
-    bound_m = 0.5 * (clear_m[going] + clear_m[following[going]] - np.hypot(*(end - start).T))
-    near = bound_m < clearance.preferred_m
-    bound_m[near] = way_gaps(start[near], end[near], solid, SPAN_M)
-    found_m[going] = bound_m
+def _way_clearances(
+    points: Array, clear_m: Array, start: Index, end: Index, length_m: Array, exact_m: float, solid: Array
+) -> Array:
+    """Return the least clearance on straight ways between nodes, (w,) m; exact below `exact_m`."""
+    # Clearance falls by a metre per metre at most, so most ways need no closer look.
+    found_m: Array = 0.5 * (clear_m[start] + clear_m[end] - length_m)
+    near = np.flatnonzero(found_m < exact_m)
+    found_m[near] = way_gaps(points[start[near]], points[end[near]], solid, exact_m)
     return found_m
 
 

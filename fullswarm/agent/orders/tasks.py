@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from fullswarm import registry
-from fullswarm.agent.view import Params, View, column_width
+from fullswarm.agent.view import Params, View
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import ControlRequest, Value
+from fullswarm.parameters import column_width
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""

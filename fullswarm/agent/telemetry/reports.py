@@ -28,8 +28,8 @@ T = TypeVar("T")
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
-LARGEST_LIMITS = 1e4, 1e4, 1e5
-"""m/s, rad/s, m/s²: what :class:`RobotStates` can state. A driver may have no limits, and its states must arrive."""
+LARGEST_LIMITS = 1e4, 1e4, 1e5, 1e7, 1e7
+"""m/s, rad/s, m/s², m, s: what :class:`RobotStates` can state. A driver may have no limits; its states must arrive."""
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
 
@@ -66,7 +66,7 @@ class Reports:
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
     settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
-    limits : (n, 3) what each can do: m/s, rad/s, m/s²
+    limits : (n, 5) what each can do: m/s, rad/s, m/s²; what a stop takes beyond that: m, s
     """
 
     def __init__(
@@ -80,7 +80,8 @@ class Reports:
         self._settled_by = settled_by
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated.T.tolist())
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
+        self._stop_extra: list[list[float]] = stated[:, 3:].T.tolist() if stated[:, 3:].any() else [[], []]
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
         self._aim = np.zeros((len(state.radius), 2))
 
@@ -107,6 +108,7 @@ class Reports:
             sigma_m, sigma_rad = [], []
         teams = self._tasks.team.tolist()
         aim_x_m, aim_y_m = self._aims(there)
+        extra_m, extra_s = self._stop_extra
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -123,6 +125,8 @@ class Reports:
                 speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
                 accel_m_s2=_pick(self._accel_m_s2, rows),
+                stop_extra_m=_pick(extra_m, rows) if extra_m else (),
+                stop_extra_s=_pick(extra_s, rows) if extra_s else (),
                 own_frame=self._conflicts.own_frame,
                 aim_x_m=_pick(aim_x_m, rows) if aim_x_m else (),
                 aim_y_m=_pick(aim_y_m, rows) if aim_y_m else (),

@@ -4,7 +4,9 @@ In: ``CentralisedRequest`` of the core, ``RobotStates`` of the agents.
 Out: ``CentralisedCommands``, which the request handler distributes, and a ``Heartbeat`` with the active ids.
 
 ``node.py``          the process: requests, states, 20 Hz tick
-``laws.py``          the laws: best assignment of a formation, coverage on exact cells, the centroid by a stick
+``behaviours/``      the laws: best assignment of a formation, coverage on exact cells, the centroid by a stick
+``law.py``           a law by name, and what is remembered of a request from call to call
+``view.py``          what a law gets: all robots of the request
 ``joint_filter.py``  barrier certificates of all robots in one sparse QP (`_bc`)
 """
 

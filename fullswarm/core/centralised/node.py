@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import structlog
@@ -13,12 +13,14 @@ from fullswarm.bus import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.config.parameter import FILTER
 from fullswarm.core.centralised.joint_filter import Arena, JointFilter, to_twists
-from fullswarm.core.centralised.laws import CENTRALISED, Law, Memory, number
-from fullswarm.errors import FullswarmError
+from fullswarm.core.centralised.law import Law, State, load
+from fullswarm.core.centralised.view import View
+from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.geometry import clamp, unicycle
 from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates
+from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates, Value
+from fullswarm.parameters import Params
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
@@ -39,7 +41,7 @@ class Job:
 
     request: CentralisedRequest
     law: Law
-    memory: Memory = field(default_factory=dict)
+    state: State
     joint: JointFilter | None = None
     error: str = ""
 
@@ -52,6 +54,7 @@ class Scene:
     positions: Array  # (n, 2)
     headings: Array  # (n,)
     radii: Array  # (n,)
+    twists: Array  # (n, 2)
 
 
 class CentralisedNode:
@@ -66,10 +69,11 @@ class CentralisedNode:
     def __init__(self, bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> None:
         self._bus, self._scheduler, self._keys, self._process = bus, scheduler, Keys(config.swarm), process
         self._config, (x_low, y_low, x_high, y_high) = config.agent, config.bounds_m
+        self._bounds = config.bounds_m
         self._low, self._high = np.array([x_low, y_low]), np.array([x_high, y_high])
         self._jobs: dict[str, Job] = {}
         self._newest: Recent[str, tuple[str, int]] = Recent(MEMORY)
-        self._states: dict[str, tuple[float, tuple[float, float, float, float]]] = {}
+        self._states: dict[str, tuple[float, tuple[float, ...]]] = {}
         self._logged: Recent[str, None] = Recent(MEMORY)
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
@@ -108,19 +112,23 @@ class CentralisedNode:
             self._log_once(request, error)
             return
         if job is not None:
-            if job.request.robots != request.robots:
-                job.memory.clear()  # rows are other robots now
+            job.state.narrow(request.robots)
             job.request = request
             return
         try:
-            job = Job(request, CENTRALISED[request.law], joint=JointFilter() if request.filtered else None)
-        except (FullswarmError, KeyError) as error:
+            law = load(request.law)
+            if request.filtered and not law.planar:
+                hint = "define velocity(view, params)"
+                raise ConfigError("the joint filter takes planar velocities, not twists", where=law.name, hint=hint)
+        except FullswarmError as error:
             self._log_once(request, error)
             return
+        state = State(law, request.robots, self._scheduler.now_s())
+        job = Job(request, law, state, JointFilter() if request.filtered else None)
         for other in self._jobs.values():
             # The next frame of the same stick continues from the last one.
             if (other.request.behaviour, other.request.robots) == (request.behaviour, request.robots):
-                job.memory, job.joint = other.memory, other.joint
+                job.state, job.joint = other.state.copy(), other.joint
         self._jobs[request.request_id] = job
 
     def _log_once(self, request: CentralisedRequest, error: Exception) -> None:
@@ -131,7 +139,9 @@ class CentralisedNode:
         log.error("centralised behaviour cannot run", behaviour=request.behaviour, error=str(error))
 
     def _update_states(self, states: RobotStates) -> None:
-        columns = (states.x_m, states.y_m, states.heading_rad, states.radius_m)
+        columns = (
+            states.x_m, states.y_m, states.heading_rad, states.radius_m, states.speed_m_s, states.turn_rad_s,
+        )  # fmt: skip
         if not self._jobs or any(len(column) != len(states.robots) for column in columns):
             return
         now_s = self._scheduler.now_s()
@@ -176,13 +186,16 @@ class CentralisedNode:
             return None
         table = np.array([state for _, state in fresh], float)
         rows = np.array([row for row, _ in fresh], np.int64)
-        return Scene(rows, table[:, :2].copy(), table[:, 2].copy(), table[:, 3].copy())
+        return Scene(rows, table[:, :2].copy(), table[:, 2].copy(), table[:, 3].copy(), table[:, 4:].copy())
 
     def _twists(self, job: Job, scene: Scene) -> Array:
         """Return speed and turn rate (n, 2) of the robots of `scene`."""
-        params, config = job.request.parameters, self._config
-        desired = job.law(scene.positions, scene.headings, params, job.memory, scene.rows)
-        speed_m_s, turn_rad_s = number(params, "speed_m_s", 0.5), number(params, "turn_rad_s", 2.0)
+        parameters, config = job.request.parameters, self._config
+        desired = self._desired(job, scene)
+        speed_m_s = _number(parameters.get("speed_m_s"), 0.5)
+        turn_rad_s = _number(parameters.get("turn_rad_s"), 2.0)
+        if not job.law.planar:
+            return np.clip(desired, [-speed_m_s, -turn_rad_s], [speed_m_s, turn_rad_s])
         if job.joint is None:
             twists = []
             for (vx_m_s, vy_m_s), heading in zip(desired.tolist(), scene.headings.tolist(), strict=True):
@@ -195,12 +208,23 @@ class CentralisedNode:
             self._low,
             self._high,
             speed_m_s,
-            number(params, "barrier_gain_per_s", config.barrier_gain_per_s),
-            number(params, "safety_margin_m", config.safety_margin_m),
+            _number(parameters.get("barrier_gain_per_s"), config.barrier_gain_per_s),
+            _number(parameters.get("safety_margin_m"), config.safety_margin_m),
         )
         allowed, near = job.joint.filter(desired, scene.positions, scene.radii, arena)
         turn = np.array([config.turn_gain_per_s, turn_rad_s])
         return to_twists(allowed, near, scene.positions, scene.headings, scene.radii, arena, turn)
+
+    def _desired(self, job: Job, scene: Scene) -> Array:
+        """Return what the law of a job answers, (n, 2)."""
+        state, now_s, count = job.state, self._scheduler.now_s(), len(scene.rows)
+        dt_s = 1.0 / RATE_HZ if state.last_s is None else now_s - state.last_s
+        view = View(
+            scene.rows, job.request.robots, scene.positions, scene.headings, scene.twists, scene.radii,
+            state.appeared(scene.rows), now_s - state.since_s, dt_s, self._bounds,
+        )  # fmt: skip
+        state.last_s = now_s
+        return state.call(view, Params([job.request.parameters] * count))
 
     def _publish(self, job: Job, scene: Scene, twists: Array) -> None:
         request = job.request
@@ -215,3 +239,7 @@ class CentralisedNode:
             stamp_s=self._scheduler.now_s(),
         )
         self._bus.publish(self._keys.centralised_commands(request.behaviour), commands)
+
+
+def _number(value: Value | None, usual: float) -> float:
+    return float(value) if isinstance(value, int | float) else usual
