@@ -515,6 +515,8 @@ class Missions:
                 log.error("a mission in the database cannot be read", key=entry.key, error=str(error))
         for number, mission in sorted(found, key=lambda each: each[1].state.number):
             self._missions[mission.state.mission], self._slots[mission.state.mission] = mission, number
+            if mission.state.ended:  # perhaps in the last moment of the core before
+                self._ended_s[mission.state.mission] = self._scheduler.now_s()
         self._facts.need(each for mission in self._missions.values() for each in mission.running())
         for mission in self._missions.values():
             self._reconcile(mission)
