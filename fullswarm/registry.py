@@ -3,6 +3,9 @@
 Importing this file imports none of them. Outside packages use the entry point groups ``fullswarm.drivers`` (URL scheme
 → record of the make, or its driver class alone), ``fullswarm.behaviours`` (name of a law on board → module) and
 ``fullswarm.centralised`` (name of a law on the base station → module). A name of the table cannot be taken over.
+
+A package under development need not be installed: the entry points of the ``pyproject.toml`` in the folder that the
+environment variable :data:`DEVELOP` names count as well. `fullswarm up --reload` sets it; nothing on a robot does.
 """
 
 from __future__ import annotations
@@ -11,6 +14,9 @@ import functools
 import importlib
 import importlib.metadata
 import importlib.util
+import os
+import sys
+import tomllib
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,6 +27,9 @@ from fullswarm.errors import ConfigError, did_you_mean
 DRIVER_GROUP = "fullswarm.drivers"
 BEHAVIOUR_GROUP = "fullswarm.behaviours"
 CENTRALISED_GROUP = "fullswarm.centralised"
+
+DEVELOP = "FULLSWARM_DEVELOP"
+"""Name of the environment variable with the folder of a package under development."""
 
 DRIVERS = MappingProxyType(
     {
@@ -171,6 +180,8 @@ def record_files() -> tuple[Path, ...]:
 
 
 def _entry_point(group: str, name: str) -> str | None:
+    if name in (developed := _developed(group)):
+        return developed[name]
     found = list(importlib.metadata.entry_points(group=group, name=name))
     if len(found) > 1:
         owners = ", ".join(sorted(each.dist.name if each.dist else "?" for each in found))
@@ -179,7 +190,24 @@ def _entry_point(group: str, name: str) -> str | None:
 
 
 def _entry_point_names(group: str, table: MappingProxyType[str, str]) -> tuple[str, ...]:
-    return tuple(sorted({each.name for each in importlib.metadata.entry_points(group=group)} - set(table)))
+    installed = {each.name for each in importlib.metadata.entry_points(group=group)}
+    return tuple(sorted((installed | set(_developed(group))) - set(table)))
+
+
+def _developed(group: str) -> dict[str, str]:
+    """Return the entry points of the package under development, which can be imported from now on."""
+    folder = Path(os.environ.get(DEVELOP) or os.devnull)
+    file = folder / "pyproject.toml"
+    if not file.is_file():
+        return {}
+    try:
+        found = tomllib.loads(file.read_text("utf-8")).get("project", {}).get("entry-points", {}).get(group, {})
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(error), where=str(file), hint="correct the file") from error
+    for each in (folder / "src", folder):
+        if each.is_dir() and str(each) not in sys.path:
+            sys.path.insert(0, str(each))
+    return {str(name): str(target) for name, target in found.items()}
 
 
 def _import(module: str, where: str) -> Any:
