@@ -238,7 +238,8 @@ def half_planes(
             normal_x[count] = dx / distance
             normal_y[count] = dy / distance
             room[count] = left_m
-            limits[count] = approach_limit(left_m, gain, accel, approach_s)
+            # Written out: in plain Python a call for each neighbour takes 0.1 µs.
+            limits[count] = gain * left_m if gain > 0.0 else approach_limit(left_m, gain, accel, approach_s)
             blur[count] = far_off / distance + swing
             count += 1
     for row in range(obstacles.shape[0]):
@@ -317,12 +318,13 @@ def interval(
     normal_x, normal_y, limits, blur, _ = planes
     for k in range(count):
         slope = normal_x[k] * ahead_x + normal_y[k] * ahead_y
+        unsure = blur[k]
         # The other may be a little to the side of its estimated position: the worse direction counts.
-        ahead = slope + blur[k]
+        ahead = slope + unsure
         if ahead > 1e-9:
             most = limits[k] / ahead
             high = min(high, most)
-        behind = slope - blur[k]
+        behind = slope - unsure
         if behind < -1e-9:
             least = limits[k] / behind
             low = max(low, least)
