@@ -65,7 +65,11 @@ class Lab:
 
     @property
     def speed(self) -> list[float]:
-        return np.round(self.lockstep.world.twist[:, 0], 3).tolist()
+        return [round(float(each), 3) for each in self.lockstep.world.twist[:, 0]]
+
+    @property
+    def phase(self) -> str:
+        return self.statuses[-1].phase
 
 
 @pytest.fixture
@@ -126,7 +130,7 @@ def test_robots_stand_for_the_exchange_and_then_run_the_new_law(on_board: Lab) -
     assert all(0.0 <= speed <= 0.3 for pair in speeds[:stood] for speed in pair)
     assert lab.speed[0] == pytest.approx(0.3, abs=0.01)  # turned round, and on
     assert lab.lockstep.world.twist[0, 0] * np.cos(lab.lockstep.world.pose[0, 2]) < -0.25
-    assert lab.statuses[-1].phase == "running"
+    assert lab.phase == "running"
 
 
 def test_a_file_that_does_not_load_keeps_the_law_and_is_named_with_its_line(on_board: Lab) -> None:
@@ -181,14 +185,14 @@ def test_the_core_and_the_robots_take_a_new_record(on_board: Lab) -> None:
 
         reload.RecordReloader(lab.lockstep.runtime, read_records_again)
         lab.ask(speed=0.45)
-        assert lab.statuses[-1].phase == "refused"
+        assert lab.phase == "refused"
         lab.write(lab.record, RECORD.format(most=0.5, where="") + "colour = 1\n")
         lab.lockstep.run(1.0)
         assert any("do not load" in each["event"] and "glide.toml" in each["error"] for each in logs)
         lab.write(lab.record, RECORD.format(most=0.5, where=""))
         lab.lockstep.run(1.0)
     lab.ask(speed=0.45)
-    assert lab.statuses[-1].phase == "running"
+    assert lab.phase == "running"
     assert lab.speed == [0.45, 0.45]
 
 
@@ -196,11 +200,11 @@ def test_a_law_that_was_never_good_is_refused_with_its_line_and_runs_once_it_is(
     lab = on_board
     lab.law.write_text("x = 1\ny = = 2\n")
     lab.ask()
-    assert lab.statuses[-1].phase != "running"
+    assert lab.phase != "running"
     assert "glide.py:2" in lab.statuses[-1].reason
     lab.write(lab.law, LAW.format(vx=1.0))
     lab.ask()
-    assert lab.statuses[-1].phase == "running"
+    assert lab.phase == "running"
 
 
 def test_built_in_laws_are_not_watched(on_board: Lab) -> None:
