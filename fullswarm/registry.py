@@ -17,8 +17,10 @@ import importlib.util
 import os
 import sys
 import tomllib
+import traceback
+from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -164,21 +166,113 @@ def record_files() -> tuple[Path, ...]:
 
     Finding them imports no law, so that a computer without a law's libraries can still be the core.
     """
-    files = []
-    outside = [(BEHAVIOUR_GROUP, name) for name in _entry_point_names(BEHAVIOUR_GROUP, LAWS)]
-    outside += [(CENTRALISED_GROUP, name) for name in _entry_point_names(CENTRALISED_GROUP, CENTRALISED)]
-    for group, name in outside:
-        module = (_entry_point(group, name) or "").partition(":")[0]
-        try:
-            spec = importlib.util.find_spec(module)
-        except (ImportError, ValueError):
-            continue  # half uninstalled: reported when its robot is used
-        file = Path(spec.origin).with_suffix(".toml") if spec and spec.origin else None
-        if file is not None and file.is_file():
-            files.append(file)
-    return tuple(dict.fromkeys(files))
+    files = [file.with_suffix(".toml") for file in law_files().values()]
+    return tuple(dict.fromkeys(file for file in files if file.is_file()))
 
 
+# ---------------------------------------------------------------- laws under development
+def law_files() -> dict[str, Path]:
+    """Return the files of outside laws, on board and centralised, by the name of the law; imports none."""
+    found = {}
+    for group, name in _outside():
+        spec = _spec(group, name)
+        if spec is not None and spec.origin:
+            found[name] = Path(spec.origin)
+    return found
+
+
+def loaded(group: str) -> dict[str, ModuleType]:
+    """Return the modules of outside laws of one entry point group that this process has imported, by name."""
+    found = {}
+    for each, name in _outside():
+        module = sys.modules.get((_entry_point(each, name) or "").partition(":")[0])
+        if each == group and module is not None and module.__file__:
+            found[name] = module
+    return found
+
+
+def file_of(module: ModuleType) -> Path:
+    """Return the file of a module that has one."""
+    return Path(str(module.__file__))
+
+
+def load_again(module: ModuleType) -> ModuleType:
+    """Return a new module from the file of a law; the one in use is not touched.
+
+    Raises
+    ------
+    ConfigError
+        The file does not load, or has no law; names file and line.
+    """
+    return _load(module.__name__, file_of(module))
+
+
+def check_law(name: str) -> None:
+    """Load the file of an outside law without using it.
+
+    Raises
+    ------
+    ConfigError
+        The file does not load, or has no law; names file and line.
+    """
+    for group, each in _outside():
+        spec = _spec(group, each) if each == name else None
+        if spec is not None and spec.origin:
+            _load(spec.name, Path(spec.origin))
+
+
+def put_in_place(module: ModuleType) -> None:
+    """Use a module that :func:`load_again` has returned, in place of the one of its name."""
+    sys.modules[module.__name__] = module
+    parent, _, child = module.__name__.rpartition(".")
+    if parent in sys.modules:
+        setattr(sys.modules[parent], child, module)
+    law_module.cache_clear()
+    centralised_module.cache_clear()
+
+
+def _load(name: str, file: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None:
+        raise ConfigError("is no Python file", where=str(file))
+    module = importlib.util.module_from_spec(spec)
+    try:
+        # From the source itself: compiled files are told apart by whole seconds.
+        exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)  # noqa: S102  (as any import does)
+    except Exception as error:  # outside code: whatever it raises, the law before stays in use
+        raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=_line_of(error, file)) from error
+    if not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
+        raise ConfigError("has no law", where=str(file), hint="define velocity(view, params) or twist(view, params)")
+    return module
+
+
+def _message(error: Exception) -> str:
+    return str(error.msg if isinstance(error, SyntaxError) else error)
+
+
+def _line_of(error: Exception, file: Path) -> str:
+    """Return file and line of an error: of its syntax, or the innermost line of `file` that led to it."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename or file}:{error.lineno}"
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(file)]
+    return f"{file}:{lines[-1]}" if lines else str(file)
+
+
+def _outside() -> list[tuple[str, str]]:
+    """Return group and name of all laws from outside."""
+    found = [(BEHAVIOUR_GROUP, name) for name in _entry_point_names(BEHAVIOUR_GROUP, LAWS)]
+    return found + [(CENTRALISED_GROUP, name) for name in _entry_point_names(CENTRALISED_GROUP, CENTRALISED)]
+
+
+def _spec(group: str, name: str) -> ModuleSpec | None:
+    module = (_entry_point(group, name) or "").partition(":")[0]
+    try:
+        return importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return None  # half uninstalled: reported when its robot is used
+
+
+# ---------------------------------------------------------------- entry points
 def _entry_point(group: str, name: str) -> str | None:
     if name in (developed := _developed(group)):
         return developed[name]
@@ -215,3 +309,6 @@ def _import(module: str, where: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise ConfigError(f"'{module}' does not import: {error}", where=where) from error
+    except Exception as error:  # of an outside module, whatever it raises
+        what = f"'{module}' does not import: {type(error).__name__}: {_message(error)}"
+        raise ConfigError(what, where=_line_of(error, Path(module.replace(".", "/")))) from error

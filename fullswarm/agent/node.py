@@ -114,6 +114,10 @@ class AgentNode:
             alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
         )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
+        if len(self.obstacle_map.given):
+            from fullswarm.agent.behaviours.navigate import prepare  # most robots have no map, and start sooner without
+
+            prepare(self.obstacle_map.given, config.bounds_m, state.radius, settings.safety_margin_m)
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         range_m = min(each.bodies_range_m for each in fleet.descriptions)
         self.objects = ObjectTracker(

@@ -69,7 +69,7 @@ class Lockstep:
         self._nodes += core
         extra = [each for node in core if isinstance(node, CoreNode) for each in node.extra]
         self.summarizers = tuple(each for each in extra if isinstance(each, Summarizer))
-        self._nodes += nodes.centralised(self.bus_of(CENTRALISED), self.runtime, config, "centralised-0")
+        self._nodes.append(nodes.centralised(self.bus_of(CENTRALISED), self.runtime, config, "centralised-0"))
         self.agents = self._agent_each() if bad else (self._agent_of_all(),)
         self._nodes += self.agents
 

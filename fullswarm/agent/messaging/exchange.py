@@ -52,6 +52,7 @@ Topic = tuple[int, str]
 class Conversation:
     """What the own robots of one topic exchange. Arrays have a row per own robot."""
 
+    module: Any  # of the control law
     layout: Layout | None
     merges: dict[str, Merge]
     reach_m: float
@@ -122,22 +123,22 @@ class Exchange:
         if task is None:
             raise ConfigError("a robot without a task broadcasts nothing")
         topic, limits = (task.request.team, task.law), _limits(task.request.parameters)
+        module = registry.law_module(task.law)
         if (
             found is None or found.topic != topic or found.limits != limits or not np.array_equal(found.rows, rows)
-            or self._conversations.get(topic) is not found.conversation
+            or self._conversations.get(topic) is not found.conversation or found.conversation.module is not module
         ):  # fmt: skip
-            conversation = self._open(topic, *limits)
+            conversation = self._open(topic, module, *limits)
             self._interval_s[rows] = 1.0 / conversation.rate_hz
             found = Channel(self, topic, limits, conversation, rows, task.request.members)
             self._channels[first] = found
         return found
 
-    def _open(self, topic: Topic, reach_m: float, rate_hz: float) -> Conversation:
+    def _open(self, topic: Topic, module: Any, reach_m: float, rate_hz: float) -> Conversation:
         found = self._conversations.get(topic)
-        if found is None:
-            module = registry.law_module(topic[1])
+        if found is None or found.module is not module:  # another one: a law under development
             layout, count = layout_of(module), len(self._ids)
-            found = Conversation(layout, getattr(module, "MERGE", {}), reach_m, rate_hz)
+            found = Conversation(module, layout, getattr(module, "MERGE", {}), reach_m, rate_hz)
             if layout is not None:
                 found.outbox, found.pending = np.zeros((count, layout.width)), np.zeros(count, bool)
                 found.received = Received(layout, rate_hz)

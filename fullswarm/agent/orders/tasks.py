@@ -170,6 +170,7 @@ class Tasks:
     _remembered: dict[int, tuple[Any, int]] = field(init=False, default_factory=dict)  # robot → memory, its row there
     _generators: dict[int, np.random.Generator] = field(init=False, default_factory=dict)
     _starts: dict[tuple[int, str], int] = field(init=False, default_factory=dict)
+    _held: set[str] = field(init=False, default_factory=set)  # laws under development, while they are exchanged
 
     def __post_init__(self) -> None:
         self.of = [None] * self.count
@@ -292,13 +293,36 @@ class Tasks:
         self._remembered.pop(row, None)
         self._generators.pop(row, None)
 
+    def hold(self, law: str) -> None:
+        """Leave a control law out of the groups: nothing is desired of its robots, so they stop."""
+        self._held.add(law)
+        self._regroup()
+
+    def release(self, law: str) -> dict[int, ConfigError]:
+        """Begin the tasks with a control law anew; return why it was not possible, by robot, whose tasks have ended."""
+        self._held.discard(law)
+        refused = {}
+        for row in self.rows_with(law):
+            task = self.of[row]
+            self.disable(row)
+            if task is not None:
+                try:
+                    self.enable(row, task)
+                except ConfigError as error:
+                    refused[row] = error
+        return refused
+
+    def rows_with(self, law: str) -> list[int]:
+        """Return the robots that run a control law."""
+        return [row for row, task in enumerate(self.of) if task is not None and task.law == law]
+
     def groups(self) -> list[Group]:
         """Return the robots with a control law on board, grouped by law, kind of parameters and perhaps request."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
             members: dict[tuple[str, tuple[tuple[str, str], ...], str], list[int]] = {}
             for row, task in enumerate(self.of):
-                if task is not None and task.law != CENTRALISED:
+                if task is not None and task.law != CENTRALISED and task.law not in self._held:
                     kinds = tuple(sorted(_kind(*each) for each in task.request.parameters.items()))
                     apart = stream(task.request) if task.law in self._apart else ""
                     members.setdefault((task.law, kinds, apart), []).append(row)
@@ -483,6 +507,12 @@ def _tables() -> dict[str, dict[str, Any]]:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
             continue
     return {name: each for name, each in tables.items() if isinstance(each, dict)}
+
+
+def read_records_again() -> None:
+    """Forget the records that were read: the next request is checked by the files as they are then."""
+    _tables.cache_clear()
+    _known.cache_clear()
 
 
 def _lineage(tables: Mapping[str, dict[str, Any]], record: dict[str, Any]) -> list[dict[str, Any]]:
