@@ -237,6 +237,22 @@ def test_a_law_that_was_never_good_is_refused_with_its_line_and_runs_once_it_is(
     assert lab.phase == "running"
 
 
+def test_a_project_file_that_is_being_edited_ends_nothing(on_board: Lab) -> None:
+    lab, project = on_board, on_board.folder / "pyproject.toml"
+    lab.ask()
+    watch(lab)
+    good = project.read_text()
+    with capture_logs() as logs:
+        lab.write(project, good + "[half")
+        lab.lockstep.run(1.0)
+    assert [each["event"] for each in logs] == ["the behaviours under development are unknown"]
+    assert "pyproject.toml" in logs[0]["error"]
+    lab.write(project, good)
+    lab.write(lab.law, LAW.format(vx=0.5))
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.15, 0.15]
+
+
 def test_built_in_laws_are_not_watched(on_board: Lab) -> None:
     assert set(registry.law_files()) == {"ring", "glide"}
     on_board.ask()
