@@ -125,6 +125,8 @@ def law_module(name: str) -> Any:
     ConfigError
         Unknown law, or a plug-in that does not import.
     """
+    if name in _GIVEN:
+        return _GIVEN[name]
     target = LAWS.get(name) or _entry_point(BEHAVIOUR_GROUP, name)
     if target is None:
         raise ConfigError(f"this robot has no control law '{name}'", hint=did_you_mean(name, law_names()))
@@ -168,6 +170,30 @@ def record_files() -> tuple[Path, ...]:
     """
     files = [file.with_suffix(".toml") for file in law_files().values()]
     return tuple(dict.fromkeys(file for file in files if file.is_file()))
+
+
+# ---------------------------------------------------------------- laws of this process alone
+_GIVEN: dict[str, Any] = {}
+
+
+def give_law(name: str, module: Any) -> None:
+    """Have this process find a law, a module or an object like one, that no package has installed.
+
+    Raises
+    ------
+    ConfigError
+        A law of that name is known already.
+    """
+    if name in _GIVEN or name in law_names():
+        raise ConfigError(f"a control law '{name}' exists already", hint="give it another name")
+    _GIVEN[name] = module
+    law_module.cache_clear()
+
+
+def take_law(name: str) -> None:
+    """Forget a law that :func:`give_law` has made known."""
+    _GIVEN.pop(name, None)
+    law_module.cache_clear()
 
 
 # ---------------------------------------------------------------- laws under development
