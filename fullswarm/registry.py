@@ -247,6 +247,26 @@ def check_law(name: str) -> None:
             _load(spec.name, Path(spec.origin))
 
 
+def load_file(file: Path) -> ModuleType:
+    """Return the module of a Python file that belongs to no package; it need not have a law.
+
+    Raises
+    ------
+    ConfigError
+        It does not load; names file and line.
+    """
+    name = f"fullswarm_file.{file.stem}"
+    before = sys.modules.get(name)
+    try:
+        module = _load(name, file.absolute(), needs_law=False, register=True)
+    except ConfigError:
+        sys.modules.pop(name, None)
+        if before is not None:
+            sys.modules[name] = before
+        raise
+    return module
+
+
 def put_in_place(module: ModuleType) -> None:
     """Use a module that :func:`load_again` has returned, in place of the one of its name."""
     sys.modules[module.__name__] = module
@@ -257,17 +277,19 @@ def put_in_place(module: ModuleType) -> None:
     centralised_module.cache_clear()
 
 
-def _load(name: str, file: Path) -> ModuleType:
+def _load(name: str, file: Path, *, needs_law: bool = True, register: bool = False) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None:
         raise ConfigError("is no Python file", where=str(file))
     module = importlib.util.module_from_spec(spec)
+    if register:
+        sys.modules[name] = module  # a dataclass looks its module up
     try:
         # From the source itself: compiled files are told apart by whole seconds.
         exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)  # noqa: S102  (as any import does)
     except Exception as error:  # outside code: whatever it raises, the law before stays in use
         raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=_line_of(error, file)) from error
-    if not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
+    if needs_law and not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
         raise ConfigError("has no law", where=str(file), hint="define velocity(view, params) or twist(view, params)")
     return module
 

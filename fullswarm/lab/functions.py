@@ -29,6 +29,7 @@ from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
 Law = Callable[..., Array]
+Source = Law | ModuleType | Path | str
 FORMS = ("velocity", "twist")
 
 
@@ -42,13 +43,19 @@ class Given:
 
 
 def behaviour_of(
-    source: Law | ModuleType | Path | str, parameters: Mapping[str, Value], *, filtered: bool, twist: bool
+    source: Source,
+    parameters: Mapping[str, Value],
+    on_error: Callable[[Exception], None],
+    *,
+    filtered: bool,
+    twist: bool,
 ) -> Given:
     """Return the behaviour that a function, a module or the path of a Python file defines.
 
     Parameters
     ----------
     parameters : of the request; those that nothing declares are declared by their values
+    on_error : receives what a function raises, which goes on to the agent
     filtered : it runs behind the safety filter
     twist : a function returns speed and turn rate, not a planar velocity
 
@@ -61,16 +68,35 @@ def behaviour_of(
         path = Path(source)
         if not path.is_file():
             raise ConfigError("no such file", where=str(path))
-        source = registry.load_file(path)
+        source = _in_file(registry.load_file(path))
     if isinstance(source, ModuleType):
         name, law, declared = _name(source.__name__.rpartition(".")[2]), source, _record_beside(source)
     else:
         name = _name(getattr(source, "__name__", type(source).__name__))
-        law, declared = _law_of(source, name, twist), {"parameters": _declared(source)}
+        law, declared = _law_of(source, name, twist, on_error), {"parameters": _declared(source)}
     record = {"summary": f"{name}, given by a program", **declared, "law": "", "filtered": filtered}
     known = record.setdefault("parameters", {})
     record["parameters"] = {**{key: parameter(key, each) for key, each in parameters.items()}, **known}
     return Given(name, law, record)
+
+
+def _in_file(module: ModuleType) -> ModuleType | Law:
+    """Return a module that has a law, or the one function of a module that has none."""
+    if any(callable(getattr(module, form, None)) for form in FORMS):
+        return module
+    own = [
+        each
+        for name, each in vars(module).items()
+        if inspect.isfunction(each) and each.__module__ == module.__name__ and not name.startswith("_")
+    ]
+    if len(own) == 1:
+        found: Law = own[0]
+        return found
+    names = ", ".join(each.__name__ for each in own) or "none"
+    raise ConfigError(
+        f"has several functions or none ({names})", where=str(module.__file__),
+        hint="name the one that is the control law velocity(view, params), or twist for speed and turn rate",
+    )  # fmt: skip
 
 
 def parameter(name: str, value: object) -> dict[str, Any]:
@@ -122,11 +148,12 @@ def _declared(function: Law) -> dict[str, Any]:
     return found
 
 
-def _law_of(function: Law, name: str, twist: bool) -> Any:
+def _law_of(function: Law, name: str, twist: bool, on_error: Callable[[Exception], None]) -> Any:
     """Return an object like the module of a law, whose function passes keyword arguments and checks what comes back."""
     if not callable(function):
         raise ConfigError(
-            f"{function!r} is no behaviour", hint="its name, a function f(view, params), a module, or the path of a file"
+            f"{function!r} is no behaviour",
+            hint="its name, a function f(view, params), a module, or the path of a file",
         )
     arguments = inspect.signature(function).parameters.values()
     named = [each.name for each in arguments if each.kind is inspect.Parameter.KEYWORD_ONLY]
@@ -138,8 +165,12 @@ def _law_of(function: Law, name: str, twist: bool) -> Any:
 
     def law(view: View, params: Params, *memory: Any) -> Array:
         given = (view, params, *memory)[:taken]
-        answer = function(*given, **{each: getattr(params, each) for each in named})
-        return checked(answer, len(view.position), name)
+        try:
+            answer = function(*given, **{each: getattr(params, each) for each in named})
+            return checked(answer, len(view.position), name)
+        except Exception as error:  # outside code, whatever it raises
+            on_error(error)
+            raise
 
     found = SimpleNamespace(**{FORMS[twist]: law})
     if memory is not None:

@@ -18,16 +18,20 @@ USUAL_ENGINE = "kinematic"
 """Of a laboratory without a fleet file: exact, and the fastest."""
 
 
-def from_file(path: Path | str, settings: Mapping[str, object], seed: int) -> SwarmConfig:
-    """Return the settings of a fleet file, with `settings` (``"agent.control_rate_hz": 20``) in place of its own.
+def from_file(fleet: Path | str | SwarmConfig, settings: Mapping[str, object], seed: int) -> SwarmConfig:
+    """Return the settings of a fleet file, or given ones, with `settings` (``"agent.control_rate_hz": 20``) in place of its own.
 
     Raises
     ------
     ConfigError
         All that is wrong, each with its line.
     """
+    if isinstance(fleet, SwarmConfig):
+        if settings:
+            raise ConfigError("gives settings twice", where="Lab", hint="change the SwarmConfig itself")
+        return _for_lockstep(fleet, seed)
     overrides = [f"{key}={_toml(value)}" for key, value in settings.items()]
-    return _for_lockstep(load_fleet(path, tuple(overrides), here=True, check=start_problems), seed)
+    return _for_lockstep(load_fleet(fleet, tuple(overrides), here=True, check=start_problems), seed)
 
 
 def from_arguments(
@@ -47,7 +51,9 @@ def from_arguments(
         An argument is wrong; names it.
     """
     ids = _ids(robots, starts)
-    poses: list[tuple[float, float, float] | None] = _poses(starts, len(ids)) if starts is not None else [None] * len(ids)
+    poses: list[tuple[float, float, float] | None] = (
+        _poses(starts, len(ids)) if starts is not None else [None] * len(ids)
+    )
     world: dict[str, Any] = {"engine": engine or USUAL_ENGINE, "boxes": [_box(each) for each in obstacles]}
     if bounds is not None:
         world["bounds_m"] = tuple(bounds)
@@ -64,12 +70,14 @@ def from_arguments(
         raise ConfigError("; ".join(lines), where="Lab") from None
     wrong = [what for _, _, what in start_problems(config)]
     if wrong:
-        raise ConfigError("; ".join(wrong), where="starts", hint="robots are discs; start them apart and inside the walls")
+        raise ConfigError(
+            "; ".join(wrong), where="starts", hint="robots are discs; start them apart and inside the walls"
+        )
     return _for_lockstep(config, seed)
 
 
 def _for_lockstep(config: SwarmConfig, seed: int) -> SwarmConfig:
-    """Return the settings with a seed, and without what only a swarm of processes needs: no files, no spread requests."""
+    """Return the settings with a seed, and without files and the spreading of requests, which processes need."""
     world = config.world_or_default.model_copy(update={"seed": seed})
     core = config.core.model_copy(update={"store": None, "results": None, "schedule_interval_s": 0.0})
     network = config.network.model_copy(update={"seed": seed})
