@@ -293,7 +293,7 @@ class MissionStatus(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2"):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -304,6 +304,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
     team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
+    members: Names = ()  # all robots of the request, in its order; empty for an intent, which is sent too often
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
     expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival
@@ -614,9 +615,11 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
+    message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
+    message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/3"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

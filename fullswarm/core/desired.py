@@ -37,6 +37,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, Value] = {}
     law: str = ""
     team: int = 0
+    members: tuple[str, ...] = ()
     filtered: bool = False
     centralised: bool = False
     survives_core: bool = False
@@ -116,6 +117,7 @@ class Desired:
             filtered=filled.filtered,
             law=filled.law,
             team=filled.team,
+            members=filled.members,
             centralised=filled.centralised,
             survives_core=filled.survives_core,
             expires_s=filled.expires_s,
