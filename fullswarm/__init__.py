@@ -45,16 +45,14 @@ Further files:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from fullswarm.lab import Lab as Lab
+from typing import Any
 
 __version__ = "0.1.0"
-__all__ = ["Lab", "__version__"]
-
 _LAZY = {"Lab": "fullswarm.lab"}
-"""Names exported here by the module that has them: imported when first used, because a robot needs none of them."""
+"""Exported names by the module that has them: imported when first used, because a robot needs none of them.
+
+Type checkers read ``__init__.pyi``.
+"""
 
 
 def __getattr__(name: str) -> Any:
@@ -68,4 +66,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Return what can be imported from here."""
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_LAZY})

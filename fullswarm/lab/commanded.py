@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,20 +17,20 @@ class Commanded:
 
     Parameters
     ----------
-    rows : returns the rows of the robots that run the law which is called now, in the order of the view
+    rows : of the robots, by name
 
     Attributes
     ----------
     value : (n, 2) m/s and rad/s, or m/s east and north; stays until it is overwritten
     """
 
-    def __init__(self, count: int, rows: Callable[[], list[int]]) -> None:
-        self.value: Array = np.zeros((count, 2))
+    def __init__(self, rows: Mapping[str, int]) -> None:
+        self.value: Array = np.zeros((len(rows), 2))
         self._rows = rows
 
-    def __call__(self, _view: View, _params: Params) -> Array:
+    def __call__(self, view: View, _params: Params) -> Array:
         """Return the rows of the robots of the view, (k, 2); the control law."""
-        found: Array = self.value[self._rows()]
+        found: Array = self.value[[self._rows[name] for name in view.id.tolist()]]
         return found
 
     def law(self, *, planar: bool) -> Any:

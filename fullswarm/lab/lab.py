@@ -266,9 +266,7 @@ class Lab:
             raise ConfigError("velocities are not finite", where="set_velocities")
         name = f"commanded{'_planar' if planar else ''}{'_bc' if filtered else ''}"
         if name not in self._commanded:
-            if len(self._lockstep.agents) > 1:
-                raise ConfigError("velocities cannot be commanded over a network with faults", where="set_velocities")
-            commanded = Commanded(len(self.robots), lambda: self._running(name))
+            commanded = Commanded(self._lockstep.world.rows)
             record = {"summary": "Commanded by a program", "filtered": filtered, "parameters": {}}
             self._install(name, Given(name, commanded.law(planar=planar), record), name)
             self._commanded[name] = commanded
@@ -448,11 +446,6 @@ class Lab:
         agent, row = self._rows[robot]
         task = agent.tasks.of[row]
         return task.request.behaviour if task is not None else ""
-
-    def _running(self, behaviour: str) -> list[int]:
-        """Return the rows of the robots that run a behaviour."""
-        tasks = self._lockstep.agent.tasks.of
-        return [row for row, task in enumerate(tasks) if task is not None and task.request.behaviour == behaviour]
 
     def _request_id(self, robot: str) -> str:
         agent, row = self._rows[robot]

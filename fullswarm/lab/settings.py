@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,17 +10,23 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from fullswarm.config import SwarmConfig
+from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import load_fleet
 from fullswarm.errors import ConfigError
+from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 from fullswarm.simulation.starts import start_problems
 
 USUAL_ENGINE = "kinematic"
 """Of a laboratory without a fleet file: exact, and the fastest."""
 
+START_GAP_M = 0.2
+"""Between the rims of robots, and to walls and obstacles, at start places that the seed chooses."""
+TRIES = 200
+"""Per robot; after that they stand on a grid."""
+
 
 def from_file(fleet: Path | str | SwarmConfig, settings: Mapping[str, object], seed: int) -> SwarmConfig:
-    """Return the settings of a fleet file, or given ones, with `settings` (``"agent.control_rate_hz": 20``) in place of its own.
+    """Return the settings of a fleet file, with `settings` in place of its own, or a given `SwarmConfig`.
 
     Raises
     ------
@@ -68,12 +75,36 @@ def from_arguments(
     except ValidationError as error:
         lines = [f"{'.'.join(str(part) for part in each['loc'])}: {each['msg']}" for each in error.errors()]
         raise ConfigError("; ".join(lines), where="Lab") from None
+    if starts is None:
+        config = config.model_copy(update={"robot": _placed(config, seed)})
     wrong = [what for _, _, what in start_problems(config)]
     if wrong:
         raise ConfigError(
             "; ".join(wrong), where="starts", hint="robots are discs; start them apart and inside the walls"
         )
     return _for_lockstep(config, seed)
+
+
+def _placed(config: SwarmConfig, seed: int) -> tuple[RobotConfig, ...]:
+    """Return the robots at random free places, apart from each other, from walls and obstacles; else where they fit."""
+    world, rng = config.world_or_default, np.random.default_rng(seed)
+    obstacles = with_trigonometry(static_obstacles(world))
+    x_min, y_min, x_max, y_max = world.bounds_m
+    largest_m = max(world.of_body(each).radius_m for each in config.robots)
+    apart_m = 2.0 * largest_m + START_GAP_M
+    places: list[tuple[float, float, float]] = []
+    for _ in range(TRIES * len(config.robot)):
+        if len(places) == len(config.robot):
+            return tuple(
+                robot.model_copy(update={"pose": place}) for robot, place in zip(config.robot, places, strict=True)
+            )
+        x, y, heading = rng.uniform((x_min, y_min, -math.pi), (x_max, y_max, math.pi)).tolist()
+        clear = all(math.hypot(x - other[0], y - other[1]) >= apart_m for other in places) and all(
+            obstacle_gap(x, y, obstacles, k)[0] >= largest_m + START_GAP_M for k in range(len(obstacles))
+        )
+        if clear:
+            places.append((x, y, heading))
+    return config.robot  # so tight that the world puts them on a grid
 
 
 def _for_lockstep(config: SwarmConfig, seed: int) -> SwarmConfig:
