@@ -28,6 +28,19 @@ import numpy as np
 def velocity(view, params):
     return np.tile([{vx}, 0.0], (len(view.position), 1)) * params.speed
 """
+REMEMBERING = """
+from dataclasses import dataclass
+import numpy as np
+from fullswarm.memory import rows
+
+@dataclass
+class Memory:
+    calls: object = rows()
+
+def velocity(view, params, memory):
+    memory.calls += 1
+    return np.tile([1.0, 0.0], (len(view.position), 1)) * params.speed * (memory.calls[:, None] > 75)
+"""
 RECORD = """
 [glide]
 summary = "Glide"
@@ -155,6 +168,23 @@ def test_a_file_that_does_not_load_keeps_the_law_and_is_named_with_its_line(on_b
     lab.write(lab.law, LAW.format(vx=0.5))
     lab.lockstep.run(2.0)
     assert lab.speed == [0.15, 0.15]
+
+
+def test_memory_starts_afresh(on_board: Lab) -> None:
+    lab = on_board
+    lab.ask()
+    watch(lab)
+    lab.lockstep.run(1.0)
+    lab.write(lab.law, REMEMBERING)
+    lab.lockstep.run(0.9)
+    assert lab.speed == [0.0, 0.0]
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.3, 0.3]
+    lab.write(lab.law, REMEMBERING.replace("> 75", "> 60"))
+    lab.lockstep.run(1.2)
+    assert lab.speed == [0.0, 0.0]  # its count begins at zero again
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.3, 0.3]
 
 
 def test_a_centralised_law_is_exchanged_as_well(lab: Lab) -> None:
