@@ -126,6 +126,8 @@ def law_module(name: str) -> Any:
     ConfigError
         Unknown law, or a plug-in that does not import.
     """
+    if name in _GIVEN:
+        return _GIVEN[name]
     target = LAWS.get(name) or _entry_point(BEHAVIOUR_GROUP, name)
     if target is None:
         raise ConfigError(f"this robot has no control law '{name}'", hint=did_you_mean(name, law_names()))
@@ -169,6 +171,30 @@ def record_files() -> tuple[Path, ...]:
     """
     files = [file.with_suffix(".toml") for file in law_files().values()]
     return tuple(dict.fromkeys(file for file in files if file.is_file()))
+
+
+# ---------------------------------------------------------------- laws of this process alone
+_GIVEN: dict[str, Any] = {}
+
+
+def give_law(name: str, module: Any) -> None:
+    """Have this process find a law, a module or an object like one, that no package has installed.
+
+    Raises
+    ------
+    ConfigError
+        A law of that name is known already.
+    """
+    if name in _GIVEN or name in law_names():
+        raise ConfigError(f"a control law '{name}' exists already", hint="give it another name")
+    _GIVEN[name] = module
+    law_module.cache_clear()
+
+
+def take_law(name: str) -> None:
+    """Forget a law that :func:`give_law` has made known."""
+    _GIVEN.pop(name, None)
+    law_module.cache_clear()
 
 
 # ---------------------------------------------------------------- laws under development
@@ -222,6 +248,26 @@ def check_law(name: str) -> None:
             _load(spec.name, Path(spec.origin))
 
 
+def load_file(file: Path) -> ModuleType:
+    """Return the module of a Python file that belongs to no package; it need not have a law.
+
+    Raises
+    ------
+    ConfigError
+        It does not load; names file and line.
+    """
+    name = f"fullswarm_file.{file.stem}"
+    before = sys.modules.get(name)
+    try:
+        module = _load(name, file.absolute(), needs_law=False, register=True)
+    except ConfigError:
+        sys.modules.pop(name, None)
+        if before is not None:
+            sys.modules[name] = before
+        raise
+    return module
+
+
 def put_in_place(module: ModuleType) -> None:
     """Use a module that :func:`load_again` has returned, in place of the one of its name."""
     sys.modules[module.__name__] = module
@@ -232,17 +278,19 @@ def put_in_place(module: ModuleType) -> None:
     centralised_module.cache_clear()
 
 
-def _load(name: str, file: Path) -> ModuleType:
+def _load(name: str, file: Path, *, needs_law: bool = True, register: bool = False) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None:
         raise ConfigError("is no Python file", where=str(file))
     module = importlib.util.module_from_spec(spec)
+    if register:
+        sys.modules[name] = module  # a dataclass looks its module up
     try:
         # From the source itself: compiled files are told apart by whole seconds.
         exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)  # noqa: S102  (as any import does)
     except Exception as error:  # outside code: whatever it raises, the law before stays in use
         raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=_line_of(error, file)) from error
-    if not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
+    if needs_law and not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
         raise ConfigError("has no law", where=str(file), hint="define velocity(view, params) or twist(view, params)")
     return module
 
