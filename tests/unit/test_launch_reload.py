@@ -253,6 +253,20 @@ def test_a_project_file_that_is_being_edited_ends_nothing(on_board: Lab) -> None
     assert lab.speed == [0.15, 0.15]
 
 
+def test_looking_at_the_files_reads_no_installed_package(on_board: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    on_board.ask()
+    watch(on_board)
+    read: list[str] = []
+
+    def entry_points(**named: str) -> tuple[str, ...]:
+        read.append(str(named))
+        return ()
+
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
+    on_board.lockstep.run(2.0)
+    assert read == []
+
+
 def test_built_in_laws_are_not_watched(on_board: Lab) -> None:
     assert set(registry.law_files()) == {"ring", "glide"}
     on_board.ask()
