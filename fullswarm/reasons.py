@@ -58,6 +58,8 @@ class Code(enum.StrEnum):
     POSITION = "position"  # its autopilot has no position
     PORT_HELD = "port_held"  # another process uses the port
 
+    ACTUATOR = "actuator"  # name, error: it does not take what a control law asks for
+
     # why a request was refused or ended
     ESTOP_LATCHED = "estop_latched"
     VOIDED = "spent"  # why
@@ -101,6 +103,7 @@ TEXTS: dict[Code, str] = {
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
+    Code.ACTUATOR: "the actuator '{name}' is not set: {error}",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
 from fullswarm.agent.messaging.exchange import Exchange
+from fullswarm.agent.motion.actuation import ActuatorCommands
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
@@ -139,6 +140,7 @@ class AgentNode:
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
+        self.actuators = ActuatorCommands(fleet)
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.inbox = Inbox(
@@ -309,6 +311,9 @@ class AgentNode:
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.asked:
+            self.actuators.carry_out(self.desired.asked, self.controller.drive_on)
+            self.desired.asked.clear()
         if self.desired.news:
             self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:

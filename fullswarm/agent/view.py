@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fullswarm.agent.messaging.received import Heard
 from fullswarm.agent.messaging.table import SharedTable
+from fullswarm.agent.motion.actuation import Actuation
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
 from fullswarm.errors import ConfigError
@@ -207,6 +208,8 @@ class View:
     blocked : out: by robot, why the control law knows no way
     """
 
+    actuations: tuple[Actuation, ...] = ()  # out: see `actuate`
+
     def __init__(
         self,
         position: Array,
@@ -297,6 +300,20 @@ class View:
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
+
+    def actuate(self, robots: int | Index | NDArray[np.bool_] | Sequence[int], name: str, value: object) -> None:
+        """Ask for the state of an actuator that the make declares, see :mod:`fullswarm.drivers.actuators`.
+
+        A value is a state: ask for it each time, it is sent once. The robot's driver checks it; what it refuses is
+        logged with the reason, and the robot drives on. It is passed on while the robot may drive.
+
+        Parameters
+        ----------
+        robots : which, as one row, rows (k,) or flags (n,)
+        """
+        chosen = np.asarray(robots)
+        rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen.ravel()
+        self.actuations = (*self.actuations, *(Actuation(int(row), name, value) for row in rows))
 
     @property
     def predicted(self) -> Array:

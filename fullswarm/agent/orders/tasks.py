@@ -301,6 +301,7 @@ class Tasks:
     def release(self, law: str) -> dict[int, ConfigError]:
         """Begin the tasks with a control law anew; return why it was not possible, by robot, whose tasks have ended."""
         self._held.discard(law)
+        self._apart.discard(law)  # the law may be another kind now
         refused = {}
         for row in self.rows_with(law):
             task = self.of[row]
