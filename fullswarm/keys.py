@@ -24,6 +24,9 @@ key                                                     message                w
 ``<swarm>/clock/<host>/reply``                          ClockReply             core → agent
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
+``<swarm>/mission/request``                             MissionRequest         operator → core
+``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
+``<swarm>/mission/status``                              MissionStatus          core → all
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -154,6 +157,20 @@ class Keys:
     def leases(self) -> str:
         """The present leases of all robots."""
         return f"{self.swarm}/lease/holders"
+
+    @property
+    def mission_request(self) -> str:
+        """Requests of operators to start and control missions."""
+        return f"{self.swarm}/mission/request"
+
+    def mission_reply(self, request_id: str = ANY) -> str:
+        """The core's answers to them."""
+        return f"{self.swarm}/mission/reply/{request_id}"
+
+    @property
+    def mission_status(self) -> str:
+        """The state of each mission."""
+        return f"{self.swarm}/mission/status"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

@@ -173,6 +173,125 @@ class Ping(Message, frozen=True, kw_only=True):
     robot: str
 
 
+# ---------------------------------------------------------------- missions
+Label = Annotated[str, Meta(max_length=64)]
+Text = Annotated[str, Meta(max_length=500)]
+
+MissionOp = Literal["check", "start", "pause", "resume", "abort", "confirm", "show"]
+MissionPhase = Literal["running", "paused", "done", "failed", "aborted"]
+StepPhase = Literal["waiting", "running", "paused", "done", "failed", "skipped"]
+
+
+class StepConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """When a step of a mission is done; what is empty or None is no condition. Part of MissionStep."""
+
+    when: Literal["all", "any"] = "all"  # of the conditions below
+    arrived: Literal["", "all", "any"] = ""  # robots that reported "arrived", or are within `within_m` of their goal
+    within_m: HalfSize = 0.0  # 0: the behaviour's arrive_radius_m, or a default
+    time_s: Duration | None = None  # since the step began; pauses do not count
+    metric: Label = ""  # "coverage.fraction >= 0.8"
+    confirm: Text = ""  # what an operator is to confirm
+
+
+class MissionStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One behaviour of a mission, and when it is over; part of MissionTrack."""
+
+    name: Label
+    behaviour: Label = ""  # empty: none, the track waits for the conditions
+    robots: Names = ()  # empty: the whole swarm; "@name": a group
+    parameters: Parameters = {}
+    done: StepConditions = StepConditions()
+    after: Names = ()  # "track/step" of other tracks that must be done before
+    fail_after_s: Duration = 0.0  # 0: it may take any time
+    on_failed: Literal["pause", "abort", "continue"] = "pause"
+    keep_running: bool = False  # its robots go on after it, until another request
+
+
+class MissionTrack(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Steps that follow one another; the tracks of a mission run at the same time. Part of MissionPlan."""
+
+    name: Label
+    steps: Annotated[tuple[MissionStep, ...], Meta(max_length=256)]
+
+
+class MissionPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A whole mission, as its file describes it; part of MissionRequest."""
+
+    name: Label
+    tracks: Annotated[tuple[MissionTrack, ...], Meta(max_length=64)]
+
+
+class MissionRequest(Message, frozen=True, kw_only=True):
+    """An operator checks, starts or controls a mission. Repeated until answered; `id` makes it exactly-once."""
+
+    id: Label
+    op: MissionOp
+    mission: Label = ""  # its id, or its name if only one has it; empty: the only one that has not ended
+    plan: MissionPlan | None = None  # for check and start; the started mission's id is `id`
+    track: Label = ""  # for confirm: with `step`; empty: the only one that waits
+    step: Label = ""
+    source: str = ""
+    operator: str = ""
+    take: bool = False  # take its robots over from the operators that hold them
+    clock: str = ""  # as in BehaviourRequest
+    stamp_s: Stamp = 0.0
+
+
+class MissionProblem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Something wrong with a plan; part of MissionReply."""
+
+    track: Label
+    step: Label
+    key: Label  # "behaviour", "robots", "parameters", …
+    text: str
+
+
+class MissionReply(Message, frozen=True, kw_only=True):
+    """The core's answer to a MissionRequest."""
+
+    id: str
+    ok: bool
+    mission: str = ""
+    reason: str = ""
+    code: str = ""  # of the reason, see `fullswarm.reasons`
+    problems: Annotated[tuple[MissionProblem, ...], Meta(max_length=MOST)] = ()
+
+
+class StepStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One step of a mission as it is now; part of TrackStatus."""
+
+    name: str
+    behaviour: str
+    phase: StepPhase
+    robots: Names = ()
+    elapsed_s: Duration = 0.0
+    request_id: str = ""  # of its newest request
+    waits_for: Annotated[tuple[str, ...], Meta(max_length=64)] = ()  # conditions that do not hold yet, for people
+    confirm: str = ""  # what an operator is to confirm now; empty: nothing
+    reason: str = ""  # why it failed or is paused
+
+
+class TrackStatus(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One track of a mission as it is now; part of MissionStatus."""
+
+    name: str
+    steps: Annotated[tuple[StepStatus, ...], Meta(max_length=256)]
+
+
+class MissionStatus(Message, frozen=True, kw_only=True):
+    """A mission as it is now: on change, and each second until some time after its end."""
+
+    mission: str
+    name: str
+    phase: MissionPhase
+    tracks: Annotated[tuple[TrackStatus, ...], Meta(max_length=64)]
+    operator: str = ""  # that started or last resumed it
+    reason: str = ""  # why it is paused, failed or aborted
+    core: str = ""  # which core process
+    sequence: Ordinal = 0
+    stamp_s: Stamp = 0.0
+
+
 # ---------------------------------------------------------------- core -> agents
 class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
@@ -323,6 +442,9 @@ class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     speed_limit_m_s: Speeds = ()
     turn_limit_rad_s: Turns = ()
     accel_m_s2: Accelerations = ()
+    # By how much a stop from full speed takes longer than the acceleration says, dead time included; empty: by nothing.
+    stop_extra_m: Sigmas = ()
+    stop_extra_s: Sigmas = ()
     own_frame: bool = False  # the poses count from a place of the robot's own, not from the swarm's origin
     sigma_m: Sigmas = ()  # standard deviation of the position along the worse axis; empty: not stated, counts as none
     sigma_rad: Sigmas = ()  # of the heading
@@ -493,9 +615,11 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
+    message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
+    message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/3"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str
@@ -600,6 +724,7 @@ FITS: dict[type[Message], Callable[[Any], bool]] = {
         == len(m.radius_m) and all(
             len(each) in (0, len(m.robots)) for each in (m.teams, m.sigma_m, m.sigma_rad, m.aim_x_m, m.aim_y_m)
         )
+        and len(m.stop_extra_m) == len(m.stop_extra_s) in (0, len(m.robots))
         and len(m.aim_x_m) == len(m.aim_y_m)
         and len(m.speed_limit_m_s) == len(m.turn_limit_rad_s) == len(m.accel_m_s2)
         and (not m.accel_m_s2 or len(m.accel_m_s2) == len(m.robots))

@@ -40,6 +40,7 @@ class Code(enum.StrEnum):
     UNSURE = "unsure"
     SETTLED = "settled"
     SILENT = "silent"  # robots: their names
+    FLOOD = "flood"  # robot: the sender; per_s
     NO_WAY = "no_way"  # goal, needed_m, widest_m
     GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
@@ -56,6 +57,8 @@ class Code(enum.StrEnum):
     MOTORS_OFF = "motors_off"
     POSITION = "position"  # its autopilot has no position
     PORT_HELD = "port_held"  # another process uses the port
+
+    ACTUATOR = "actuator"  # name, error: it does not take what a control law asks for
 
     # why a request was refused or ended
     ESTOP_LATCHED = "estop_latched"
@@ -95,9 +98,12 @@ TEXTS: dict[Code, str] = {
     "it goes on when there is room",
     Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
     "let another robot look at the place",
+    Code.FLOOD: "'{robot}' broadcasts {per_s} times a second, which is more than its behaviour may; what is beyond is "
+    "dropped",
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
+    Code.ACTUATOR: "the actuator '{name}' is not set: {error}",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",

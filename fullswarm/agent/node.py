@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
+from fullswarm.agent.messaging.exchange import Exchange
+from fullswarm.agent.motion.actuation import ActuatorCommands
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.motion.settling import Settling, Wanted
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours
 from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.neighbours.reception import ReceptionReporter
@@ -29,7 +31,7 @@ from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
-from fullswarm.agent.safety.startup import check_stopping
+from fullswarm.agent.safety.startup import check_stopping, vaguest_fix_m
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
@@ -100,15 +102,23 @@ class AgentNode:
             len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
             settings.coordination, fleet.ids, config.world_or_default.seed,
         )  # fmt: skip
-        self.neighbours = _neighbours(settings, fleet, self.controller, accel)
+        top_speed = self.controller.speed_limit.tolist()
+        extra = np.array([each.stop_extra(top) for each, top in zip(limits, top_speed, strict=True)]).reshape(-1, 2)
+        self.neighbours = _neighbours(settings, fleet, self.controller, accel, extra)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
         self.neighbours.delay_of = self.core_clock.delay_s
-        self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self._state_subscriptions = CellSubscriptions(
+            bus, keys.state, RobotStates, config.state_cell_m, self._on_states
+        )  # fmt: skip
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
             alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
         )  # fmt: skip
         self.obstacle_map = ObstacleMap(len(limits), map_of(config))
+        if len(self.obstacle_map.given):
+            from fullswarm.agent.behaviours.navigate import prepare  # most robots have no map, and start sooner without
+
+            prepare(self.obstacle_map.given, config.bounds_m, state.radius, settings.safety_margin_m)
         self._obstacle_sharing = ObstacleSharing(bus, keys, identity.host, self.obstacle_map)
         range_m = min(each.bodies_range_m for each in fleet.descriptions)
         self.objects = ObjectTracker(
@@ -130,6 +140,7 @@ class AgentNode:
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
+        self.actuators = ActuatorCommands(fleet)
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.inbox = Inbox(
@@ -140,8 +151,17 @@ class AgentNode:
         )
         self._estimator = estimator_for(config, fleet, start)
         state.sigma = self._estimator.sigma
-        self.fixes = Fixes(bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health)
+        self.fixes = Fixes(
+            bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
+            vague_m=vaguest_fix_m(config, fleet.descriptions),
+        )  # fmt: skip
         self.desired.context.contacts = self.fixes.touches
+        self.exchange = Exchange(
+            bus, keys, scheduler, identity.host, fleet.ids, config.state_cell_m, state, self.tasks, self.neighbours,
+            settings.sensing_radius_m, 1.0 / settings.control_rate_hz,
+            FOLLOW_PERIOD_S * float(self.controller.speed_limit.max()),
+        )  # fmt: skip
+        self.desired.context.channel = self.exchange.channel
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -158,9 +178,9 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
-            limits=np.stack([self.controller.speed_limit, self.controller.turn_limit, accel], axis=1),
+            limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
         )  # fmt: skip
         self._task = Task(self.tasks.active, self.tasks.survives_core, self.tasks.expires_at_s)
         self._link = Link(core_alive=False, hub_alive=False, driver_ready=state.driver_ready)
@@ -238,6 +258,7 @@ class AgentNode:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
         self._act(now_s, reading, self.tasks.groups())
+        self.exchange.send()
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
@@ -272,7 +293,9 @@ class AgentNode:
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         self.desired.gather(groups, now_s, reading, dt_s, at_tick=at_tick)
-        self.reflexes.watch_geofence(self._state.pose, self._state.twist, self.controller.desired)
+        self.reflexes.watch_geofence(
+            self._state.pose, self._state.twist, self.controller.desired, self.filter.commands.underway
+        )
         # Tuples are kept while nothing in them changed: to make them takes longer than to decide.
         link, core_alive, hub_alive = self._link, self.inbox.core_alive(now_s), self._bus.connected()
         ready = self._drivers.look()
@@ -288,6 +311,9 @@ class AgentNode:
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.asked:
+            self.actuators.carry_out(self.desired.asked, self.controller.drive_on)
+            self.desired.asked.clear()
         if self.desired.news:
             self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
@@ -308,8 +334,9 @@ class AgentNode:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         # What comes within reach before the next call must be subscribed already.
         way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
-        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        reach_m = max([self._config.sensing_radius_m, self.exchange.reach_m, *reaches_m]) + way_m
         self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
+        self.exchange.follow()
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
@@ -320,6 +347,7 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         self.reception.update()
+        self.exchange.watch()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -370,7 +398,9 @@ class AgentNode:
                 "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
                 **self.calculators.columns(),
             }
-            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, columns)
+            message = self.metrics.message(
+                now_s, self._identity, self._loop(), self._bus, self.exchange.counts, columns
+            )
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
@@ -405,6 +435,7 @@ class AgentNode:
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()
+        self.exchange.close()
         self._object_subscription.close()
         self.silent_search.close()
         self.fixes.close()
@@ -431,7 +462,9 @@ def _doubt(reflexes: Reflexes, conflicts: PoseConflicts) -> Doubt:
     )  # fmt: skip
 
 
-def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array) -> Neighbours:
+def _neighbours(
+    settings: AgentConfig, fleet: Fleet, controller: RobotController, accel: Array, extra: Array
+) -> Neighbours:
     # A robot that states no limits is taken for one like this one.
     assumed = Assumed(
         accel_m_s2=float(accel.max()),
@@ -440,6 +473,8 @@ def _neighbours(settings: AgentConfig, fleet: Fleet, controller: RobotController
         # A silent robot has lost its agent, the hub or the core, and is at standstill by then.
         halt_s=settings.core_silence_s + settings.command_ttl_s,
         confidence=settings.pose_confidence_sigma,
+        extra_m=float(extra[:, 0].max()),
+        extra_s=float(extra[:, 1].max()),
     )
     return Neighbours(fleet.ids, settings.neighbour_timeout_s, assumed)
 

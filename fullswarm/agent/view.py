@@ -11,11 +11,14 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.agent.messaging.received import Heard
+from fullswarm.agent.messaging.table import SharedTable
+from fullswarm.agent.motion.actuation import Actuation
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
 from fullswarm.errors import ConfigError
@@ -32,6 +35,24 @@ def nothing_known(_row: int, _source: str) -> Array:
 def none_standing(_row: int) -> Array:
     """Return no obstacles."""
     return NO_OBSTACLES
+
+
+class Channel(Protocol):
+    """What the robots of one call of a control law broadcast and receive through; see ``messaging.exchange``."""
+
+    def say(self, fields: dict[str, Any]) -> None:
+        """Broadcast values; see :meth:`View.say`."""
+        ...
+
+    @property
+    def heard(self) -> Heard:
+        """What they have received."""
+        ...
+
+    @property
+    def table(self) -> SharedTable:
+        """The shared table of their request."""
+        ...
 
 
 Words = NDArray[np.str_]
@@ -77,6 +98,7 @@ class Context:
     index : (n,) place of each among the members of its request; -1: it is not among them
     contacts : returns how many bodies each robot touches, (n,)
     generator : returns the random number generator of a robot's task
+    channel : returns what the robots of a call, by rows (None: all), broadcast and receive through; None: nothing does
     now_s, dt_s : time of this tick, and since the one before, s
     """
 
@@ -87,6 +109,7 @@ class Context:
     index: Index
     contacts: Callable[[], Index]
     generator: Callable[[int], np.random.Generator] = _seeded_by_row
+    channel: Callable[[Index | None], Channel] | None = None
     now_s: float = 0.0
     dt_s: float = 0.02
     _own: Words | None = field(default=None, init=False)
@@ -185,6 +208,8 @@ class View:
     blocked : out: by robot, why the control law knows no way
     """
 
+    actuations: tuple[Actuation, ...] = ()  # out: see `actuate`
+
     def __init__(
         self,
         position: Array,
@@ -218,6 +243,7 @@ class View:
         # Filled when first asked for. Plain slots: functools.cached_property takes a lock on Python 3.11.
         self._lists: tuple[Index, Index] | None = None
         self._described: tuple[Index, Array, Array, Array] | None = None
+        self._heard: Heard | None = None
 
     def _neighbours(self) -> tuple[Index, Index]:
         if self._lists is None:
@@ -274,6 +300,20 @@ class View:
     def neighbours(self) -> Array:
         """How many neighbours each robot senses, (n, 1)."""
         return (self.start[1:] - self.start[:-1]).astype(float)[:, None]
+
+    def actuate(self, robots: int | Index | NDArray[np.bool_] | Sequence[int], name: str, value: object) -> None:
+        """Ask for the state of an actuator that the make declares, see :mod:`fullswarm.drivers.actuators`.
+
+        A value is a state: ask for it each time, it is sent once. The robot's driver checks it; what it refuses is
+        logged with the reason, and the robot drives on. It is passed on while the robot may drive.
+
+        Parameters
+        ----------
+        robots : which, as one row, rows (k,) or flags (n,)
+        """
+        chosen = np.asarray(robots)
+        rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen.ravel()
+        self.actuations = (*self.actuations, *(Actuation(int(row), name, value) for row in rows))
 
     @property
     def predicted(self) -> Array:
@@ -400,6 +440,38 @@ class View:
         self.shared()
         rows = range(len(self.position)) if self._rows is None else self._rows.tolist()
         return Draws([self.context.generator(row) for row in rows])
+
+    # ------------------------------------------------------------------ messages between the robots of a request
+    def _channel(self) -> Channel:
+        self.shared()
+        if self.context.channel is None:
+            raise ConfigError(
+                "there is nothing here to broadcast through", hint="give the view a context with a channel"
+            )
+        return self.context.channel(self._rows)
+
+    def say(self, **fields: Any) -> None:
+        """Broadcast to the neighbours what the law's class ``Says`` declares, at its rate: 10 Hz at most.
+
+        The newest values count. A robot with a NaN among its values broadcasts nothing.
+
+        Parameters
+        ----------
+        fields : all that is declared, each of its shape (n, ...) or one number for all robots
+        """
+        self._channel().say(fields)
+
+    @property
+    def heard(self) -> Heard:
+        """What was received from robots that run the same request and are within range now, as pairs."""
+        if self._heard is None:
+            self._heard = self._channel().heard
+        return self._heard
+
+    @property
+    def table(self) -> SharedTable:
+        """The shared key-value table of the request, as each robot knows it by now."""
+        return self._channel().table
 
     def finish(self, robots: Index | NDArray[np.bool_] | Sequence[int], outcome: Outcome, text: str = "") -> None:
         """End the behaviour on some robots with a result: they stand, and operators and missions see it.

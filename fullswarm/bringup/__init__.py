@@ -14,5 +14,6 @@ file                        what it does
 ``emulate.py``              `emulate`: one emulated robot on a real port, with faults on request
 ``info.py``                 `info`: what a bug report needs
 ``init.py``                 `init`: a lab's folder, made of ``lab/``
+``new_behaviour.py``        `behaviours new`: a law, its record and its test, made of ``lab/``
 =========================== ==================================================================
 """

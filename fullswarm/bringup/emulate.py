@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 from fullswarm import output
@@ -159,7 +159,9 @@ class _Printer:
     def print_change(self, now_s: float) -> None:
         """Print the state when it has changed."""
         state = self._body.state()
-        doing = f"{self._mode()}{_plain(state.speed_m_s):+.2f} m/s {_plain(state.turn_rad_s):+.2f} rad/s"
+        doing = f"{self._named('mode')}{_plain(state.speed_m_s):+.2f} m/s {_plain(state.turn_rad_s):+.2f} rad/s"
+        if shows := self._named("shows"):
+            doing += f", {shows.rstrip()}"
         moves = bool(_plain(state.speed_m_s) or _plain(state.turn_rad_s))
         if doing == self._printed and not (moves and now_s - self._printed_s >= PRINT_S):
             return
@@ -168,11 +170,12 @@ class _Printer:
         x, y = _plain(state.x_m), _plain(state.y_m)
         output.progress(f"{doing}  at x {x:.2f} y {y:.2f} m, heading {heading:.0f} degrees")
 
-    def _mode(self) -> str:
-        """Return the mode that the firmware is in, where it has one."""
+    def _named(self, part: Literal["mode", "shows"]) -> str:
+        """Return the firmware's mode, or what the robot shows, where its make names a function for that."""
         make = make_of(self._emulator.url)
-        mode = make.emulation.mode if make.emulation else ""
-        return f"{emulation_part(make, mode)(self._emulator)} " if mode else ""
+        target = getattr(make.emulation, part) if make.emulation else ""
+        text = str(emulation_part(make, target)(self._emulator)) if target else ""
+        return f"{text} " if text else ""
 
 
 def _plain(value: float) -> float:

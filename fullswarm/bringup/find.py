@@ -13,9 +13,13 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.drivers.make import Scope, make_of, makes
 from fullswarm.drivers.probe import ask
 from fullswarm.drivers.probe.found import Found
+from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from fullswarm.drivers.actuators import Actuator
+    from fullswarm.drivers.base import Driver
 
 
 def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_json: bool) -> int:
@@ -40,6 +44,9 @@ def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_jso
         output.data(f"\n{fleet_lines(found)}")
         for make in dict.fromkeys(make_of(each.url) for each in found if each.url):
             output.progress(f"what was proven for {make.robots}: {make.proven()}")
+        for robot in found:
+            if names := ", ".join(part.name for part in _actuators(robot)):
+                output.progress(f"actuators of {robot.port}: {names}")
     for each in answers:
         if each.problem:
             product = f" ({each.product})" if each.product else ""
@@ -51,7 +58,17 @@ def find(ports: Sequence[str], can: Sequence[str], udp: Sequence[str], *, as_jso
 
 def _facts(robot: Found) -> dict[str, object]:
     evidence = make_of(robot.url).evidence if robot.url else ()
-    return {**asdict(robot), "evidence": [asdict(each) for each in evidence]}
+    parts = [{"name": each.name, "takes": each.expected(), "doc": each.doc} for each in _actuators(robot)]
+    return {**asdict(robot), "evidence": [asdict(each) for each in evidence], "actuators": parts}
+
+
+def _actuators(robot: Found) -> tuple[Actuator, ...]:
+    """Return what a robot has beside wheels; none where no driver fits, or its URL has yet to be completed."""
+    try:
+        driver: Driver = make_of(robot.url).driver_class()(robot.url)
+    except ConfigError:
+        return ()
+    return driver.description.actuators
 
 
 def fleet_lines(found: Sequence[Found]) -> str:

@@ -40,7 +40,7 @@ def run(folder: Path, *, dry_run: bool) -> int:
     files = {folder / path: text for path, text in lab_files(name, str(folder)).items()}
     _check_empty(folder)
     if not dry_run:
-        _write(files)
+        write(files)
     for path in files:
         output.data(str(path))
     output.progress("nothing was written" if dry_run else next_steps(folder))
@@ -116,7 +116,8 @@ def _check_empty(folder: Path) -> None:
         raise ConfigError(f"is not empty: {some}", where=str(folder), hint="name a new folder; nothing was written")
 
 
-def _write(files: dict[Path, str]) -> None:
+def write(files: dict[Path, str]) -> None:
+    """Write texts to their files, making folders; ``ConfigError`` for one that cannot be written."""
     for path, text in files.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

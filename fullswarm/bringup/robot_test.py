@@ -461,6 +461,11 @@ def _stopped_at_the_end(driver: Driver) -> Iterator[None]:
             raise
 
 
+def _beside_wheels(description: Description) -> str:
+    parts = [f"{each.name} ({each.expected()})" for each in description.actuators]
+    return f"Actuators, which this does not test: {'; '.join(parts)}\n" if parts else ""
+
+
 def _explain(description: Description, speed_m_s: float) -> str:
     limits = description.limits
     watchdog = "none" if description.watchdog_s is None else f"{description.watchdog_s:g} s"
@@ -469,6 +474,7 @@ def _explain(description: Description, speed_m_s: float) -> str:
     return (
         f"{description.make} {description.model}: up to {limits.speed_m_s:.2f} m/s, {limits.turn_rad_s:.2f} rad/s; "
         f"its own watchdog: {watchdog}\n"
+        f"{_beside_wheels(description)}"
         f"It will drive forwards, backwards, left and right, a second or two each, its wheels at {speed_m_s:g} m/s.\n"
         f"{alone}{place}\nCtrl-C stops the wheels at any time."
     )

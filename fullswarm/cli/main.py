@@ -18,6 +18,7 @@ from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
+from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import Target
@@ -79,6 +80,21 @@ Network = Annotated[
 ]
 
 
+Reload = Annotated[
+    bool,
+    typer.Option(
+        "--reload",
+        help="Load behaviours of the package in this folder, and of others that are installed, again when they change.",
+    ),
+]
+
+
+def _developed(reload: bool, fleet: Path | None) -> Path | None:
+    from fullswarm.launch.reload import folder
+
+    return folder(fleet) if reload else None
+
+
 def _load(fleet: Path, overrides: list[str] | None) -> SwarmConfig:
     from fullswarm.drivers.fleet_file import load_fleet
 
@@ -125,16 +141,21 @@ def demo(
     ] = None,
     network: Network = None,
     overrides: Overrides = None,
+    reload: Reload = False,
 ) -> int:
     """Run eight simulated robots that drive to a goal, flock and meet; your first request ends the demo."""
     from fullswarm.demo import run as show
 
     config = show.demo_config(fleet, tuple(overrides or ()), network)
+    if reload and lockstep:
+        raise ConfigError("--reload and --lockstep exclude each other", hint="leave --lockstep out")
     if lockstep:
         return show.run_lockstep(config, seconds, seed, as_json)
     from fullswarm.demo.live import DemoOptions, run_live
 
-    return run_live(config, DemoOptions(seconds, as_json, headless, console, stay, open_browser))
+    return run_live(
+        config, DemoOptions(seconds, as_json, headless, console, stay, open_browser, _developed(reload, fleet))
+    )
 
 
 @app.command(rich_help_panel=START)
@@ -145,6 +166,7 @@ def up(
     network: Network = None,
     console: Annotated[bool, typer.Option("--console", help="Serve the web console too; print its address.")] = False,
     insecure_network: Insecure = False,
+    reload: Reload = False,
 ) -> int:
     """Start all processes of a fleet file on this machine: hub, core, world, one agent per robot."""
     from fullswarm.drivers.fleet_file import load_fleet
@@ -152,7 +174,7 @@ def up(
     from fullswarm.simulation.starts import start_problems
 
     config = load_fleet(fleet, tuple(overrides or ()), here=True, check=start_problems)
-    return run(config, insecure_network, network, console=console)
+    return run(config, insecure_network, network, console=console, develop=_developed(reload, fleet))
 
 
 @app.command(rich_help_panel=START)

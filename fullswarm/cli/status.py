@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -157,18 +158,37 @@ def _robot_cells(row: RobotRow) -> tuple[str, ...]:
 
 
 # ---------------------------------------------------------------- behaviours
+NEW = "new"
+
+
 @shell_command()
 def behaviours(
     target: Target,
     name: Annotated[
         str | None, typer.Argument(help="Show the parameters of this one.", autocompletion=completion.behaviours)
     ] = None,
+    new_name: Annotated[str | None, typer.Argument(metavar="[NEW_NAME]", help="With `new`: the one to write.")] = None,
+    centralised: Annotated[
+        bool, typer.Option("--centralised", help="With `new`: a law that the base station computes for all robots.")
+    ] = False,
     timeout: Timeout = 3.0,
     as_json: Json = False,
 ) -> int:
-    """List the behaviours that can be requested, or the parameters of one."""
+    """List the behaviours that can be requested, or the parameters of one. `behaviours new NAME` writes one.
+
+    `new` writes the control law, its record and its test into the Python package around the current folder, or into a
+    new one.
+    """
     from rich.markup import escape
 
+    if name == NEW:
+        from fullswarm.bringup.new_behaviour import run
+
+        if new_name is None:
+            raise ConfigError("it needs a name", where=f"behaviours {NEW}", hint="fullswarm behaviours new orbit")
+        return run(new_name, centralised=centralised, folder=Path.cwd())
+    if new_name is not None or centralised:
+        raise ConfigError(f"goes with `{NEW}` only", where=new_name or "--centralised", hint="behaviours new NAME")
     records = _tables(target, "behaviour/", timeout)
     if name is not None and name not in records:
         raise ConfigError(f"no behaviour '{name}'", hint=did_you_mean(name, records))

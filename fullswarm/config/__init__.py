@@ -5,6 +5,7 @@
 Files:
 
 ``fleet_file.py``   reads and writes fleet files: all errors at once, each with its file, line and key
+``mission_file.py`` reads mission files, and checks a mission as far as no swarm is needed
 ``models.py``       the schema and its ranges
 ``parameter.py``    a parameter of a behaviour: its type, its range, and the check that core and robots share
 ``toml_errors.py``  reads TOML and explains what is wrong in it, with the line of each error

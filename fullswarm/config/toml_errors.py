@@ -162,7 +162,7 @@ def parse_section(
         return validated(schema, data)
     except ValidationError as error:
         lines, found = line_numbers(text), set[tuple[int, str]]()
-        for details in _own(error.errors(include_url=False)):
+        for details in own_errors(error.errors(include_url=False)):
             path, what = explained(details, schema)
             line = next((lines[path[:end]] for end in range(len(path), 0, -1) if path[:end] in lines), 0)
             place = f"{where}:{line}" if line else where
@@ -176,7 +176,7 @@ def validated(schema: type[S], data: object) -> S:
     return schema.model_validate_json(json.dumps(data, default=str), strict=True)
 
 
-def _own(errors: list[ErrorDetails]) -> list[ErrorDetails]:
+def own_errors(errors: list[ErrorDetails]) -> list[ErrorDetails]:
     """Leave out lists that are too short only because what stands in them is wrong, and so was not counted."""
     paths = [each["loc"] for each in errors]
 

@@ -1,7 +1,8 @@
 """The core layer (paper II.C): runs on the base station, decides which robot runs what, has no connection to a driver.
 
-In: ``BehaviourRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and ``ControlAck`` of the agents.
-Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all, ``Heartbeat``.
+In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operators, ``HealthReport`` and
+``ControlAck`` of the agents. Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` and
+``MissionStatus`` to all, ``Heartbeat``.
 
 ``behaviours.toml``    the behaviours that exist: people edit this
 ``behaviours.py``      reads and checks the records of behaviours; completes a request's parameters by its record
@@ -12,6 +13,9 @@ Out: ``ControlRequest`` and ``Command`` to each agent, ``RequestStatus`` to all,
 ``request_handler.py`` brings every robot to its desired state, whatever message is lost or process restarted
 ``desired.py``         one robot: its order, what it confirmed, the control request in flight
 ``request_status.py``  one request: its status, derived from the states of its robots and published
+``missions.py``        runs missions: steps of requests with conditions, kept over restarts
+``mission_state.py``   a mission's state machine, and what a step waits for; pure
+``mission_facts.py``   where robots are and what metrics say, while a mission needs it
 ``remap.py``           keeps the node of the centralised behaviours in step with the robots' desired states
 ``relay.py``           passes on states between robots that do not receive each other
 ``clock.py``           tells agents the core's time

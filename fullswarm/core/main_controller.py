@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from fullswarm.bus import Bus
 from fullswarm.core.behaviours import Library, Record
@@ -54,12 +54,12 @@ class MainController:
         request_order: RequestOrder,
     ) -> None:
         self._groups, self._authority, self._request_order = groups, authority, request_order
-        self._library, self._roster, self._board = library, roster, board
+        self.library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
         handler.watch_holders(remapper.narrow)
         self._subscriptions = [
-            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._requested),
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self.submit),
             bus.subscribe(keys.stop, StopRequest, self._stopped),
             bus.subscribe(keys.estop, EStop, self._emergency),
         ]
@@ -69,15 +69,30 @@ class MainController:
         for subscription in self._subscriptions:
             subscription.close()
 
-    def _known(self, request_id: str) -> bool:
-        """Answer a repeated request with its newest status."""
+    def knows(self, request_id: str) -> bool:
+        """Tell whether a request is held by some robot, or is remembered with its end."""
         return self._handler.holds(request_id) or self._board.get(request_id) is not None
 
-    def _requested(self, request: BehaviourRequest) -> None:
+    def check(self, behaviour: str, parameters: Mapping[str, Value], robots: Sequence[str]) -> None:
+        """Check what a mission will request later.
+
+        Raises
+        ------
+        RequestRefused
+            No such behaviour, one that expires unless it is repeated, or parameters that do not fit it.
+        """
+        record = self.library.get(behaviour)
+        if record.expires_s > 0.0:
+            raise RequestRefused(f"'{behaviour}' expires unless it is repeated: it is for sticks")
+        _check_packages(record)
+        self.library.resolve(record, parameters, robots)
+
+    def submit(self, request: BehaviourRequest) -> None:
+        """Accept or refuse a request; one that is known gets its newest status again, and nothing else."""
         try:
             if request.behaviour == STOP:
                 self._record_stop(request)
-            if self._known(request.id):
+            if self.knows(request.id):
                 self._board.repeat(request.id)
             else:
                 self._accept(request)
@@ -94,12 +109,10 @@ class MainController:
     def _accept(self, request: BehaviourRequest) -> None:
         if not request.id:
             raise RequestRefused("the request has no id", hint="give each request an id of its own")
-        record = self._library.get(request.behaviour)
-        robots = self._addressed(request.robots, lenient=record.name == STOP)
-        parameters = self._library.resolve(record, request.parameters, robots)
-        if record.centralised and (absent := missing_packages()):
-            extra = 'pip install "fullswarm[core]"'
-            raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
+        record = self.library.get(request.behaviour)
+        robots = self.addressed(request.robots, lenient=record.name == STOP)
+        parameters = self.library.resolve(record, request.parameters, robots)
+        _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
             self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
         overtaken, robots = self._overtaken(request, robots)
@@ -136,7 +149,7 @@ class MainController:
         left = tuple(robot for robot in robots if robot not in newer)
         return joined({robot: reason(Code.CAME_FIRST, by=request_id) for robot, request_id in newer.items()}), left
 
-    def _addressed(self, robots: Sequence[str], *, lenient: bool = False) -> tuple[str, ...]:
+    def addressed(self, robots: Sequence[str], *, lenient: bool = False) -> tuple[str, ...]:
         """Return the robots that a request means; none named: all that are known.
 
         `lenient` leaves out unknown ones unless all are.
@@ -168,8 +181,8 @@ class MainController:
     def _stand(self, request_id: str, robots: Sequence[str], why: Reason) -> None:
         """Order `robots` to stand, leaving out unknown ones: a stop is never refused for a misspelt name."""
         if not request_id:  # it cannot be distinguished from others, so each one counts
-            request_id = next(name for name in self._unnamed if not self._known(name))
-        elif self._known(request_id):
+            request_id = next(name for name in self._unnamed if not self.knows(name))
+        elif self.knows(request_id):
             self._board.repeat(request_id)
             return
         known = self._roster.known()
@@ -180,6 +193,12 @@ class MainController:
         else:
             none = "no robot is known" if not robots else f"no robot is named {', '.join(robots)}"
             self._board.publish(_status(request_id, STOP, "ended", given(none)))
+
+
+def _check_packages(record: Record) -> None:
+    if record.centralised and (absent := missing_packages()):
+        extra = 'pip install "fullswarm[core]"'
+        raise RequestRefused(f"a centralised behaviour needs {', '.join(absent)}", hint=extra)
 
 
 def _status(request_id: str, behaviour: str, phase: Phase, why: Reason, robots: tuple[str, ...] = ()) -> RequestStatus:

@@ -13,6 +13,7 @@ from fullswarm.core.groups import Groups
 from fullswarm.core.latches import Latches
 from fullswarm.core.leases import Authority
 from fullswarm.core.main_controller import MainController, adopted_order
+from fullswarm.core.missions import Missions
 from fullswarm.core.relay import StateRelay
 from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
@@ -85,13 +86,16 @@ class CoreNode:
         controller = MainController(
             bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order
         )
+        self.missions = Missions(
+            bus, keys, scheduler, store, controller, self.handler, board, roster, authority, request_order, process
+        )
         self.extra = tuple(extra)
         checks = {**self.settings.checks(), f"{PREFIX}*": self.library.check, f"{GROUP}*": groups.check}
         params = ParamServer(bus, keys, NODE, store, checks, self.library.expand)
         self.relay = StateRelay(bus, keys, scheduler, config.agent.sensing_radius_m, config.state_cell_m)
         self._parts: tuple[Closing, ...] = (
-            controller, authority, self.handler, board, self.remapper, latches, self.relay, roster, params,
-            ClockServer(bus, keys, scheduler, process), *reversed(self.extra),
+            self.missions, controller, authority, self.handler, board, self.remapper, latches, self.relay, roster,
+            params, ClockServer(bus, keys, scheduler, process), *reversed(self.extra),
         )  # fmt: skip
         self._timer = scheduler.every(1.0 / config.core.heartbeat_hz, self._beat, first_s=0.0)
 

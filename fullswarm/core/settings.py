@@ -42,11 +42,16 @@ _LIMITS = {
 }
 
 
+def record_seeds() -> dict[str, Stored]:
+    """Return the records of all installed behaviours, by key of the database; `ConfigError` if one is broken."""
+    return {PREFIX + name: record for name, record in all_records().items()}
+
+
 def seeds(config: SwarmConfig) -> dict[str, Stored]:
     """Return the values of the fleet file and of ``behaviours.toml``, by key of the database."""
     world, agent = config.world, config.agent
     x_low, y_low, x_high, y_high = config.bounds_m
-    values: dict[str, Stored] = {PREFIX + name: record for name, record in all_records().items()}
+    values = record_seeds()
     values |= {
         INTERVAL: config.core.schedule_interval_s,
         SILENCE: SILENCE_S,

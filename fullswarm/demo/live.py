@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -18,6 +19,7 @@ from fullswarm.demo.run import report
 from fullswarm.demo.show import Show, acts_for
 from fullswarm.errors import Unreachable
 from fullswarm.keys import Keys
+from fullswarm.launch import reload
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.supervisor import Supervisor
 from fullswarm.launch.web_console import INSTALL, WebConsole, graphical, missing_extra, open_browser
@@ -45,6 +47,7 @@ class DemoOptions:
     as_json, headless : for programs: the result as a document; no live table
     console : start the web console; usually unless it is for programs
     stay : do not end with the show, but with Ctrl-C; usually in a terminal, with a console
+    develop : folder of a package whose behaviours are loaded again when their files change
     open_browser : show the page at once; usually in a terminal that has a screen
     """
 
@@ -54,6 +57,7 @@ class DemoOptions:
     console: bool | None = None
     stay: bool | None = None
     open_browser: bool | None = None
+    develop: Path | None = None
 
     def settled(self, terminal: bool, screen: bool) -> DemoOptions:
         """Return it with each None decided: whether there is a `terminal`, and a `screen` for a browser."""
@@ -72,7 +76,9 @@ class LiveDemo:
         self.options = options
         self.runtime = Runtime(MonotonicClock(), Mailbox())
         self.runtime.stop_on_signals()
-        self.supervisor = Supervisor(config, self.runtime)
+        self.supervisor = Supervisor(config, self.runtime, develop=options.develop)
+        if options.develop is not None:
+            reload.watch(options.develop, self.runtime)
         self.console: WebConsole | None = None
         self._redirect: RedirectPage | None = None
         if options.console:

@@ -7,6 +7,7 @@ Emulated robots are in :mod:`fullswarm.emulators`, the simulated world in :mod:`
 
 Further files:
 
+``actuators.py``         What a robot has beside its wheels: lamps, displays, speakers, grippers by name and value
 ``base.py``              The HAL contract: what the agent may ask of any robot
 ``can/``                 A differential base with one motor controller per wheel on a CAN bus: ODrive (CANSimple) or
                          VESC

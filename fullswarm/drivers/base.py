@@ -20,6 +20,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm.drivers.actuators import Actuator
 from fullswarm.kernels import Array
 
 NO_OBSTACLES: Array = np.zeros((0, 6))
@@ -72,6 +73,10 @@ class Pose:
     heading_rad: float
 
 
+DECAYED = 4.0
+"""So many time constants, and what decays with them is over."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What the wheels can do; a driver clips to them, which shows in what it returns.
@@ -89,6 +94,15 @@ class Limits:
     overrun_s: float = 0.0
     overrun_m: float = 0.0
     dead_time_s: float = 0.0
+
+    def stop_extra(self, speed_m_s: float) -> tuple[float, float]:
+        """Return by how much a stop from a speed takes longer than the acceleration says: m and s.
+
+        What an overrun leaves of the speed decays with `overrun_s`; after four times that it counts as none.
+        """
+        late_m = speed_m_s * self.dead_time_s if self.dead_time_s > 0.0 else 0.0  # a speed may have no limit
+        over_m = min(self.overrun_s * speed_m_s, self.overrun_m) if self.overrun_s > 0.0 else 0.0
+        return late_m + over_m, self.dead_time_s + DECAYED * self.overrun_s
 
     def clip(self, twist: Twist) -> Twist:
         """Return a twist held within speed and turn rate, each by itself."""
@@ -133,6 +147,7 @@ class Description:
     watchdog_s: float | None = None  # the device's own: it stops by itself after this silence; None: it has none
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
+    actuators: tuple[Actuator, ...] = ()  # what it has beside its wheels; its driver then is an `Actuates`
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +304,18 @@ class Fleet(Protocol):
 
     def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Tell robot `row` where it was seen, world frame; nothing happens if its driver does not take fixes."""
+        ...
+
+    def actuate(self, row: int, name: str, value: object) -> None:
+        """Bring an actuator of robot `row` into a state, see :mod:`fullswarm.drivers.actuators`; returns at once.
+
+        Raises
+        ------
+        ValueError
+            The robot has no such actuator, or it does not take that value.
+        DriverError
+            The robot takes it in another state only.
+        """
         ...
 
     def close(self) -> None:

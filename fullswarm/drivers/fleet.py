@@ -9,6 +9,7 @@ import structlog
 from numpy.typing import NDArray
 
 from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.drivers.actuators import Actuates, checked
 from fullswarm.drivers.base import (
     NO_OBSTACLES,
     Description,
@@ -133,6 +134,15 @@ class OneRobot:
         del row
         if self._fixable is not None:
             self._fixable.locate(pose, position_sigma_m, heading_sigma_rad)
+
+    def actuate(self, row: int, name: str, value: object) -> None:
+        """Check a value against the driver's description, and pass it on."""
+        del row
+        found = checked(self._driver.description.actuators, name, value)
+        if not isinstance(self._driver, Actuates):
+            hint = "its driver needs a method actuate(name, value)"
+            raise DriverError(f"its driver cannot set '{name}'", where=self._driver.url, hint=hint)
+        self._driver.actuate(name, found)
 
     def close(self) -> None:
         """Close the driver."""

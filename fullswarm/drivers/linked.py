@@ -24,6 +24,7 @@ from typing import Generic, Literal, Protocol, TypeVar, final
 import structlog
 
 from fullswarm.clock import Clock, MonotonicClock
+from fullswarm.drivers.actuators import ActuatorValue, checked
 from fullswarm.drivers.base import STAND, Description, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.guardian import Guardian, HolderLost, StopPlan
 from fullswarm.drivers.ports import Port
@@ -134,6 +135,29 @@ class LinkSession(Protocol[C]):
         """Stand: a command was not finite, or none has come for too long. Repeated while that lasts."""
         del why
         self.command(STAND, now_s)
+
+    # ------------------------------------------------------------ what it has beside wheels
+    def actuate(self, name: str, value: ActuatorValue, now_s: float) -> None:
+        """Note the state that an actuator shall have; the description has it, and takes the value.
+
+        Raises
+        ------
+        ValueError
+            The device does not take it after all.
+        DriverError
+            The robot takes it in another state only.
+        """
+        del value, now_s
+        raise DriverError(f"'{name}' is declared but cannot be set", hint="define LinkSession.actuate()")
+
+    def deferred(self, now_s: float) -> C | None:
+        """Return one chunk that may wait: it is sent when nothing else is left to be sent.
+
+        Nothing can be taken back from a wire. So that a stop never waits for more than one of these, a session hands
+        out one at a time, short ones, and not again before the one before has surely left.
+        """
+        del now_s
+        return None
 
     # ------------------------------------------------------------ the end
     def closing(self, now_s: float) -> None:
@@ -394,6 +418,25 @@ class LinkedDriver(Generic[C]):
             finally:
                 self._wake()
 
+    def actuate(self, name: str, value: object) -> None:
+        """Bring an actuator into a state, behind everything that moves or stops the robot.
+
+        Raises
+        ------
+        ValueError
+            The robot has no such actuator, or it does not take that value.
+        DriverError
+            The robot takes it in another state only, or the driver is closed.
+        """
+        found = checked(self.description.actuators, name, value)
+
+        def note(now_s: float) -> None:
+            if self._session is None or self._thread is None:
+                raise DriverError(f"it cannot set '{name}' while CLOSED", where=self.url, hint="open it first")
+            self._session.actuate(name, found, now_s)
+
+        self.do(note)
+
     @final
     def close(self) -> None:
         """Stop the robot, put it into its safe state, release the port, end the thread. Closing twice is fine."""
@@ -504,6 +547,12 @@ class LinkedDriver(Generic[C]):
         self._leave(plan, port)  # before the first set-point leaves
         if sent:
             self._queue(sent, now_s)
+            self._flush(port)
+        if not self._outbox:
+            with self._lock:
+                waiting = session.deferred(now_s)
+            if waiting is not None:
+                self._queue([waiting], now_s)
         if self._outbox:
             self._flush(port)
             if self._outbox and self._clock.now_s() - self._moved_s > STUCK_S:

@@ -155,6 +155,8 @@ class Emulation:
         ``module:function``: url → how other clients open that robot, by their names.
     mode
         ``module:function``: emulator → the name of its firmware's mode.
+    shows
+        ``module:function``: emulator → what its lamps, displays and speakers do now, for people; empty: nothing.
     """
 
     start: str
@@ -163,6 +165,7 @@ class Emulation:
     listens: bool = False
     clients: str = ""
     mode: str = ""
+    shows: str = ""
 
 
 @dataclass(frozen=True, slots=True)

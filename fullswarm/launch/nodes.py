@@ -21,6 +21,7 @@ from fullswarm.runtime import LoopStats, Scheduler
 if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
     from fullswarm.agent.state import Identity
+    from fullswarm.core.centralised.node import CentralisedNode
 
 
 class Node(Protocol):
@@ -57,11 +58,11 @@ def core(
     return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
 
 
-def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> list[Node]:
+def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> CentralisedNode:
     """Build the centralised behaviours' node."""
     from fullswarm.core.centralised.node import CentralisedNode
 
-    return [CentralisedNode(bus, scheduler, config, process)]
+    return CentralisedNode(bus, scheduler, config, process)
 
 
 def agent(

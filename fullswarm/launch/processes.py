@@ -59,20 +59,29 @@ def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
 
 def core(config: SwarmConfig, with_parent: bool) -> int:
     """Serve as the core."""
-    from fullswarm.launch import nodes
+    from fullswarm.core.settings import record_seeds
+    from fullswarm.launch import nodes, reload
+    from fullswarm.store import Store
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        return nodes.core(bus, runtime, config, process_id("core"))
+        built = nodes.core(bus, runtime, config, process_id("core"))
+        if reload.wanted():
+            store = next(each for each in built if isinstance(each, Store))
+            built.append(reload.RecordReloader(runtime, lambda: store.seed(record_seeds())))
+        return built
 
     return serve_on_bus(config, with_parent, build, CORE)
 
 
 def centralised(config: SwarmConfig, with_parent: bool) -> int:
     """Serve the centralised behaviours."""
-    from fullswarm.launch import nodes
+    from fullswarm.launch import nodes, reload
 
     def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        return nodes.centralised(bus, runtime, config, process_id("centralised"))
+        node = nodes.centralised(bus, runtime, config, process_id("centralised"))
+        if not reload.wanted():
+            return [node]
+        return [node, reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP))]
 
     return serve_on_bus(config, with_parent, build, CENTRALISED)
 
@@ -80,10 +89,11 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
 def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
     """Serve as the agent of one robot."""
     from fullswarm.agent.orders.estops import LatchFolder
+    from fullswarm.agent.orders.tasks import read_records_again
     from fullswarm.agent.state import Identity
     from fullswarm.drivers.fleet import OneRobot
     from fullswarm.drivers.guardian import guarded
-    from fullswarm.launch import nodes
+    from fullswarm.launch import nodes, reload
     from fullswarm.launch.on_board import OnBoard
 
     entry = _entry(config, robot)
@@ -96,7 +106,14 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
         board = OnBoard.from_environment(runtime, config.agent)
         node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
         node.inbox.estops.remember(LatchFolder(latch_folder(config, entry)))
-        return [node, board.watch(node)] if board else [node]
+        if board:
+            return [node, board.watch(node)]
+        if not reload.wanted():
+            return [node]
+        laws = reload.LawReloader(
+            runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP)
+        )  # fmt: skip
+        return [node, laws, reload.RecordReloader(runtime, read_records_again)]
 
     return serve_on_bus(config, with_parent, build, robot)
 

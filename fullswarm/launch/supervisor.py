@@ -13,6 +13,7 @@ from pathlib import Path
 
 import structlog
 
+from fullswarm import registry
 from fullswarm.config import SwarmConfig
 from fullswarm.config.fleet_file import write_swarm
 from fullswarm.errors import ConfigError
@@ -63,6 +64,7 @@ class Supervisor:
     ----------
     restart : start a process again when it has died
     world : start the world, if the fleet has simulated robots
+    develop : folder of a package under development: its laws and records are loaded again when they change
     """
 
     config: SwarmConfig
@@ -70,6 +72,7 @@ class Supervisor:
     restart: bool = True
     world: bool = True
     insecure_network: bool = False
+    develop: Path | None = None
     children: dict[str, Child] = field(default_factory=dict)
     folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="fullswarm-")))
 
@@ -157,6 +160,8 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid()), RUN: str(self.folder)}
+        if self.develop is not None:
+            environment[registry.DEVELOP] = str(self.develop)
         log_file = self.folder / f"{child.name}.log"
         with log_file.open("ab") as sink, (self.output(child.name) if child.guest else log_file).open("ab") as data:
             child.process = subprocess.Popen(  # noqa: S603  (our own interpreter and our own module)

@@ -10,6 +10,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
 from fullswarm.errors import ConfigError, MissingExtra
+from fullswarm.launch import reload
 from fullswarm.launch.network import with_network
 from fullswarm.launch.stopping import check_fleet
 from fullswarm.launch.supervisor import Supervisor
@@ -35,8 +36,19 @@ def _hint(config: SwarmConfig, folder: Path) -> str:
     return f"{swarm}; logs in {folder}; Ctrl-C ends all.\nIn another terminal: {commands}"
 
 
-def run(config: SwarmConfig, insecure_network: bool, network: str | None = None, *, console: bool = False) -> int:
+def run(
+    config: SwarmConfig,
+    insecure_network: bool,
+    network: str | None = None,
+    *,
+    console: bool = False,
+    develop: Path | None = None,
+) -> int:
     """Start the processes, start those again that die, end all in order on Ctrl-C or SIGTERM.
+
+    Parameters
+    ----------
+    develop : folder of a package whose behaviours are loaded again when their files change
 
     Raises
     ------
@@ -56,8 +68,10 @@ def run(config: SwarmConfig, insecure_network: bool, network: str | None = None,
         progress(f"warning: {warning}")
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
-    supervisor = Supervisor(config, runtime, insecure_network=insecure_network)
+    supervisor = Supervisor(config, runtime, insecure_network=insecure_network, develop=develop)
     try:
+        if develop is not None:
+            reload.watch(develop, runtime)
         if console:
             WebConsole(supervisor, runtime, lambda address: progress(f"\nOpen {address}\n"), progress)
         supervisor.start()

@@ -81,6 +81,8 @@ def row_state(row: RobotRow) -> RowState:
         return RowState(f"{doing}, TOUCHING", attention=True)
     if 0.0 <= health.battery < LOW_BATTERY:
         return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
+    if health.message_note:
+        return RowState(doing, health.message_note, attention=True)
     return RowState(doing, health.stop_reason if doing == "settled" else "")
 
 
@@ -109,6 +111,8 @@ def _of(health: RobotHealth) -> str:
         return "Charge it soon."
     if health.contacts:
         return "It touches something: drive it back by hand, or move the obstacle."
+    if health.message_code == Code.FLOOD:
+        return "Restart the agent that floods, or stop its behaviour; the others go on meanwhile."
     if health.pose_note:
         return "Its pose is uncertain: check that its position source sees it, and that it was not carried."
     if health.filter_note:

@@ -146,6 +146,10 @@ class SimFleet:
     def locate(self, row: int, pose: Pose, position_sigma_m: float, heading_sigma_rad: float) -> None:
         """Do nothing: these robots sense their pose."""
 
+    def actuate(self, row: int, name: str, value: object) -> None:
+        """Bring an actuator of a body into a state."""
+        self._world.actuate(row if self._row is None else self._row, name, value)
+
     def close(self) -> None:
         """Stop the bodies; the world stays open."""
         self._target.fill(0.0)

@@ -6,6 +6,7 @@ world's rate, applies them, steps the world and sends every connected driver its
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import secrets
 import socket
@@ -137,6 +138,9 @@ class WorldServer:
             fresh = peer.fresh if peer is not None else None
             peer = self._peers[robot] = _Peer(hello.session, sender, hello.sensing_m, now_s, fresh=fresh)
         peer.received_s, peer.address, peer.sensing_m = now_s, sender, hello.sensing_m
+        for name, value in hello.actuators.items():
+            with contextlib.suppress(ValueError):  # of a driver of another version
+                self.world.actuate(row, name, value)
         v, w, a, b = self.world.limits[row].tolist()
         return protocol.Welcome(
             robot=robot,

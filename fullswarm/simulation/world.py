@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.config import WorldConfig
+from fullswarm.drivers.actuators import ActuatorValue, checked
 from fullswarm.drivers.base import Hazard, Limits
 from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
@@ -44,6 +45,7 @@ class World:
     bodies, descriptions : the settings of each body, and what its driver states
     obstacles : (k, 6) all boxes, then the walls, rows as in ``Reading.obstacles``
     shapes : (k + m, 8) the same with trigonometry, then the movers where they are
+    actuators : of each body, the state of each actuator by name
     movers : bodies that no robot's agent commands
     watchers : called after each step
 
@@ -72,6 +74,9 @@ class World:
         self.obstacles.flags.writeable = False
         self.bodies = tuple(config.of_body(robot) for robot in ids)
         self.descriptions = tuple(describe(body) for body in self.bodies)
+        self.actuators: tuple[dict[str, ActuatorValue], ...] = tuple(
+            {part.name: part.choices[0] for part in each.actuators} for each in self.descriptions
+        )
         self.engine = make_engine(config, fill_starts(config, ids, starts), self.bodies)
         self.firmware = self.engine.firmware
         self.referee = self.engine.referee
@@ -126,6 +131,10 @@ class World:
         if not np.isfinite(twists).all():
             raise ValueError(f"a twist must be finite, not {np.asarray(twists).tolist()}")
         self.target[rows] = twists
+
+    def actuate(self, row: int, name: str, value: object) -> None:
+        """Bring an actuator into a state; ``ValueError`` if the body has none of that name or it takes other values."""
+        self.actuators[row][name] = checked(self.descriptions[row].actuators, name, value)
 
     def step(self) -> None:
         """Advance by one world step."""

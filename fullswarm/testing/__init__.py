@@ -16,6 +16,7 @@ Files:
 
 ``behaviour.py``  the check that every behaviour on board must pass: a pure function of each robot's own view
 ``driver.py``     the check that every driver must pass: its lifecycle, the claims of its description, its faults
+``actuators.py``  the check of what a robot has beside wheels
 ``trial.py``      a driver under check: the rig that injects faults, the report, and the one place that waits
 ``faults.py``     interrupts the link and lets the clock jump
 ``process.py``    pauses and kills a driver's process while it drives

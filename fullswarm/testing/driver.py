@@ -16,6 +16,8 @@ from functools import partial
 
 from fullswarm.drivers.base import STAND, Description, Driver, Hazard, Lifecycle, Limits, Pose, Reading, Twist
 from fullswarm.geometry import wrap
+from fullswarm.testing.actuators import NAME as ACTUATORS
+from fullswarm.testing.actuators import check_actuators
 from fullswarm.testing.faults import FAULTS, JUMPS, check_faults, check_jumps
 from fullswarm.testing.process import PROCESS, check_process
 from fullswarm.testing.trial import DRIFT_M, DRIFT_RAD, IDLE_S, NEXT_S, PACE, SILENCE_S, Report, Rig, Trial
@@ -66,6 +68,7 @@ def check_driver(
             check_contract(trial, rig.make, exercise)
             if exercise:
                 check_claims(trial)
+                check_actuators(trial, _check_stops_soon)
                 check_faults(trial)
         finally:
             driver.close()
@@ -73,7 +76,7 @@ def check_driver(
             check_jumps(trial)
             check_process(trial)
     if not exercise:
-        for name in (*CLAIMS, *FAULTS, *JUMPS, *PROCESS):
+        for name in (*CLAIMS, ACTUATORS, *FAULTS, *JUMPS, *PROCESS):
             report.skip(name, UNMOVED)
     return report
 
@@ -349,6 +352,10 @@ def _check_stops(trial: Trial, act: Callable[[], None], what: str, remedy: str, 
         return took_s
 
     return _judge(trial, measure, limit_s, f"{what} slows it after {{}} only, not {limit_s:.2f} s; set zero, {remedy}")
+
+
+def _check_stops_soon(trial: Trial, act: Callable[[], None], what: str, remedy: str) -> float:
+    return _check_stops(trial, act, what, remedy, max(PROMPT_S, SILENCE_S - SOONER_S))
 
 
 def _drive_off(trial: Trial) -> Twist:

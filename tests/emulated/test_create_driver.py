@@ -22,6 +22,7 @@ from fullswarm.drivers.create_oi.driver import CreateDriver
 from fullswarm.drivers.create_oi.protocol import CREATE1, CREATE2, Generation, Mode
 from fullswarm.drivers.create_oi.settings import parse_url
 from fullswarm.drivers.fleet import OneRobot
+from fullswarm.emulators.create_oi import shows
 from fullswarm.emulators.create_oi.emulator import CreateEmulator
 from fullswarm.errors import ConfigError, DriverError
 from fullswarm.simulation.bodies import BodyState, FreeBody, wheels_rolled
@@ -97,6 +98,29 @@ def test_pty_a_create1_forwards_and_backwards() -> None:
         assert reading is not None
         assert close_to(reading.odometry, body.state(), 0.6)
         assert reading.battery == pytest.approx(2200 / 2696)
+
+
+def test_pty_lamps_and_songs_reach_the_robot_and_no_stop_waits_for_them() -> None:
+    tune = [(60.0 + number, 0.1) for number in range(16)]
+    with plugged() as rig:
+        rig.start()
+        fleet, panel = OneRobot("r1", rig.driver), rig.robot.firmware.panel
+        for name, value in (("led_check", True), ("power_light", 1.0), ("display", "go"), ("song", tune)):
+            fleet.actuate(0, name, value)
+        until(lambda: rig.driver.command(STAND) == STAND and panel.played == [0] and panel.digits == "GO  ")
+        assert (panel.led_bits, panel.power_intensity) == (0b1000, 255)
+        assert list(panel.songs[0][::2]) == [pitch for pitch, _ in tune]
+        assert shows(rig.robot).startswith("lamps 3, power lamp 100% (0% red); display 'GO'; song 1 (60:0.09s")
+        with pytest.raises(ValueError, match="'display' takes up to 4 printable ASCII characters"):
+            fleet.actuate(0, "display", "too long")
+        rig.drive(Twist(0.3, 0.0), lambda: rig.wheels == (0.3, 0.3))
+        for number in range(2000):
+            fleet.actuate(0, "power_colour", (number % 256) / 255.0)
+            fleet.actuate(0, "song", [(31.0 + number % 90, 0.1)] * 16)
+        began_s = time.monotonic()
+        fleet.command(np.zeros((1, 2)), np.ones(1, bool))
+        until(rig.still)
+        assert time.monotonic() - began_s < 0.1
 
 
 def test_pty_commands_are_limited_rounded_and_told() -> None:

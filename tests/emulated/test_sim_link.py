@@ -16,7 +16,7 @@ from fullswarm.config import SwarmConfig, WorldConfig
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Twist
 from fullswarm.drivers.sim.driver import SimDriver
 from fullswarm.drivers.sim.session import Session
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, DriverError
 from fullswarm.keys import Keys
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import PoseFix
@@ -166,6 +166,22 @@ def test_a_fix_tells_of_contacts_since_the_one_before() -> None:
         node.close()
     assert [each.contacts for each in fixes if each.contacts] == [1]
     assert len(fixes) >= 7
+
+
+def test_lamps_are_kept_in_the_world_also_by_one_that_is_started_again(bench: Bench) -> None:
+    driver = bench.driver("r2")
+    bench.until(lambda: driver.state is Lifecycle.READY)
+    driver.actuate("lamp", "green")
+    assert bench.until(lambda: bench.world.actuators[1]["lamp"] == "green") < 0.15  # sooner than the next greeting
+    assert bench.world.actuators[0]["lamp"] == "off"
+    with pytest.raises(ValueError, match="'lamp' takes off"):
+        driver.actuate("lamp", "pink")
+    bench.stop_world()
+    bench.start_world()
+    bench.until(lambda: bench.world.actuators[1]["lamp"] == "green")
+    driver.close()
+    with pytest.raises(DriverError, match="while CLOSED"):
+        driver.actuate("lamp", "red")
 
 
 def test_a_silent_driver_means_a_standing_body(bench: Bench) -> None:

@@ -36,11 +36,12 @@ TIMEOUT_S = 0.5
 class Lab:
     """One null robot with its agent, and a camera that sees it where `truth` says, while `seeing`."""
 
-    def __init__(self, driver: type[NullDriver] = NullDriver, **agent: Any) -> None:
+    def __init__(self, driver: type[NullDriver] = NullDriver, others: int = 0, **agent: Any) -> None:
         self.clock = SimClock()
         self.runtime = Runtime(self.clock, Mailbox())
         self.bus = LocalBus(self.runtime.mailbox)
-        config = SwarmConfig.model_validate({"agent": agent, "robot": [{"id": "r1", "pose": START}]})
+        robots = [{"id": "r1", "pose": START}, *({"id": f"other{number}"} for number in range(others))]
+        config = SwarmConfig.model_validate({"agent": agent, "robot": robots})
         self.driver = driver("null://r1", self.clock)
         self.agent = AgentNode(
             self.bus, self.runtime, config, OneRobot("r1", self.driver), Identity("r1", "r1-0"), np.array([START]),

@@ -39,6 +39,19 @@ def test_a_fix_that_makes_no_sense_is_refused_and_told(lab: Lab, fields: dict[st
     assert lab.health.pose_note.startswith("its fixes are refused (")
 
 
+@pytest.mark.parametrize(("others", "used"), [(1, False), (0, True)])
+def test_a_fix_with_which_robots_could_not_stop_for_each_other_is_refused(others: int, used: bool) -> None:
+    """A robot alone stops for no other."""
+    exact, vague = (Lab(others=others, sensing_radius_m=1.0, speed_limit_m_s=0.5) for _ in range(2))
+    for lab, sigma_m in ((exact, 0.01), (vague, 60.0)):
+        for _ in range(20):
+            lab.say(position_sigma_m=sigma_m)
+            lab.run(0.05)
+    assert exact.now().pose_source == "fixes"
+    assert (vague.now().pose_source == "fixes") == used
+    assert ("sigma, 60 m, is too large" in vague.health.pose_note) != used
+
+
 def test_a_source_that_is_perfectly_sure_of_itself_is_followed_all_the_same(lab: Lab) -> None:
     lab.drive(1.0, 0.5)
     for _ in range(100):

@@ -279,9 +279,8 @@ def wander(view: View, params: Params, kept: Any) -> Array:
     kept.seeking ^= view.random.uniform() < 0.02
     drift = view.sum(view.neighbour_velocity) + 0.05 * view.sum(np.stack([view.neighbour_index + 1.0] * 2, axis=1))
     away = np.where(kept.seeking, 1.0, -0.5)[:, None] * kept.mean
-    swing = np.stack([kept.phase_rad % 1.0, 0.3 * np.sin(view.time_s)], axis=1)
-    found: Array = 0.1 * away + 0.02 * drift + 0.2 * swing
-    return found
+    moved: Array = 0.1 * away + 0.02 * drift
+    return moved + 0.2 * np.stack([kept.phase_rad % 1.0, 0.3 * np.sin(view.time_s)], axis=1)
 
 
 def test_robots_with_an_agent_each_move_as_those_of_one_agent_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:

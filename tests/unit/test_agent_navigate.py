@@ -10,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.behaviours import navigate
+from fullswarm.agent.navigation import planner
+from fullswarm.agent.navigation.geometry import Bounds
+from fullswarm.agent.navigation.roadmap import Clearance, Roadmap, build_roadmap
 from fullswarm.agent.neighbours.obstacle_map import GIVEN, OWN, SHARED, ObstacleMap
 from fullswarm.agent.safety.deadlock import ANGLE_RAD, BLOCKED_S, Deadlocks, chance
 from fullswarm.agent.view import Params, View
+from tests.unit.agent_bench import Bench
 
 BOUNDS = (0.0, 0.0, 10.0, 10.0)
 WALL = np.array([[5.0, 4.0, 0.5, 4.0, 0.0, 0.0]])  # x 4.5 to 5.5, y 0 to 8: the way leads around its north end
@@ -59,6 +63,26 @@ def test_a_robot_too_close_to_a_box_first_gets_away() -> None:
 
 # ---------------------------------------------------------------- what is known
 BOXES = np.array([[2.0, 2.0, 0.5, 0.5, 0.0, 0.0], [8.0, 8.0, 0.5, 0.5, 0.0, 0.0]])
+
+
+def test_the_ways_of_a_given_map_are_built_before_a_robot_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Building takes longer than a control period."""
+    planner._roadmaps.clear()
+    built: list[Clearance] = []
+
+    def build(obstacles: np.ndarray, bounds_m: Bounds, clearance: Clearance) -> Roadmap:
+        built.append(clearance)
+        return build_roadmap(obstacles, bounds_m, clearance)
+
+    monkeypatch.setattr(planner, "build_roadmap", build)
+    bench = Bench([(2.0, 2.0, 0.0)], world={"boxes": [(5.0, 2.0, 0.5, 3.0, 0.0)]})
+    assert len(built) == 1
+    bench.enable("navigate", {"goal": [8.0, 2.0], "map": "given", "gain": 1.0, "arrive_radius_m": 0.1})
+    bench.run(1.0)
+    assert np.hypot(*bench.agent.setpoints[0]) > 0.0
+    assert len(built) == 1
+    bench.run(24.0)
+    assert math.dist(bench.agent.pose[0, :2], (8.0, 2.0)) < 0.5
 
 
 def test_each_knows_what_it_has_seen_and_all_what_anybody_has() -> None:

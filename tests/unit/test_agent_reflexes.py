@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from fullswarm import reasons
 from fullswarm.agent.motion.reflexes import Reflexes, Thresholds
 from fullswarm.agent.motion.robot_controller import StopReason
+from fullswarm.agent.safety.dead_time import Commands
 from fullswarm.clock import SimClock
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading, Hazard
+from fullswarm.messages import RobotStates
 from fullswarm.reasons import TEXTS, Code
 from tests.unit.agent_bench import TICK_S, Bench
 
@@ -117,15 +119,26 @@ def test_outside_it_turns_round_and_drives_back() -> None:
     assert bench.agent.pose[0, 0] < 9.0
 
 
-def furthest_out_m(start: tuple[float, float, float], accel: float, wishes: list[tuple[float, float]]) -> float:
-    """Drive an independent body by wishes of 1 s each: it brakes no harder than `accel` and follows 0.1 s late."""
+def furthest_out_m(
+    start: tuple[float, float, float], accel: float, wishes: list[tuple[float, float]], dead_ticks: int = 0
+) -> float:
+    """Drive an independent body by wishes of 1 s each: it brakes no harder than `accel` and follows 0.1 s late.
+
+    With a stated dead time it follows later by that.
+    """
+    commands = Commands(np.array([dead_ticks * TICK_S]), np.array([accel]), np.array([1e3]), TICK_S)
+    applied, now_s = np.zeros((1, 2)), 0.0
     reflexes = Reflexes((0.0, 0.0, 6.0, 4.0), Thresholds(), np.array([accel]))
     speed, turn, pose, worst = 0.0, 0.0, np.array([start]), -math.inf
-    late = [(0.0, 0.0)] * 5
+    late = [(0.0, 0.0)] * (5 + dead_ticks)
     for speed_wish, turn_wish in wishes:
         for _ in range(50):
-            reflexes.watch_geofence(pose, np.array([[speed, turn]]), np.array([[speed_wish, turn_wish]]))
-            late.append((min(max(speed_wish, reflexes.floor[0]), reflexes.ceiling[0]), turn_wish))
+            commands.update(applied, now_s)
+            now_s += TICK_S
+            wish = np.array([[speed_wish, turn_wish]])
+            reflexes.watch_geofence(pose, np.array([[speed, turn]]), wish, commands.underway)
+            applied[0] = min(max(speed_wish, reflexes.floor[0]), reflexes.ceiling[0]), turn_wish
+            late.append((float(applied[0, 0]), turn_wish))
             target, turn = late.pop(0)
             speed += min(max(target - speed, -accel * TICK_S), accel * TICK_S)
             pose[0] += TICK_S * np.array([speed * math.cos(pose[0, 2]), speed * math.sin(pose[0, 2]), turn])
@@ -137,13 +150,13 @@ POSES = st.tuples(st.floats(0.0, 6.0), st.floats(0.0, 4.0), st.floats(-math.pi, 
 
 
 @settings(max_examples=200, deadline=None)
-@given(POSES, st.floats(0.1, 4.0), st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=6))
+@given(POSES, st.floats(0.1, 4.0), st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=6), st.integers(0, 10))
 def test_whoever_drives_straight_never_crosses_the_fence(
-    start: tuple[float, float, float], accel: float, speeds: list[float]
+    start: tuple[float, float, float], accel: float, speeds: list[float], dead_ticks: int
 ) -> None:
     """But for what it drives in one control period: it is seen and braked once in each."""
     period_m = TICK_S * max(abs(each) for each in speeds)
-    assert furthest_out_m(start, accel, [(each, 0.0) for each in speeds]) <= max(0.01, period_m)
+    assert furthest_out_m(start, accel, [(each, 0.0) for each in speeds], dead_ticks) <= max(0.01, period_m)
 
 
 @settings(max_examples=200, deadline=None)
@@ -266,3 +279,18 @@ def test_who_stands_in_a_corner_may_drive_along_the_edges(heading_rad: float) ->
     assert made.ceiling[0] > 0.4
     made.watch_geofence(pose, out, out)
     assert made.floor[0] == 0.0
+
+
+def test_a_late_make_states_what_its_stop_takes_beyond_its_brakes() -> None:
+    """Others keep that much farther away when it falls silent; a prompt make states nothing."""
+    heard: list[RobotStates] = []
+    for world in ({"engine": "drivetrain", "drivetrain": {"dead_time_s": 0.1, "lag_s": 0.05}}, {}):
+        bench = Bench([(2.0, 2.0, 0.0)], world=world)
+        bench.bus.subscribe(bench.keys.state(), RobotStates, heard.append)
+        bench.run(0.2)
+        limits = bench.agent.fleet.descriptions[0].limits
+        if world:
+            expected = limits.stop_extra(heard[-1].speed_limit_m_s[0])
+            assert (*heard[-1].stop_extra_m, *heard[-1].stop_extra_s) == pytest.approx(expected)
+            assert expected[0] > 0.1 * heard[-1].speed_limit_m_s[0]
+    assert heard[-1].stop_extra_m == heard[-1].stop_extra_s == ()

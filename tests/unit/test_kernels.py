@@ -84,6 +84,34 @@ def test_a_bound_call_gives_what_the_whole_call_gives_and_reads_arrays_anew(pair
         too_few(2.0)
 
 
+def summed(count: int) -> float:
+    made = np.ones(count)
+    return float(made.sum())
+
+
+def by_another(pair: Pair, out: Array) -> float:
+    return making(out.shape[0]) + float(pair.first[0])
+
+
+making = Kernel(summed)
+
+
+def test_only_kernels_that_make_arrays_count_references(pair: Pair) -> None:
+    fills, makes_by_another = Kernel(total), Kernel(by_another)
+    expected = makes_by_another.run(pair, np.zeros(5))
+    for kernel in (making, fills, makes_by_another):
+        kernel.compile()
+    fills.run(pair, np.zeros(5), 1.0, pair)
+    assert makes_by_another.run(pair, np.zeros(5)) == expected
+    assert not counts_references(fills)
+    assert counts_references(makes_by_another)
+
+
+def counts_references(kernel: Kernel[Any, Any]) -> bool:
+    compiled: Any = kernel.compiled
+    return bool(compiled.targetoptions.get("_nrt", True))
+
+
 def test_a_named_tuple_without_a_name_is_refused_when_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "_ALL", [])  # other tests compile all that are there
     with pytest.raises(TypeError, match="by its name"):

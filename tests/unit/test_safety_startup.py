@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fullswarm.agent.safety.startup import check_stopping, distances, expected_sigma_m, stopping_problem
+from fullswarm.agent.safety.startup import check_stopping, distances, expected_sigma_m, stopping_problem, vaguest_fix_m
 from fullswarm.bringup.doctor import run as doctor
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Description, Limits
@@ -116,6 +116,20 @@ def test_direct_counts_the_whole_noise() -> None:
     assert distances(config, robot, [robot]).errors_m == pytest.approx(
         distances(exact, robot, [robot]).errors_m + 3.0 * math.sqrt(2.0) * 0.05
     )
+
+
+def test_fixes_may_be_as_vague_as_the_sensing_radius_allows() -> None:
+    config, simulated = swarm(PAPER)
+    robot = replace(simulated, senses_pose=False)
+    vague_m = vaguest_fix_m(config, [robot])
+    assert 0.1 < vague_m < 10.0
+    for factor, fits in ((0.999, True), (1.001, False)):
+        needed_m = distances(config, robot, [robot], fix_sigma_m=factor * vague_m).needed_m
+        assert (needed_m <= config.agent.sensing_radius_m) == fits
+    far, _ = swarm(PAPER, {"sensing_radius_m": 4.0})
+    assert vaguest_fix_m(far, [robot]) > 2.0 * vague_m
+    alone, _ = swarm(PAPER, robots=1)
+    assert vaguest_fix_m(alone, [robot]) == vaguest_fix_m(config, [simulated]) == 100.0
 
 
 # ---------------------------------------------------------------- where it is checked

@@ -13,11 +13,13 @@ import math
 import numpy as np
 
 from fullswarm.agent.navigation import planner
+from fullswarm.agent.navigation.geometry import Bounds
 from fullswarm.agent.navigation.right_of_way import EXIT_M, Traffic, give_way
 from fullswarm.agent.navigation.roadmap import Clearance, Field
 from fullswarm.agent.navigation.route import Lattice, follow
 from fullswarm.agent.safety.barrier import box_gap
 from fullswarm.agent.view import Params, View
+from fullswarm.errors import MissingExtra
 from fullswarm.kernels import Array, kernel
 
 LOOK_M = 6.0
@@ -118,12 +120,29 @@ def bend(x: float, y: float, vx: float, vy: float, radius_m: float, obstacles: A
     return bent_x * size / bent, bent_y * size / bent
 
 
+def prepare(given: Array, bounds_m: Bounds, radii_m: Array, margin_m: float) -> None:
+    """Load SciPy and build the graphs of ways on a given map (k, 6): in a control period there is no time for it.
+
+    Without SciPy nothing is done; a request to navigate then says what is missing.
+    """
+    for radius_m in dict.fromkeys(radii_m.tolist()):
+        try:
+            planner.roadmap_of(given, bounds_m, _clearance(radius_m, margin_m))
+        except MissingExtra:
+            return
+
+
+def _clearance(radius_m: float, margin_m: float) -> Clearance:
+    least_m = radius_m + margin_m + LEAST_SLACK_M
+    return Clearance(least_m, max(radius_m + SLACK_M, least_m))
+
+
 def _lane(
     view: View, row: int, goal: tuple[float, float], source: str, crowd: int, radius_m: float, margin_m: float
 ) -> tuple[Field, Array]:
     """Return the ways for a robot; in a crowd they keep farther off the obstacles, or all would queue at one corner."""
-    least_m = radius_m + margin_m + LEAST_SLACK_M
-    clearance = Clearance(least_m, max(radius_m + SLACK_M, least_m))
+    clearance = _clearance(radius_m, margin_m)
+    least_m = clearance.least_m
     known = _with_standing(view, row, goal, view.known(row, source), clearance)
     shortest = planner.field_of(goal, known, view.bounds_m, clearance)
     if not crowd:

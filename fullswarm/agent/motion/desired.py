@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.actuation import Actuation
 from fullswarm.agent.motion.coordination import Coordinator, Crowd
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
@@ -39,6 +40,7 @@ class DesiredMotion:
     law_error : the last failure of each robot's control law, false if it never failed
     blocked : by robot, why its control law knows no way to where it is to drive
     news : `blocked` has changed since this was last set to False
+    asked : what control laws have asked of actuators since this was last emptied
     sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     context : what control laws may know beside positions
     """
@@ -68,6 +70,7 @@ class DesiredMotion:
         )
         self.law_error = [NONE] * count
         self.blocked: dict[int, Reason] = {}
+        self.asked: list[Actuation] = []
         self.news = False
 
     def near(self, now_s: float) -> Nearby:
@@ -176,6 +179,8 @@ class DesiredMotion:
         (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
+        if view.actuations:
+            self.asked += [each._replace(row=int(group.rows[each.row])) for each in view.actuations]
         if view.aim is not None:
             self._state.aim[rows] = view.aim
         if view.blocked or self.blocked:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.agent.motion.robot_controller import StopReason, explain_hazards
+from fullswarm.agent.safety.dead_time import Underway
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import Description, Fleet, FleetReading, Hazard, Lifecycle
 from fullswarm.geometry import wrap
@@ -99,6 +100,7 @@ class Reflexes:
         self.pose_unknown, self.pose_uncertain, self.battery_low = unfit
         speeds = SpeedBounds(floor=np.full(count, -math.inf), ceiling=np.full(count, math.inf))
         self.floor, self.ceiling = speeds
+        self._underway = Underway(*np.zeros((len(Underway._fields), count)))
         self._inspect = bound(partial(inspect.run, limits, unfit), viewed=True)
         self._bound_speeds = bound(partial(geofence.run, fence, speeds), viewed=True)
         self.clock_jumped = False
@@ -118,12 +120,13 @@ class Reflexes:
             self._jump_over_s = now_s + patience_s
         self.clock_jumped = now_s < self._jump_over_s
 
-    def watch_geofence(self, pose: Array, twist: Array, desired: Array) -> None:
+    def watch_geofence(self, pose: Array, twist: Array, desired: Array, underway: Underway | None = None) -> None:
         """Compute between which speeds desired twists (n, 2) stay within the arena, or lead back into it.
 
-        `twist` (n, 2) is the measured motion.
+        `twist` (n, 2) is the measured motion; `underway`: what commands will still do that have no effect yet.
         """
-        self._bound_speeds(pose, twist, desired)
+        before = self._underway if underway is None else underway
+        self._bound_speeds(pose, twist, desired, before.way, before.swing, before.speed)
 
 
 @kernel
@@ -141,12 +144,17 @@ def inspect(
 
 
 @kernel
-def geofence(fence: Geofence, speeds: SpeedBounds, pose: Array, twist: Array, desired: Array) -> None:
+def geofence(
+    fence: Geofence, speeds: SpeedBounds, pose: Array, twist: Array, desired: Array, underway_m: Array, swing: Array,
+    then_m_s: Array,
+) -> None:  # fmt: skip
     """Fill `speeds` with those that can be braked to zero before the centre crosses an edge.
 
     For each edge: v² / 2a + v · delay <= distance / cos, where cos is of the angle between the motion and the
     edge's normal, the worst one that the measured or desired turn rate can reach until the robot is at standstill.
     A robot that drives along an edge and then begins to turn towards it may cross it by its braking distance.
+    `underway_m`, `swing`, `then_m_s`: (n,) length (m) and turn (rad) of the path that earlier commands will still have
+    it drive, and the speed at its end.
     """
     bounds, accel_m_s2, delay_s = fence
     floor, ceiling = speeds
@@ -162,9 +170,12 @@ def geofence(fence: Geofence, speeds: SpeedBounds, pose: Array, twist: Array, de
             continue
         accel = accel_m_s2[i]
         speed = max(math.fabs(twist[i, 0]), math.fabs(desired_speed))
-        turned = max(math.fabs(twist[i, 1]), math.fabs(desired_turn)) * (delay_s + speed / accel)
+        turned = max(math.fabs(twist[i, 1]), math.fabs(desired_turn)) * (delay_s + speed / accel) + swing[i]
+        gone_m = underway_m[i]
+        if gone_m > 0.0:  # in the delay it is still as fast as before the path
+            gone_m += delay_s * max(0.0, math.fabs(twist[i, 0]) - math.fabs(then_m_s[i]))
         nearest = min(x - bounds[0], y - bounds[1], bounds[2] - x, bounds[3] - y)
-        if nearest > speed * delay_s + speed * speed / (2.0 * accel):
+        if nearest - gone_m > speed * delay_s + speed * speed / (2.0 * accel):
             continue
         for side in range(4):
             centre = x if side % 2 == 0 else y
@@ -181,7 +192,7 @@ def geofence(fence: Geofence, speeds: SpeedBounds, pose: Array, twist: Array, de
                 outward = math.cos(max(0.0, off - turned) if room > 0.0 else off)
                 if outward <= 1e-9:  # along the edge, but for rounding
                     continue
-                way_m = max(0.0, room) / outward
+                way_m = max(0.0, room - gone_m) / outward
                 top = accel * (math.sqrt(delay_s * delay_s + 2.0 * way_m / accel) - delay_s)
                 if way == 0:
                     ceiling[i] = min(ceiling[i], top)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
@@ -150,8 +149,11 @@ def build_roadmap(obstacles: Array, bounds_m: Bounds, clearance: Clearance) -> R
     MissingExtra
         SciPy is not installed: a robot that does not navigate needs none.
     """
-    if find_spec("scipy") is None:
-        raise MissingExtra("navigating needs SciPy", hint="pip install 'fullswarm[core]'")
+    try:
+        import scipy.sparse.csgraph
+        import scipy.spatial  # noqa: F401  (slow to load: here, where it is not yet urgent)
+    except ImportError as error:
+        raise MissingExtra("navigating needs SciPy", hint="pip install 'fullswarm[core]'") from error
     x_min, y_min, x_max, y_max = bounds_m
     cell_m = max(CELL_M, math.sqrt((x_max - x_min) * (y_max - y_min) / MOST_CELLS))
     columns, rows = (max(1, round((high - low) / cell_m)) for low, high in ((x_min, x_max), (y_min, y_max)))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
 from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
-from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
-from fullswarm.messages import RobotStates
+from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
+from fullswarm.messages import Message, RobotStates
+
+M = TypeVar("M", bound=Message)
 
 MANY_CELLS = 64
 
@@ -43,8 +45,9 @@ class Nearby(NamedTuple):
 class Received(NamedTuple):
     """States (m, 6): x, y (m), heading (rad), speed (m/s), turn rate (rad/s), radius (m); when each came (m,).
 
-    `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 3): m/s, rad/s and m/s²
-    that each states; NaN: it states none. `sigma`: (m, 2) standard deviations of position (m) and heading (rad).
+    `arrival_s` is on this machine's clock; -inf: never received, or forgotten. `limits` (m, 5): m/s, rad/s and m/s²
+    that each states; NaN: it states none; and by how many m and s a stop takes longer than these say. `sigma`: (m, 2)
+    standard deviations of position (m) and heading (rad).
     `delay_s`: (m,) how old each was on its arrival. `confined` (m, 4): a disc (x, y, radius in m) that holds a silent
     robot's centre, and the arrival of its last state; NaN for x: it is nowhere near. It counts while no newer state
     arrives.
@@ -61,7 +64,8 @@ class Received(NamedTuple):
 class Assumed(NamedTuple):
     """Limits of robots that state none, and after how long one that fell silent is at standstill, at the latest.
 
-    `confidence`: so many standard deviations of a reported pose count.
+    `confidence`: so many standard deviations of a reported pose count. `extra_m`, `extra_s`: by how much a stop from
+    full speed takes longer than the acceleration says.
     """
 
     accel_m_s2: float
@@ -69,6 +73,8 @@ class Assumed(NamedTuple):
     turn_rad_s: float
     halt_s: float
     confidence: float = 0.0
+    extra_m: float = 0.0
+    extra_s: float = 0.0
 
 
 UNMOVED = Assumed(0.0, 0.0, 0.0, 0.0)
@@ -95,7 +101,7 @@ class Neighbours:
     Attributes
     ----------
     states : (m, 6) x, y, heading, speed, turn rate, radius as received
-    limits : (m, 3) greatest speed, turn rate and acceleration as received, NaN: none
+    limits : (m, 5) greatest speed, turn rate and acceleration as received, NaN: none; what a stop takes beyond them
     teams : (m,) of which team each is, as received; 0: none
     aims : (m, 2) m, where each says that it is driving to next, its own place: nowhere; NaN: it does not say
     arrival_s : (m,) when, on this machine's clock
@@ -129,7 +135,7 @@ class Neighbours:
         self.own_row = np.full(len(ids), -1, np.int64)
         self._lists: dict[tuple[float, bool], tuple[Index, Index]] = {}
         self.states = np.zeros((0, 6))
-        self.limits = np.zeros((0, 3))
+        self.limits = np.zeros((0, 5))
         self._confined = np.zeros((0, 4))
         self.teams = np.zeros(0, np.int64)
         self.aims = np.zeros((0, 2))
@@ -172,7 +178,7 @@ class Neighbours:
         columns = (states.x_m, states.y_m, states.heading_rad, states.speed_m_s, states.turn_rad_s, states.radius_m)
         kept = (
             states.teams, states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2, states.sigma_m,
-            states.sigma_rad,
+            states.sigma_rad, states.stop_extra_m, states.stop_extra_s,
         )  # fmt: skip
         table = np.array(columns)
         if kept == self._kept and math.isfinite(sum(map(sum, columns))):
@@ -185,9 +191,10 @@ class Neighbours:
             return
         self._kept = None
         teams = np.array(states.teams or (0,) * len(rows), np.int64)
-        limits = np.full((3, len(rows)), math.nan)
+        limits = np.full((5, len(rows)), math.nan)
         if states.accel_m_s2:
-            limits[:] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
+            limits[:3] = states.speed_limit_m_s, states.turn_limit_rad_s, states.accel_m_s2
+            limits[3:] = (states.stop_extra_m, states.stop_extra_s) if states.stop_extra_m else 0.0
         sigma = np.zeros((2, len(rows)))
         if states.sigma_m:
             sigma[0] = states.sigma_m
@@ -242,6 +249,8 @@ class Neighbours:
             limits[row, 0] = states.speed_limit_m_s[0]
             limits[row, 1] = states.turn_limit_rad_s[0]
             limits[row, 2] = states.accel_m_s2[0]
+            limits[row, 3] = states.stop_extra_m[0] if states.stop_extra_m else 0.0
+            limits[row, 4] = states.stop_extra_s[0] if states.stop_extra_s else 0.0
         self.teams[row] = states.teams[0] if states.teams else 0
         aims = self.aims
         aims[row, 0] = states.aim_x_m[0] if states.aim_x_m else math.nan
@@ -289,7 +298,7 @@ class Neighbours:
 
         Parameters
         ----------
-        listened : whether all of a disc (x, y, radius in m) is listened to: ``StateSubscriptions.covers``
+        listened : whether all of a disc (x, y, radius in m) is listened to: ``CellSubscriptions.covers``
         """
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
@@ -306,6 +315,7 @@ class Neighbours:
         stated = np.isfinite(speed + accel)
         speed = np.maximum(np.where(stated, speed, self._assumed.speed_m_s), np.abs(self.states[:count, 3]))
         stop_s = speed / np.maximum(np.where(stated, accel, self._assumed.accel_m_s2), 1e-9)
+        stop_s += np.where(stated, self.limits[:count, 4], self._assumed.extra_s)
         ages_s = self.ages_s(now_s)
         silent: Flags = np.isfinite(ages_s) & (ages_s > max(self._assumed.halt_s, self._timeout_s) + stop_s)
         return silent
@@ -385,6 +395,10 @@ class Neighbours:
         fresh = ages[ages <= self._timeout_s]
         return float(fresh.max()) if len(fresh) else 0.0
 
+    def row_of(self, robot: str) -> int:
+        """Return the row of a robot that was received, -1 if it never was."""
+        return self._row_of.get(robot, -1)
+
     def _rows(self, robots: tuple[str, ...]) -> Index:
         if self._batch is not None and self._batch[0] == robots:
             return self._batch[1]
@@ -408,7 +422,7 @@ class Neighbours:
         if count > len(self.states):
             more = max(count, 2 * len(self.states)) - len(self.states)
             self.states = np.vstack([self.states, np.zeros((more, 6))])
-            self.limits = np.vstack([self.limits, np.full((more, 3), math.nan)])
+            self.limits = np.vstack([self.limits, np.full((more, 5), math.nan)])
             self._confined = np.vstack([self._confined, np.full((more, 4), math.nan)])
             self.teams = np.concatenate([self.teams, np.zeros(more, np.int64)])
             self.aims = np.vstack([self.aims, np.full((more, 2), math.nan)])
@@ -445,7 +459,7 @@ def _fits(states: RobotStates) -> bool:
     x_m, y_m, heading_rad = states.x_m, states.y_m, states.heading_rad
     speed_m_s, turn_rad_s, radius_m = states.speed_m_s, states.turn_rad_s, states.radius_m
     count = len(states.robots)
-    for optional in (states.teams, states.sigma_m, states.sigma_rad):
+    for optional in (states.teams, states.sigma_m, states.sigma_rad, states.stop_extra_m, states.stop_extra_s):
         if optional and len(optional) != count:
             return False
     accel_m_s2 = states.accel_m_s2
@@ -457,11 +471,18 @@ def _fits(states: RobotStates) -> bool:
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
 
 
-class StateSubscriptions:
-    """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
+class CellSubscriptions(Generic[M]):
+    """Subscriptions to the messages of the grid cells around the own robots; they follow as the robots move.
 
-    def __init__(self, bus: Bus, keys: Keys, cell_m: float, receive: Callable[[RobotStates], None]) -> None:
-        self._bus, self._keys, self._cell_m, self._receive = bus, keys, cell_m, receive
+    Parameters
+    ----------
+    key_of : returns the key expression of a cell
+    """
+
+    def __init__(
+        self, bus: Bus, key_of: Callable[[str], str], kind: type[M], cell_m: float, receive: Callable[[M], None]
+    ) -> None:
+        self._bus, self._key_of, self._kind, self._cell_m, self._receive = bus, key_of, kind, cell_m, receive
         self._cells: dict[str, Subscription] = {}
 
     def follow(self, position: Array, reach_m: float) -> None:
@@ -471,7 +492,7 @@ class StateSubscriptions:
         """
         wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
-            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._receive, latest=True)
+            self._cells[cell] = self._bus.subscribe(self._key_of(cell), self._kind, self._receive, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
 
@@ -544,7 +565,7 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
     predicted path.
     """
     states, arrival_s, limits, sigma, delay_s, confined = received
-    assumed_accel, assumed_speed, assumed_turn, halt_s, confidence = assumed
+    assumed_accel, assumed_speed, assumed_turn, halt_s, confidence, assumed_extra_m, _ = assumed
     halt_s = max(halt_s, timeout_s)
     predicted, places, spread_m, blur_m = out
     silent = 0
@@ -563,7 +584,9 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
         speed_m_s = limits[row, 0]
         turn_rad_s = limits[row, 1]
         accel_m_s2 = limits[row, 2]
+        extra_m = limits[row, 3]
         if math.isnan(speed_m_s + turn_rad_s + accel_m_s2):
+            extra_m = assumed_extra_m
             speed_m_s = assumed_speed
             turn_rad_s = assumed_turn
             accel_m_s2 = assumed_accel
@@ -599,7 +622,7 @@ def predict(received: Received, out: Predicted, assumed: Assumed, count: int, no
             spread_m[row] = near_prediction_m
         else:
             if age_s > halt_s and accel_m_s2 > 0.0:
-                near_ahead_m += 0.5 * fastest * fastest / accel_m_s2
+                near_ahead_m += 0.5 * fastest * fastest / accel_m_s2 + extra_m
             places[row, 0] = states[row, 0] + ahead_m * math.cos(states[row, 2])
             places[row, 1] = states[row, 1] + ahead_m * math.sin(states[row, 2])
             spread_m[row] = near_ahead_m

@@ -20,18 +20,21 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from fullswarm import memory, registry
+from fullswarm.agent.messaging.declaration import RANGE, RATE, layout_of
 from fullswarm.agent.view import Params, Shared, View
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
-from fullswarm.messages import ControlRequest, Value
+from fullswarm.messages import SAYS_HZ, ControlRequest, Value
 from fullswarm.parameters import column_width
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
+EXACT = (HEARING, RANGE, RATE)
+"""Parameters that are the same for all robots of one call of a control law."""
 LINEAR = "linear"
 
 ARRIVE_M = 0.1
@@ -41,7 +44,7 @@ ARRIVE_M = 0.1
 def _kind(name: str, value: Value) -> tuple[str, str]:
     """Return what robots must have in common to share one call of a control law: kinds, texts and hearing range."""
     width = column_width(value)
-    return name, str(width) if width and name != HEARING else repr(value)
+    return name, str(width) if width and name not in EXACT else repr(value)
 
 
 def _alike(one: ControlRequest, other: ControlRequest) -> bool:
@@ -107,6 +110,7 @@ class Group:
     rows: Index
     params: Params
     hearing_m: float  # 0: the sensing radius
+    exact: tuple[Value | None, ...]  # the values of `EXACT`
     shared: Shared | None  # the request that all of them run, if the law is called once per request
     memory: Any = None  # as the law's module declares it
 
@@ -166,6 +170,7 @@ class Tasks:
     _remembered: dict[int, tuple[Any, int]] = field(init=False, default_factory=dict)  # robot → memory, its row there
     _generators: dict[int, np.random.Generator] = field(init=False, default_factory=dict)
     _starts: dict[tuple[int, str], int] = field(init=False, default_factory=dict)
+    _held: set[str] = field(init=False, default_factory=set)  # laws under development, while they are exchanged
 
     def __post_init__(self) -> None:
         self.of = [None] * self.count
@@ -197,8 +202,11 @@ class Tasks:
         alike = before is not None and _alike(before.request, request)
         if not alike and task.law != CENTRALISED:
             module = registry.law_module(task.law)
+            # A wrong declaration is refused here.
             if declares(module):
-                memory.allocate(module.Memory, 0)  # a wrong declaration is refused here
+                memory.allocate(module.Memory, 0)
+                self._apart.add(task.law)
+            if layout_of(module) is not None:
                 self._apart.add(task.law)
         goes_on = _continues(before, task)
         self.of[row] = task
@@ -268,7 +276,7 @@ class Tasks:
         for group in self._groups or ():
             place = bisect_left(group.rows, row)  # NumPy's own search takes ten times as long for a few rows
             if place < len(group.rows) and group.rows[place] == row:
-                same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
+                same_reach = group.exact == tuple(map(request.parameters.get, EXACT))
                 # By the class: a parameter may be called "update".
                 return same_reach and Params.update(group.params, place, request.parameters)
         return False
@@ -285,13 +293,37 @@ class Tasks:
         self._remembered.pop(row, None)
         self._generators.pop(row, None)
 
+    def hold(self, law: str) -> None:
+        """Leave a control law out of the groups: nothing is desired of its robots, so they stop."""
+        self._held.add(law)
+        self._regroup()
+
+    def release(self, law: str) -> dict[int, ConfigError]:
+        """Begin the tasks with a control law anew; return why it was not possible, by robot, whose tasks have ended."""
+        self._held.discard(law)
+        self._apart.discard(law)  # the law may be another kind now
+        refused = {}
+        for row in self.rows_with(law):
+            task = self.of[row]
+            self.disable(row)
+            if task is not None:
+                try:
+                    self.enable(row, task)
+                except ConfigError as error:
+                    refused[row] = error
+        return refused
+
+    def rows_with(self, law: str) -> list[int]:
+        """Return the robots that run a control law."""
+        return [row for row, task in enumerate(self.of) if task is not None and task.law == law]
+
     def groups(self) -> list[Group]:
         """Return the robots with a control law on board, grouped by law, kind of parameters and perhaps request."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
             members: dict[tuple[str, tuple[tuple[str, str], ...], str], list[int]] = {}
             for row, task in enumerate(self.of):
-                if task is not None and task.law != CENTRALISED:
+                if task is not None and task.law != CENTRALISED and task.law not in self._held:
                     kinds = tuple(sorted(_kind(*each) for each in task.request.parameters.items()))
                     apart = stream(task.request) if task.law in self._apart else ""
                     members.setdefault((task.law, kinds, apart), []).append(row)
@@ -316,6 +348,7 @@ class Tasks:
             rows=np.array(rows, np.int64),
             params=Params(parameters),
             hearing_m=_number(parameters[0].get(HEARING), 0.0),
+            exact=tuple(map(parameters[0].get, EXACT)),
             shared=Shared(requests[0].request_id, requests[0].members) if law in self._apart else None,
             memory=kept,
         )
@@ -371,7 +404,12 @@ GREATEST = 1e7
 LONGEST = 1000
 """Of a text that no record knows, in characters."""
 
-OWN = {**FILTER, "hearing_m": Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1])}
+OWN = {
+    **FILTER,
+    HEARING: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RANGE: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RATE: Parameter(type="number", unit="1/s", min=0.1, max=SAYS_HZ),
+}
 """Parameters that the agent itself reads, whatever the control law."""
 
 Allowed = Mapping[str, tuple[Parameter, ...]]
@@ -470,6 +508,12 @@ def _tables() -> dict[str, dict[str, Any]]:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
             continue
     return {name: each for name, each in tables.items() if isinstance(each, dict)}
+
+
+def read_records_again() -> None:
+    """Forget the records that were read: the next request is checked by the files as they are then."""
+    _tables.cache_clear()
+    _known.cache_clear()
 
 
 def _lineage(tables: Mapping[str, dict[str, Any]], record: dict[str, Any]) -> list[dict[str, Any]]:

@@ -90,6 +90,7 @@ class Fixes:
     Parameters
     ----------
     on_change : called when fixes begin to be used, or no longer are
+    vague_m : fixes with a greater sigma are refused
 
     Attributes
     ----------
@@ -100,10 +101,10 @@ class Fixes:
 
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, estimator: Estimator, fleet: Fleet,
-        state: AgentState, on_change: Callable[[], None],
+        state: AgentState, on_change: Callable[[], None], vague_m: float = VAGUE_M,
     ) -> None:  # fmt: skip
         self._scheduler, self._config, self._estimator, self._on_change = scheduler, config, estimator, on_change
-        self._fleet, self._state = fleet, state
+        self._fleet, self._state, self._vague_m = fleet, state, vague_m
         ids = fleet.ids
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._source_states: dict[int, FixSource] = {}
@@ -132,6 +133,11 @@ class Fixes:
         now_s = self._scheduler.now_s()
         source_state.arrived_s = now_s
         delay_s, refused = _judge(fix, source_state, now_s, self._config)
+        if not refused and fix.position_sigma_m > self._vague_m:
+            refused = (
+                f"its sigma, {fix.position_sigma_m:.2g} m, is too large: beyond {self._vague_m:.2g} m robots could not "
+                "stop for each other within the sensing radius"
+            )
         if refused:
             self._refuse(source_state, fix, refused)
             return

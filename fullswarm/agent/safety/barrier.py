@@ -238,7 +238,8 @@ def half_planes(
             normal_x[count] = dx / distance
             normal_y[count] = dy / distance
             room[count] = left_m
-            limits[count] = approach_limit(left_m, gain, accel, approach_s)
+            # Written out: in plain Python a call for each neighbour takes 0.1 µs.
+            limits[count] = gain * left_m if gain > 0.0 else approach_limit(left_m, gain, accel, approach_s)
             blur[count] = far_off / distance + swing
             count += 1
     for row in range(obstacles.shape[0]):
@@ -261,8 +262,10 @@ def half_planes(
         )
         if count < 0:
             return -1
-    nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
-    if nearest - clearance_m >= binding_m:
+    if (
+        x - bounds_m[0] - clearance_m >= binding_m and y - bounds_m[1] - clearance_m >= binding_m
+        and bounds_m[2] - x - clearance_m >= binding_m and bounds_m[3] - y - clearance_m >= binding_m
+    ):  # fmt: skip
         return count
     for side in range(4):
         horizontal = side % 2 == 0
@@ -317,12 +320,13 @@ def interval(
     normal_x, normal_y, limits, blur, _ = planes
     for k in range(count):
         slope = normal_x[k] * ahead_x + normal_y[k] * ahead_y
+        unsure = blur[k]
         # The other may be a little to the side of its estimated position: the worse direction counts.
-        ahead = slope + blur[k]
+        ahead = slope + unsure
         if ahead > 1e-9:
             most = limits[k] / ahead
             high = min(high, most)
-        behind = slope - blur[k]
+        behind = slope - unsure
         if behind < -1e-9:
             least = limits[k] / behind
             low = max(low, least)

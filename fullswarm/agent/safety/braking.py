@@ -22,7 +22,9 @@ SLACK_M = 1e-7
 @kernel
 def towards(now: float, desired: float, step: float) -> float:
     """Return what `now` becomes on its way to `desired` in steps of `step`; zero is not jumped over."""
-    then = clamp(desired, now - step, now + step)
+    least = now - step
+    most = now + step
+    then = most if desired > most else (least if desired < least else desired)
     # A value below a quarter of a step is noise of the sensor, not motion.
     if then * now < 0.0 and math.fabs(now) > 0.25 * step:
         return 0.0
@@ -48,7 +50,8 @@ def way(now: float, then: float, most: float, period_s: float) -> float:
     """
     before = math.fabs(now) if now * then > 0.0 or then == 0.0 else 0.0
     after = math.fabs(then)
-    return max(after, 0.5 * (before + after)) * period_s + stop_distance(after, most, period_s)
+    mean = 0.5 * (before + after)
+    return (mean if mean > after else after) * period_s + stop_distance(after, most, period_s)
 
 
 @kernel
@@ -58,7 +61,7 @@ def rate_within(angle: float, periods: float, most: float, period_s: float) -> f
     step = most * period_s
     whole = math.floor(math.sqrt(periods * periods + 2.0 * angle / (step * period_s)) - periods)
     left = angle - step * period_s * whole * (0.5 * whole + periods)
-    return whole * step + max(0.0, left) / ((whole + 0.5 + periods) * period_s)
+    return whole * step + (left if left > 0.0 else 0.0) / ((whole + 0.5 + periods) * period_s)
 
 
 @kernel
@@ -109,7 +112,7 @@ def free_fan(heading: float, distance: float, planes: HalfPlanes, count: int) ->
         other_side = 2.0 * math.pi - math.fabs(side)
         left = min(left, (side if side >= 0.0 else other_side) - near)
         right = min(right, (-side if side < 0.0 else other_side) - near)
-    return max(left, 0.0), max(right, 0.0)
+    return 0.0 if left < 0.0 else left, 0.0 if right < 0.0 else right
 
 
 @kernel

@@ -210,6 +210,8 @@ def guard(
     velocity, filtered, gain, margin_m = requested
     pose, motion, stamp_s, sigma = measured
     twists, deviation, verdict, held = out
+    approach_s = APPROACH_S if 3.0 * period_s < APPROACH_S else 3.0 * period_s
+    moving = objects.used[0] > 0
     news = 0
     for i in range(velocity.shape[0]):
         ux = velocity[i, 0]
@@ -227,10 +229,12 @@ def guard(
         speed_now = motion[i, 0]
         turn_now = motion[i, 1]
         accel = accels[i]
-        approach_s = max(APPROACH_S, 3.0 * period_s)
+        late_s = dead_time_s[i]
+        overrun = overrun_s[i]
         # The braking barrier uses all of the brakes: it is for makes that follow their ramps exactly.
-        exact = dead_time_s[i] == 0.0 and overrun_s[i] == 0.0
-        barrier_gain = gain[i] if gain[i] > 0.0 or exact else min(LOOSE_GAIN_PER_S, accel / top)
+        gamma = gain[i]
+        as_given = gamma > 0.0 or (late_s == 0.0 and overrun == 0.0)
+        barrier_gain = gamma if as_given else min(LOOSE_GAIN_PER_S, accel / top)
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -238,20 +242,25 @@ def guard(
             why = BLIND
         else:
             # Where it has got to since it was measured: it may have sped up or turned, too.
-            age = max(age, 0.0)
-            unsure_m = min(math.fabs(speed_now) + 0.5 * accel * age, max(top, math.fabs(speed_now))) * age
-            # Decided is for the motion in which the commands before this one will have brought it.
-            speed_now, turn_now, heading, moved_x, moved_y, way, fastest = (
-                expect(i, heading, speed_now, accel * (overrun_s[i] + period_s), dead_time_s[i], underway)
-                if dead_time_s[i] > 0.0
-                else (speed_now, turn_now, heading, 0.0, 0.0, 0.0, math.fabs(speed_now))
-            )
-            overrun_m = min(overrun_s[i] * fastest, overrun_max_m[i])
+            age = 0.0 if age < 0.0 else age
+            fastest = math.fabs(speed_now)
+            gained = fastest + 0.5 * accel * age
+            most = fastest if fastest > top else top
+            unsure_m = (most if most < gained else gained) * age
+            moved_x = 0.0
+            moved_y = 0.0
+            way = 0.0
+            if late_s > 0.0:
+                # Decided is for the motion in which the commands before this one will have brought it.
+                speed_now, turn_now, heading, moved_x, moved_y, way, fastest = expect(
+                    i, heading, speed_now, accel * (overrun + period_s), late_s, underway
+                )
+            overrun_m = min(overrun * fastest, overrun_max_m[i]) if overrun > 0.0 else 0.0
             clearance_m = radius[i] + margin_m[i] + overrun_m + confidence * sigma[i, 0]
+            stop_s = math.fabs(speed_now) / accel + 2.0 * period_s + age + late_s + overrun if moving else 0.0
             count = half_planes(
                 i, x, y, clearance_m, unsure_m, confidence * sigma[i, 1], barrier_gain, accel, approach_s, top, way,
-                reach_m, near, arena, planes, objects,
-                math.fabs(speed_now) / accel + 2.0 * period_s + age + dead_time_s[i] + overrun_s[i],
+                reach_m, near, arena, planes, objects, stop_s,
             )  # fmt: skip
             if way > 0.0:
                 shorten(
@@ -262,17 +271,16 @@ def guard(
                 why = CROWDED
         if why != FREE:
             off = math.hypot(ux, uy) if planar else math.fabs(twists[i, 0])
-            deviation[i, 2] = -ux if planar else -twists[i, 0] * math.cos(heading)
-            deviation[i, 3] = -uy if planar else -twists[i, 0] * math.sin(heading)
-            twists[i, 0] = 0.0
-            twists[i, 1] = 0.0
+            change_x = -ux if planar else -twists[i, 0] * math.cos(heading)
+            change_y = -uy if planar else -twists[i, 0] * math.sin(heading)
+            speed = 0.0
+            turn = 0.0
         else:
             off = 0.0
+            change_x = 0.0
+            change_y = 0.0
             ahead_x = math.cos(heading) if count > 0 else 0.0
             ahead_y = math.sin(heading) if count > 0 else 0.0
-            desired_speed = twists[i, 0]
-            speed = desired_speed
-            turn = twists[i, 1]
             if planar:
                 size = math.hypot(ux, uy)
                 if size > top:
@@ -282,15 +290,23 @@ def guard(
                 desired_y = uy
                 if count > 0:
                     ux, uy = project(ux, uy, planes, count)
-                    off = math.hypot(ux - desired_x, uy - desired_y)
-                    deviation[i, 2] = ux - desired_x
-                    deviation[i, 3] = uy - desired_y
-                speed, turn, held[i] = steer(
-                    ux, uy, desired_x, desired_y, heading, held[i], speed_gain, turn_gain_per_s
-                )  # fmt: skip
-                desired_speed = speed
-                if off > 0.0:  # what the unicycle map makes of the desired velocity, without its arctangents
+                    change_x = ux - desired_x
+                    change_y = uy - desired_y
+                    off = math.hypot(change_x, change_y)
+                if off > 0.0:
+                    speed, turn, held[i] = steer(
+                        ux, uy, desired_x, desired_y, heading, held[i], speed_gain, turn_gain_per_s
+                    )  # fmt: skip
+                    # What the unicycle map makes of the desired velocity, without its arctangents.
                     desired_speed = speed_gain * (desired_x * ahead_x + desired_y * ahead_y)
+                else:
+                    speed, turn = unicycle(ux, uy, heading, speed_gain, turn_gain_per_s)
+                    desired_speed = speed
+                    held[i] = False
+            else:
+                speed = twists[i, 0]
+                turn = twists[i, 1]
+                desired_speed = speed
             desired_speed = clamp(desired_speed, low, top)
             turn = clamp(turn, -turn_limit, turn_limit)
             if count == 0:
@@ -303,19 +319,26 @@ def guard(
                 )  # fmt: skip
                 why = FREE if fits else TOO_FAST
                 step = accel * period_s
-                faster = towards(speed_now, speed, step) - towards(speed_now, desired_speed, step)
+                faster = (
+                    towards(speed_now, speed, step) - towards(speed_now, desired_speed, step)
+                    if speed != desired_speed
+                    else 0.0
+                )
                 if math.fabs(faster) > off:
                     off = math.fabs(faster)
-                    deviation[i, 2] = faster * ahead_x
-                    deviation[i, 3] = faster * ahead_y
+                    change_x = faster * ahead_x
+                    change_y = faster * ahead_y
             if why == FREE and off > 1e-6:
                 why = LIMITED
-            twists[i, 0] = speed
-            twists[i, 1] = turn
+        twists[i, 0] = speed
+        twists[i, 1] = turn
         deviation[i, 0] = off
-        if off > 0.0 and math.isfinite(off):
-            deviation[i, 1] += off * dt_s
-        news += why != verdict[i] and (why > LIMITED or verdict[i] > LIMITED)
+        if off > 0.0:
+            deviation[i, 2] = change_x
+            deviation[i, 3] = change_y
+            deviation[i, 1] += off * dt_s if math.isfinite(off) else 0.0
+        before = verdict[i]
+        news += why != before and (why > LIMITED or before > LIMITED)
         verdict[i] = why
     return news
 
@@ -356,13 +379,15 @@ class SafetyFilter:
         self.commands = Commands(robots.dead_time_s, robots.accel, robots.turn_accel, tuning.period_s)
         self._deviation = deviation
         self.given: Given | None = None
+        self._measured: Measured | None = None
+        self._measured_viewed: Measured
         self._guard: Callable[[Measured, float, float], int]
 
     def apply(
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
     ) -> None:
         """Write the twists of all robots with a desired motion into `twist` (n, 2); see :func:`guard`."""
-        dt_s = clamp(now_s - self._last_s, 0.0, LONGEST_S)
+        dt_s = clamp.plain(now_s - self._last_s, 0.0, LONGEST_S)  # for one number faster than compiled
         self._last_s = now_s
         given = self.given
         if (
@@ -371,7 +396,9 @@ class SafetyFilter:
         ):  # fmt: skip
             self._take(requested, near, obstacles, twist)
         if guard.run is guard.plain:
-            measured = views(measured)
+            if measured is not self._measured:
+                self._measured, self._measured_viewed = measured, views(measured)
+            measured = self._measured_viewed
         if self._guard(measured, now_s, dt_s):
             self._log_braking(now_s)
 

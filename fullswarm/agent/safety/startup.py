@@ -19,6 +19,7 @@ from fullswarm.config.models import SPEED_LIMIT_M_S
 from fullswarm.drivers.base import Description
 from fullswarm.errors import ConfigError
 
+VAGUEST_M = 100.0
 STEP_M, STEP_M_S = 0.05, 0.01
 """What is proposed is rounded to the safe side, by so much at most."""
 
@@ -95,6 +96,22 @@ def summary(config: SwarmConfig, descriptions: Sequence[Description]) -> str:
     return f"robots need {needed_m:.2f} m to stop for each other, and sense {config.agent.sensing_radius_m:g} m"
 
 
+def vaguest_fix_m(config: SwarmConfig, descriptions: Sequence[Description]) -> float:
+    """Return the greatest sigma of fixes with which robots can still stop for each other, m.
+
+    A fleet file does not say how exact the fixes will be: each states it itself.
+    """
+    kinds = tuple(dict.fromkeys(descriptions))
+    if len(config.robot) == 1 or all(each.senses_pose for each in kinds):
+        return VAGUEST_M
+    low_m, high_m = 0.0, VAGUEST_M
+    for _ in range(40):
+        middle_m = 0.5 * (low_m + high_m)
+        needed_m = max(distances(config, each, kinds, fix_sigma_m=middle_m).needed_m for each in kinds)
+        low_m, high_m = (middle_m, high_m) if needed_m <= config.agent.sensing_radius_m else (low_m, middle_m)
+    return low_m
+
+
 def _remedy(config: SwarmConfig, kinds: Sequence[Description], needed_m: float) -> str:
     """Return what would be enough: another sensing radius, or another speed limit where there is one."""
     enough_m = STEP_M * math.ceil(needed_m / STEP_M - 1e-9)
@@ -122,14 +139,15 @@ def state_age_s(config: SwarmConfig) -> float:
     return 1.0 / config.agent.state_rate_hz + 1.0 / config.agent.control_rate_hz + delay_s
 
 
-def expected_sigma_m(config: SwarmConfig, description: Description) -> float:
+def expected_sigma_m(config: SwarmConfig, description: Description, fix_sigma_m: float = 0.0) -> float:
     """Return the standard deviation of a robot's position that its estimator will reach, m.
 
-    A filter that weighs noise R against odometry whose variance grows by q per period reaches sqrt(q R).
+    A filter that weighs noise R against odometry whose variance grows by q per period reaches sqrt(q R). `fix_sigma_m`
+    is that of fixes, for a robot whose driver senses no pose.
     """
     sigma_m = sensed_sigma(config, description)[0]
     if not description.senses_pose:
-        sigma_m = config.world_or_default.noise.position_m
+        sigma_m = max(fix_sigma_m, config.world_or_default.noise.position_m)
     if sigma_m <= 0.0 or chosen(config, description) == "direct":
         return sigma_m
     settings = config.agent
@@ -139,13 +157,15 @@ def expected_sigma_m(config: SwarmConfig, description: Description) -> float:
 
 
 def distances(
-    config: SwarmConfig, description: Description, others: Sequence[Description], speed_m_s: float = math.inf
-) -> Distances:
+    config: SwarmConfig, description: Description, others: Sequence[Description], speed_m_s: float = math.inf,
+    fix_sigma_m: float = 0.0,
+) -> Distances:  # fmt: skip
     """Return what robots of one kind need when they meet the worst of the others, none faster than `speed_m_s`."""
     settings, limits = config.agent, description.limits
     period_s, age_s = 1.0 / settings.control_rate_hz, state_age_s(config)
     top_m_s = min(speed_m_s, top_speed_m_s(config, description))
-    sigma_m = max(expected_sigma_m(config, each) for each in others)
+    own_sigma_m = expected_sigma_m(config, description, fix_sigma_m)
+    sigma_m = max(expected_sigma_m(config, each, fix_sigma_m) for each in others)
     # The worst of the others has gained speed since its last state and is at its limit now. One that has turned instead
     # comes nearer more slowly than it was predicted to.
     states_m = max(
@@ -156,8 +176,7 @@ def distances(
         stopping_m=top_m_s * (period_s + limits.dead_time_s) + top_m_s * top_m_s / (2.0 * limits.accel_m_s2),
         bodies_m=description.radius_m + max(each.radius_m for each in others),
         margin_m=settings.safety_margin_m,
-        errors_m=settings.pose_confidence_sigma * math.hypot(expected_sigma_m(config, description), sigma_m)
-        + top_m_s * period_s,
+        errors_m=settings.pose_confidence_sigma * math.hypot(own_sigma_m, sigma_m) + top_m_s * period_s,
         overrun_m=min(limits.overrun_s * top_m_s, limits.overrun_m),
         states_m=states_m,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -28,8 +28,8 @@ T = TypeVar("T")
 
 NO_REQUEST = ControlRequest(request_id="", robot="", behaviour="", enable=False)
 
-LARGEST_LIMITS = 1e4, 1e4, 1e5
-"""m/s, rad/s, m/s²: what :class:`RobotStates` can state. A driver may have no limits, and its states must arrive."""
+LARGEST_LIMITS = 1e4, 1e4, 1e5, 1e7, 1e7
+"""m/s, rad/s, m/s², m, s: what :class:`RobotStates` can state. A driver may have no limits; its states must arrive."""
 LONGEST_S = 0.2
 """A state is moved on from its reading by so much at most."""
 
@@ -66,21 +66,24 @@ class Reports:
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
     settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
-    limits : (n, 3) what each can do: m/s, rad/s, m/s²
+    limits : (n, 5) what each can do: m/s, rad/s, m/s²; what a stop takes beyond that: m, s
+    message_note : returns what is wrong with the broadcasts that a robot receives
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
         blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
+        message_note: Callable[[int], Reason],
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
-        self._settled_by = settled_by
+        self._settled_by, self._message_note = settled_by, message_note
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
-        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated.T.tolist())
+        self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
+        self._stop_extra: list[list[float]] = stated[:, 3:].T.tolist() if stated[:, 3:].any() else [[], []]
         self._radius_m: tuple[float, ...] = tuple(state.radius.tolist())
         self._aim = np.zeros((len(state.radius), 2))
 
@@ -107,6 +110,7 @@ class Reports:
             sigma_m, sigma_rad = [], []
         teams = self._tasks.team.tolist()
         aim_x_m, aim_y_m = self._aims(there)
+        extra_m, extra_s = self._stop_extra
         for cell, rows in cells.items():
             message = RobotStates(
                 host=host,
@@ -123,6 +127,8 @@ class Reports:
                 speed_limit_m_s=_pick(self._speed_limit_m_s, rows),
                 turn_limit_rad_s=_pick(self._turn_limit_rad_s, rows),
                 accel_m_s2=_pick(self._accel_m_s2, rows),
+                stop_extra_m=_pick(extra_m, rows) if extra_m else (),
+                stop_extra_s=_pick(extra_s, rows) if extra_s else (),
                 own_frame=self._conflicts.own_frame,
                 aim_x_m=_pick(aim_x_m, rows) if aim_x_m else (),
                 aim_y_m=_pick(aim_y_m, rows) if aim_y_m else (),
@@ -188,7 +194,7 @@ class Reports:
             task, description = self._tasks.of[row], fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
             pose = self._fixes.health(row, sensed[row])
-            why = self._why(row, reasons[row])
+            why, messages = self._why(row, reasons[row]), self._message_note(row)
             stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
             yield RobotHealth(
                 robot=robot,
@@ -218,6 +224,8 @@ class Reports:
                 deviation_m_s=deviation_m_s[row],
                 deviation_m=deviation_m[row],
                 filter_note=filter_note[row],
+                message_note=messages.text,
+                message_code=messages.code,
             )
 
 

@@ -31,6 +31,8 @@ STALE_S = 0.5
 """A robot whose state is older gets no command: it stops when its last one expires."""
 
 MEMORY = 1024
+AT_REST = 0.02
+"""m/s and rad/s, below which a robot stands."""
 
 log = structlog.get_logger()
 
@@ -74,6 +76,7 @@ class CentralisedNode:
         self._jobs: dict[str, Job] = {}
         self._newest: Recent[str, tuple[str, int]] = Recent(MEMORY)
         self._states: dict[str, tuple[float, tuple[float, ...]]] = {}
+        self._held: set[str] = set()
         self._logged: Recent[str, None] = Recent(MEMORY)
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
@@ -93,6 +96,24 @@ class CentralisedNode:
             timer.cancel()
         self._jobs.clear()
 
+    # ------------------------------------------------------------ laws under development
+    def hold(self, law: str) -> None:
+        """Compute nothing with a law: its robots stop for want of commands."""
+        self._held.add(law)
+
+    def at_rest(self, law: str) -> bool:
+        """Tell whether the robots whose state is fresh stand, of all requests with this law."""
+        scenes = [self._scene(job) for job in self._jobs.values() if job.law.name == law]
+        return all(bool((np.abs(scene.twists) < AT_REST).all()) for scene in scenes if scene is not None)
+
+    def release(self, law: str) -> None:
+        """Go on with a law as it is now, with new memory; a law that is none ends its requests."""
+        self._held.discard(law)
+        for job in [job for job in self._jobs.values() if job.law.name == law]:
+            del self._jobs[job.request.request_id]
+            self._start(job.request)
+
+    # ------------------------------------------------------------ requests
     def _requested(self, request: CentralisedRequest) -> None:
         core, sequence = self._newest.get(request.request_id, ("", 0))
         if core == request.core and request.sequence <= sequence:
@@ -161,7 +182,7 @@ class CentralisedNode:
 
     def _tick(self) -> None:
         for job in self._jobs.values():
-            scene = self._scene(job)
+            scene = self._scene(job) if job.law.name not in self._held else None
             if scene is None:
                 continue
             try:

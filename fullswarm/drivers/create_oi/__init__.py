@@ -2,7 +2,8 @@
 
 ``protocol`` is bytes only: commands, generations, sensors, the stream. ``session`` is the whole
 conversation with a robot as a state machine without threads or ports, from OPEN to FAULT and back, and keeps a robot
-awake; ``odometry`` is its dead reckoning, ``senses`` queries its sensors and evaluates hazards and power.
+awake; ``odometry`` is its dead reckoning, ``senses`` queries its sensors and evaluates hazards and power, ``panel`` is
+its lamps, display and songs as actuators.
 ``settings`` reads the URL, ``driver`` puts a session on a serial port, ``probe`` asks ports for robots.
 
 The Open Interface has no command timeout: a robot keeps its last drive command forever. Everything here that
@@ -32,6 +33,7 @@ MAKE = Make(
         ),
         clients="fullswarm.emulators.create_oi:clients",
         mode="fullswarm.emulators.create_oi:mode",
+        shows="fullswarm.emulators.create_oi:shows",
     ),
     probe="fullswarm.drivers.create_oi.probe",
     check="Create or Roomba: switched on (press Clean), serial cable plugged in at both ends; off the charger to drive",

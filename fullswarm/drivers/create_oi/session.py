@@ -26,8 +26,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from fullswarm.drivers.actuators import ActuatorValue
 from fullswarm.drivers.base import STAND, Lifecycle, Reading, Twist
 from fullswarm.drivers.create_oi.odometry import Odometry
+from fullswarm.drivers.create_oi.panel import Panel
 from fullswarm.drivers.create_oi.protocol import (
     Mode,
     Op,
@@ -134,7 +136,7 @@ class Session(LinkSession[bytes]):
         self._ids = stream_ids(generation, settings.baud)
         self._parser = StreamParser(self._ids, both_checksums=generation.both_checksums)
         self._odometry, self._senses = Odometry(generation), Senses()
-        self._waking, self._banner = Waking(brc), Banner()
+        self._waking, self._banner, self._panel = Waking(brc), Banner(), Panel()
         self._newest: Sensors | None = None
         self._met = False  # has been READY
         self._latched = ""  # the fault of too many falls
@@ -276,6 +278,22 @@ class Session(LinkSession[bytes]):
         """Send a command that only works in Safe mode. Raises ``DriverError`` unless ACTIVE."""
         self._demand_active(what)
         self._out.append(data)
+
+    def actuate(self, name: str, value: ActuatorValue, now_s: float) -> None:
+        """Note what a lamp, the display or the speaker shall do; the robot takes it while ACTIVE."""
+        del now_s
+        self._demand_active(f"set '{name}'")
+        self._panel.put(name, value)
+
+    def deferred(self, now_s: float) -> bytes | None:
+        """Return a command of the panel; never before zero that has yet to be sent, or to be confirmed."""
+        stopping = self._wheels == (0, 0) and self._moving
+        return None if self._out or stopping or self.state is not Lifecycle.ACTIVE else self._panel.next(now_s)
+
+    @property
+    def _moving(self) -> bool:
+        newest = self._newest
+        return newest is not None and any((newest.left_mm_s, newest.right_mm_s))
 
     def _demand_active(self, what: str) -> None:
         if self.state is not Lifecycle.ACTIVE or self.docking:
@@ -467,6 +485,7 @@ class Session(LinkSession[bytes]):
     def _forget(self) -> None:
         """Drop an activation under way, a search for the dock and the set-point."""
         self._activate_by_s, self._safe_sent, self._wheels, self.docking = None, False, (0, 0), False
+        self._panel.reset()
 
     def _fail(self, reason: str, cause: Reason = NONE) -> None:
         self.state, self.fault, self._fault_cause = Lifecycle.FAULT, self._about(reason), cause

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from fullswarm.drivers.base import Description, Limits
+from fullswarm.drivers.create_oi.panel import actuators
 from fullswarm.drivers.create_oi.protocol import BAUD_CODES, CREATE2, GENERATIONS, TOP_MM_S, Generation
 from fullswarm.drivers.make import Claim, device_claim
 from fullswarm.errors import ConfigError, did_you_mean
@@ -96,6 +97,7 @@ def describe(generation: Generation) -> Description:
         limits=Limits(top_m_s, 2.0 * top_m_s / base_m, ACCEL_M_S2, 2.0 * ACCEL_M_S2 / base_m),
         senses_bumps=True,
         watchdog_s=None,
+        actuators=actuators(generation),
     )
 
 

@@ -44,10 +44,11 @@ class Datagram(
     session: str
 
 
-class Hello(Datagram, frozen=True, kw_only=True):
-    """A driver wants this robot, or still has it."""
+class Hello(Datagram, frozen=True, kw_only=True, tag="sim.Hello/2"):
+    """A driver wants this robot, or still has it; with all that was asked of its actuators, so that none is lost."""
 
     sensing_m: float
+    actuators: dict[str, str] = {}
 
 
 class Welcome(Datagram, frozen=True, kw_only=True):

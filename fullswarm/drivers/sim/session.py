@@ -7,6 +7,7 @@ import math
 import secrets
 from dataclasses import replace
 
+from fullswarm.drivers.actuators import ActuatorValue
 from fullswarm.drivers.base import STAND, Hazard, Lifecycle, Pose, Reading, Twist
 from fullswarm.drivers.linked import LONGEST_WAIT_S, LinkSession, Odometer
 from fullswarm.drivers.sim import protocol
@@ -31,6 +32,7 @@ class Session(LinkSession[bytes]):
         self._sequence, self._driven = 0, STAND
         self._world = ""  # the run of a world that has welcomed it
         self._odometer = Odometer()
+        self._actuators: dict[str, str] = {}
         self._unread = False
         self._time_s = -math.inf  # of the world, in the newest reading
         self._received_s = self._ticked_s = now_s
@@ -58,7 +60,10 @@ class Session(LinkSession[bytes]):
         self._judge(now_s)
         if now_s >= self._hello_s:
             self._hello_s = now_s + protocol.HELLO_PERIOD_S
-            self._out.append(protocol.Hello(robot=self._url.robot, session=self._id, sensing_m=self._url.sensing_m))
+            hello = protocol.Hello(
+                robot=self._url.robot, session=self._id, sensing_m=self._url.sensing_m, actuators=self._actuators
+            )
+            self._out.append(hello)
         out, self._out = self._out, []
         return [protocol.encode(each) for each in out]
 
@@ -93,6 +98,12 @@ class Session(LinkSession[bytes]):
         self._drive(STAND)
         self._out.append(protocol.Bye(robot=self._url.robot, session=self._id))
         return [protocol.encode(each) for each in self._out]
+
+    def actuate(self, name: str, value: ActuatorValue, now_s: float) -> None:
+        """Send it at once, and again with each greeting."""
+        if self._actuators.get(name) != value:
+            self._actuators = {**self._actuators, name: str(value)}
+            self._hello_s = now_s
 
     # ------------------------------------------------------------ within
     def _judge(self, now_s: float) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from fullswarm.config import DEFAULT_WORLD, WorldConfig
+from fullswarm.drivers.actuators import word
 from fullswarm.drivers.base import Description, Limits
 from fullswarm.drivers.ports import parse_address
 from fullswarm.errors import ConfigError, did_you_mean
@@ -25,6 +26,12 @@ OPTIONS = (
 """Options of the URL that are fields of `WorldConfig`; besides, ``sensing_m`` and `DELAYS`."""
 DELAYS = ("overrun_s", "overrun_m", "dead_time_s")
 """Options of the URL that are fields of `Limits`."""
+
+ACTUATORS = (
+    word("lamp", ("off", "white", "red", "yellow", "green", "blue"), "on top of the robot"),
+    word("gripper", ("open", "closed"), "at its front; nothing can be carried yet"),
+)
+"""What every simulated robot has; the first word is the state in which the world begins."""
 
 WHEEL_BASE_RADII = 0.235 / 0.17
 """Distance between the wheels over the radius of the body, of a Create 2 (its Open Interface specification)."""
@@ -97,6 +104,7 @@ def describe(config: WorldConfig, sensing_m: float = SENSING_M) -> Description:
         senses_bumps=True,
         bodies_range_m=sensing_m if config.sight.bodies else 0.0,
         watchdog_s=config.watchdog_s,
+        actuators=ACTUATORS,
     )
 
 

@@ -37,3 +37,20 @@ def clients(url: str) -> dict[str, str]:
 def mode(emulator: Any) -> str:
     """Return the Open Interface's mode."""
     return str(emulator.mode.name)
+
+
+def shows(emulator: Any) -> str:
+    """Return what its lamps and its display show and which song was played last."""
+    panel = emulator.firmware.panel
+    found = []
+    if panel.led_bits or panel.power_intensity:
+        lamps = [str(bit) for bit in range(4) if panel.led_bits >> bit & 1]
+        colour, light = panel.power_colour / 255, panel.power_intensity / 255
+        found.append(f"lamps {' '.join(lamps) or 'none'}, power lamp {light:.0%} ({colour:.0%} red)")
+    if panel.digits.strip():
+        found.append(f"display '{panel.digits.rstrip()}'")
+    if panel.played:
+        notes = panel.songs[panel.song]
+        tune = " ".join(f"{pitch}:{length / 64:.2f}s" for pitch, length in zip(notes[::2], notes[1::2], strict=True))
+        found.append(f"song {len(panel.played)} ({tune})")
+    return "; ".join(found)
