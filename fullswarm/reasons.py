@@ -48,6 +48,8 @@ class Code(enum.StrEnum):
     ESTOP_RELEASED = "estop_released"  # by
     DRIVER_FAILED = "driver_failed"  # fault
     DRIVER_STOPPED = "driver_stopped"
+    ARRIVED = "arrived"  # behaviour, text: what its control law says of it
+    FAILED = "failed"  # behaviour, text
 
     # what a driver reports of its robot
     CLIFF = "cliff"
@@ -109,6 +111,8 @@ TEXTS: dict[Code, str] = {
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
     Code.DRIVER_FAILED: "the driver failed: {fault}",
     Code.DRIVER_STOPPED: "the robot has stopped by itself",
+    Code.ARRIVED: "{behaviour} has arrived: {text}",
+    Code.FAILED: "{behaviour} has failed: {text}",
     Code.ESTOP_LATCHED: "its e-stop is latched; clear it with `fullswarm estop --clear`",
     Code.VOIDED: "{why}; ask for it again",
     Code.SUPERSEDED: "superseded by {by}",
@@ -120,8 +124,10 @@ TEXTS: dict[Code, str] = {
 }
 """The texts of this package; all others come with their codes from outside."""
 
-DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED})
-"""A robot without a behaviour that stands for one of these was stopped on request: no cause for alarm."""
+DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED, Code.ARRIVED})
+"""A robot without a behaviour that stands for one of these was stopped on request, or is done: no cause for alarm."""
+RESULTS = frozenset({Code.ARRIVED, Code.FAILED})
+"""With these a behaviour ends itself on a robot."""
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 

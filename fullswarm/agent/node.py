@@ -178,6 +178,7 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
+            results=self.inbox.results,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
@@ -293,6 +294,8 @@ class AgentNode:
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
         self.desired.gather(groups, now_s, reading, dt_s, at_tick=at_tick)
+        if self.desired.endings:
+            self._end_tasks()
         self.reflexes.watch_geofence(
             self._state.pose, self._state.twist, self.controller.desired, self.filter.commands.underway
         )
@@ -319,6 +322,13 @@ class AgentNode:
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
+
+    def _end_tasks(self) -> None:
+        """End the behaviours that have ended themselves, before anything is commanded: their robots stand."""
+        for row, ending in self.desired.endings.items():
+            self.inbox.end(row, ending.outcome, ending.text)
+        self.desired.endings.clear()
+        self._dirty = True
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:

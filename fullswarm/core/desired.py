@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from fullswarm.messages import ControlAck, ControlRequest, RobotHealth, Value
+from fullswarm.messages import ControlAck, ControlRequest, Result, RobotHealth, Value
 from fullswarm.reasons import NONE, Code, Reason, given, reason
 
 RESEND_S = 0.1
@@ -175,6 +175,11 @@ class Desired:
             self._clear_in_flight()
             self.acked_sequence = 0
             self._maybe_active = ""
+        result = health.result
+        if result is not None and self.order is not None and result.request_id == self.order.request_id:
+            self._clear_in_flight()
+            self.active = self._maybe_active = ""
+            return result_reason(result, self.order.behaviour)
         if self._foreign(health) and not restarted:
             overdue = now_s - self.acked_s >= BEHIND_S and self.order is not None
             return reason(Code.OTHER_CORE) if overdue else NONE  # two cores must not alternate
@@ -227,3 +232,9 @@ class Desired:
 
     def _clear_in_flight(self) -> None:
         self.in_flight, self.resend_s = None, math.inf
+
+
+def result_reason(result: Result, behaviour: str) -> Reason:
+    """Return the result of a behaviour that has ended itself as a reason."""
+    code = Code.ARRIVED if result.outcome == "arrived" else Code.FAILED
+    return reason(code, behaviour=behaviour, text=result.text or "no more is said")

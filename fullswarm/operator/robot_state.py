@@ -72,9 +72,10 @@ def row_state(row: RobotRow) -> RowState:
         return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
     alarm = health.behaviour or health.stop_code not in DELIBERATE
     settled = health.stop_code == Code.SETTLED
+    arrived = health.stop_code == Code.ARRIVED and not health.behaviour
     if health.stop_reason and health.stop_code != Code.EXPIRED and alarm and not settled:
         return RowState("STOPPED", health.stop_reason, attention=True)
-    doing = "moving" if health.moving else "settled" if settled else "standing"
+    doing = "moving" if health.moving else "settled" if settled else "arrived" if arrived else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
         doing = f"{health.lifecycle.lower()}, not ready"
     if health.contacts:
@@ -83,7 +84,7 @@ def row_state(row: RobotRow) -> RowState:
         return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
     if health.message_note:
         return RowState(doing, health.message_note, attention=True)
-    return RowState(doing, health.stop_reason if doing == "settled" else "")
+    return RowState(doing, health.stop_reason if doing in ("settled", "arrived") else "")
 
 
 def advise(row: RobotRow) -> str:

@@ -21,7 +21,7 @@ from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter
 from fullswarm.agent.state import AgentState
-from fullswarm.agent.view import Context, RequestsDiffer, View
+from fullswarm.agent.view import Context, Ending, RequestsDiffer, View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
 from fullswarm.kernels import Array, Index, sum_of
@@ -43,6 +43,7 @@ class DesiredMotion:
     asked : what control laws have asked of actuators since this was last emptied
     sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
     context : what control laws may know beside positions
+    endings : by robot, how control laws have ended themselves since this was last emptied
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class DesiredMotion:
         self.law_error = [NONE] * count
         self.blocked: dict[int, Reason] = {}
         self.asked: list[Actuation] = []
+        self.endings: dict[int, Ending] = {}
         self.news = False
 
     def near(self, now_s: float) -> Nearby:
@@ -181,6 +183,8 @@ class DesiredMotion:
         controller.law_failed[rows] = False
         if view.actuations:
             self.asked += [each._replace(row=int(group.rows[each.row])) for each in view.actuations]
+        if view.endings:
+            self.endings |= {int(group.rows[each.row]): each for each in view.endings}
         if view.aim is not None:
             self._state.aim[rows] = view.aim
         if view.blocked or self.blocked:
