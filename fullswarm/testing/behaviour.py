@@ -1,4 +1,4 @@
-"""What every law must hold: a pure function of each robot's own view, finite whatever the neighbours do."""
+"""What every law must hold: a function of each robot's own view and memory, finite whatever the neighbours do."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fullswarm import registry
-from fullswarm.agent.view import Params, View
+from fullswarm import memory, registry
+from fullswarm.agent.view import Context, Params, Shared, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
 from fullswarm.messages import Value
@@ -23,6 +23,9 @@ TOLERANCE = 1e-9
 STRANGERS = 3
 """Neighbours that another agent carries."""
 RADIUS_M = 0.17
+TICKS = 4
+"""How often a law with memory is called for one answer, the first time with new memory."""
+DT_S = 0.02
 
 
 def check_behaviour(
@@ -34,6 +37,9 @@ def check_behaviour(
     bounds: Bounds = (0.0, 0.0, 10.0, 10.0),
 ) -> None:
     """Check a law on random swarms: some, no, all and coincident neighbours, a robot on its own goal.
+
+    A law with memory is asked four times in a row, with memory that is new for each check. Its broadcasts and shared
+    table cannot be checked in this way: test those on robots in lockstep.
 
     Parameters
     ----------
@@ -67,7 +73,7 @@ def check_behaviour(
                 _check_missing(law, scene, answer)
             law.demand(
                 np.array_equal(law.ask(scene), answer),
-                f"it remembers something from call to call ({scene.what}): keep no state and read no clock",
+                f"it remembers something from call to call ({scene.what}): declare it as Memory, and read no clock",
             )
 
 
@@ -84,9 +90,22 @@ class _Scene:
     predicted: Array
     states: Array
     bounds: Bounds
+    ids: tuple[str, ...]  # of all robots that are checked
+    own: Index  # which of them these are
+    names: tuple[str, ...]  # of `states`
     permutable: bool = True  # no two neighbours are equally near, so that their order cannot matter
 
-    def view(self) -> View:
+    def context(self) -> Context:
+        """Return what they know beside positions; their random numbers begin anew."""
+        count = len(self.ids)
+        made = Context.of(np.zeros((count, 2)), np.zeros(count), self.names)
+        made.ids, made.state.twist = self.ids, np.linspace((0.0, -0.5), (0.3, 0.5), count)
+        made.since_s = np.linspace(-5.0, 0.0, count)
+        generators = {row: np.random.default_rng(row) for row in range(count)}
+        made.generator = generators.__getitem__
+        return made
+
+    def view(self, context: Context | None = None) -> View:
         """Return a view of copies."""
         near = self.start.copy(), self.other.copy()
         return View(
@@ -97,6 +116,9 @@ class _Scene:
             self.predicted.copy(),
             self.states.copy(),
             self.bounds,
+            context=context or self.context(),
+            rows=self.own,
+            shared=Shared("check", self.ids),
         )
 
     def only(self, row: int) -> _Scene:
@@ -111,6 +133,8 @@ class _Scene:
             other=np.arange(len(near)),
             predicted=self.predicted[near],
             states=self.states[near],
+            own=self.own[row : row + 1],
+            names=tuple(self.names[each] for each in near.tolist()),
         )
 
     def shuffled(self, rng: np.random.Generator) -> _Scene:
@@ -119,7 +143,11 @@ class _Scene:
         moved_to = np.argsort(order)
         edges = [rng.permutation(self.other[a:b]) for a, b in zip(self.start[:-1], self.start[1:], strict=True)]
         return replace(
-            self, other=moved_to[np.concatenate(edges)], predicted=self.predicted[order], states=self.states[order]
+            self,
+            other=moved_to[np.concatenate(edges)],
+            predicted=self.predicted[order],
+            states=self.states[order],
+            names=tuple(self.names[each] for each in order.tolist()),
         )
 
 
@@ -135,7 +163,11 @@ class _Law:
             raise AssertionError(
                 f"{self._name} has neither velocity(view, params) nor twist(view, params): define one of them"
             )
-        self._function: Callable[[View, Params], Array] = function
+        self._function: Callable[..., Array] = function
+        self._memory: type | None = getattr(module, "Memory", None)
+        if hasattr(module, "Says"):
+            hint = "test it on robots in lockstep, as in examples/behaviours/tests"
+            raise ConfigError("it broadcasts, which needs a network", where=self._name, hint=hint)
 
     def demand(self, fulfilled: bool, otherwise: str) -> None:
         """Raise ``AssertionError`` with the law's name and `otherwise` unless `fulfilled`."""
@@ -147,7 +179,7 @@ class _Law:
         count = len(scene.position)
         try:
             with np.errstate(all="ignore"):
-                answer = self._function(view or scene.view(), params or Params(scene.rows))
+                answer = self._answer(scene, view, params or Params(scene.rows))
         except ConfigError as error:
             raise AssertionError(f"{self._name}: {error.what}; add it to the parameters of this check") from error
         except Exception as error:  # outside code: whatever it raises is what this check is for
@@ -168,6 +200,18 @@ class _Law:
         )
         return answer.copy()
 
+    def _answer(self, scene: _Scene, view: View | None, params: Params) -> Array:
+        """Return the law's answer, of the last of some calls in a row if it remembers."""
+        view = view or scene.view()
+        if self._memory is None:
+            return self._function(view, params)
+        kept, context = memory.allocate(self._memory, len(scene.position)), view.context
+        answer = self._function(view, params, kept)
+        for tick in range(1, TICKS):
+            context.now_s = tick * DT_S
+            answer = self._function(scene.view(context), params, kept)
+        return answer
+
 
 def _check_answer(law: _Law, scene: _Scene) -> Array:
     """Return the answer, the same twice and without harm to what was given."""
@@ -181,7 +225,8 @@ def _check_answer(law: _Law, scene: _Scene) -> Array:
         )
     law.demand(
         np.array_equal(law.ask(scene), answer),
-        f"answers the same question differently ({scene.what}); keep no state, use no random numbers, read no clock",
+        f"answers the same question differently ({scene.what}); declare what it remembers as Memory, take random "
+        "numbers from view.random and the time from view.time_s",
     )
     return answer
 
@@ -257,9 +302,12 @@ def _sensed(what: str, rows: Rows, position: Array, states: Array, reach_m: floa
     near[np.arange(len(position)), np.arange(len(position))] = False
     start = np.concatenate([[0], np.cumsum(near.sum(axis=1))])
     predicted = np.ascontiguousarray(states[:, :2])
+    ids = tuple(f"r{row + 1}" for row in range(len(position)))
+    names = (*ids, *(f"s{row + 1}" for row in range(len(states) - len(position))))
     return _Scene(
-        what, rows, position, states[: len(position), 2], start, np.nonzero(near)[1], predicted, states, bounds
-    )
+        what, rows, position, states[: len(position), 2], start, np.nonzero(near)[1], predicted, states, bounds,
+        ids, np.arange(len(position)), names,
+    )  # fmt: skip
 
 
 def _given(view: View, params: Params) -> dict[str, Any]:

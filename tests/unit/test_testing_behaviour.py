@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -13,6 +14,7 @@ from fullswarm import registry
 from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
+from fullswarm.memory import rows
 from fullswarm.testing import check_behaviour
 
 PARAMETERS: dict[str, dict[str, Any]] = {
@@ -133,6 +135,55 @@ def test_a_broken_law_is_told_what_is_wrong(law: Callable[[View, Params], Any], 
 def test_laws_without_fault_pass_whatever_they_are_called() -> None:
     for law, name in ((pull, "velocity"), (pull, "twist"), (by_itself, "velocity")):
         check_behaviour(module(law, name), {"gain": 1.0, "unused": "word"}, seeds=range(3))
+
+
+@dataclass
+class Memory:
+    total: Array = rows(2)
+    seen: Array = rows()
+
+
+def integral(view: View, params: Params, kept: Memory) -> Array:
+    """Use all that a law may know: a law without fault."""
+    kept.total += view.dt_s * pull(view, params) + 0.01 * view.random.normal(0.0, 1.0, 2)
+    kept.seen += view.time_s + view.index
+    matched = view.sum(view.neighbour_velocity * (view.neighbour_index >= 0)[:, None])
+    return kept.total + matched + 0.1 * kept.seen[:, None] + view.twist[:, :1]
+
+
+def test_a_law_that_remembers_is_checked_over_some_calls() -> None:
+    for law in (integral, lambda view, p, kept: integral(view, p, kept)):
+        with_memory = module(law)  # type: ignore[arg-type]  # it takes its memory too
+        with_memory.Memory = Memory  # type: ignore[attr-defined]
+        check_behaviour(with_memory, {"gain": 1.0}, seeds=range(3))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda view, kept: kept.total.__iadd__(kept.total.mean(axis=0) + view.position), "must not mix"),
+        (lambda view, kept: kept.total.__iadd__(np.random.default_rng().random()), "differently.*view.random"),
+        (lambda view, kept: setattr(kept, "others", 1.0), "declares no 'others'"),
+        (lambda view, kept: setattr(kept, "total", np.zeros((9, 2))), "raises ValueError"),
+        (lambda view, kept: kept.total.__imul__(np.inf), "NaN or infinity"),
+    ],
+)
+def test_a_broken_law_with_memory_is_told_what_is_wrong(spoil: Callable[[View, Any], None], sentence: str) -> None:
+    def broken(view: View, params: Params, kept: Memory) -> Array:
+        spoil(view, kept)
+        return pull(view, params) + kept.total
+
+    with_memory = module(broken)  # type: ignore[arg-type]
+    with_memory.Memory = Memory  # type: ignore[attr-defined]
+    with pytest.raises(AssertionError, match=sentence):
+        check_behaviour(with_memory, {}, seeds=range(3))
+
+
+def test_a_law_that_broadcasts_is_not_passed_unchecked() -> None:
+    talking = module(pull)
+    talking.Says = Memory  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match="needs a network"):
+        check_behaviour(talking, {})
 
 
 def test_what_is_no_law() -> None:

@@ -21,16 +21,15 @@ class Swarm:
         world = {"engine": "kinematic", "bounds_m": [0, 0, 20, 20]}
         config = SwarmConfig.model_validate({"world": world, "robot": robots, "agent": agent})
         self.lockstep = Lockstep(with_network(config, network) if network else config)
+        self.statuses: list[RequestStatus] = []
         self.lockstep.run(1.0)
 
     def request(self, behaviour: str, parameters: Mapping[str, Any], run_s: float) -> RequestStatus:
         """Have all robots run a behaviour, and let time pass."""
-        statuses: list[RequestStatus] = []
         operator = Operator(self.lockstep.bus, Keys(), self.lockstep.runtime, "test")
-        operator.request(behaviour, (), dict(parameters), statuses.append)
+        operator.request(behaviour, (), dict(parameters), self.statuses.append)
         self.lockstep.run(run_s)
-        operator.close()
-        return statuses[-1]
+        return self.statuses[-1]
 
     def memory(self) -> list[dict[str, list[float]]]:
         """Return what each robot remembers."""

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from swarm import Swarm
+
+from .swarm import Swarm
 
 STARTS = [(3.0, 3.0, 0.0), (3.0, 6.0, 1.0), (6.0, 3.0, 2.0), (9.0, 6.0, 3.0), (12.0, 4.0, -2.0)]
 TASKS = [[4.0, 10.0], [8.0, 9.0], [12.0, 9.0], [3.5, 7.5], [7.0, 6.0]]

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from swarm import Swarm
+
+from .swarm import Swarm
 
 RING = 16
 RADIUS_M = 8.0
