@@ -25,6 +25,7 @@ Further files:
 ``kernels.py``     Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep
                    trial
 ``keys.py``        Every key expression of the bus
+``lab/``           A swarm in a Python program or a notebook: ``from fullswarm import Lab``
 ``launch/``        The composition root: builds nodes and gives them a bus and a clock
 ``localization/``  Publishes external pose measurements, such as motion capture, as pose fixes
 ``messages.py``    Every message on the wire: typed, versioned, immutable
@@ -42,4 +43,27 @@ Further files:
 ``units.py``       Units by the suffix of a name: ``speed_m_s`` is in m/s
 """
 
+from __future__ import annotations
+
+from typing import Any
+
 __version__ = "0.1.0"
+_LAZY = {"Lab": "fullswarm.lab"}
+"""Exported names by the module that has them: imported when first used, because a robot needs none of them.
+
+Type checkers read ``__init__.pyi``.
+"""
+
+
+def __getattr__(name: str) -> Any:
+    """Import an exported name (PEP 562)."""
+    if name not in _LAZY:
+        raise AttributeError(f"module 'fullswarm' has no attribute '{name}'")
+    import importlib
+
+    return getattr(importlib.import_module(_LAZY[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return what can be imported from here."""
+    return sorted({*globals(), *_LAZY})

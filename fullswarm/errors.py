@@ -10,6 +10,7 @@
     ├── DriverError          a robot's link or firmware                          exit 3
     │   ├── LinkLost         the other end went silent or the port vanished
     │   └── DriverFault      the robot itself reports a fault
+    ├── BehaviourFailed      a control law raised an error or returned no velocities
     ├── MissingExtra         an optional package is not installed                exit 2
     └── SafetyStop           motion was ended to stay safe                       exit 4
 """
@@ -82,6 +83,10 @@ class LinkLost(DriverError):
 
 class DriverFault(DriverError):
     """The robot itself reports a fault."""
+
+
+class BehaviourFailed(FullswarmError):
+    """A control law raised an error, or returned something else than velocities; its robots are stopped."""
 
 
 class MissingExtra(FullswarmError):

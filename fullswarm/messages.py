@@ -96,7 +96,16 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
     stamp_s: Stamp = 0.0  # orders the requests of one operator, and all stops, on one clock; others by arrival
 
 
-class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/2"):
+class Result(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a behaviour has ended itself on one robot; part of RequestStatus and RobotHealth."""
+
+    request_id: str
+    robot: str
+    outcome: Literal["arrived", "failed"]
+    text: str = ""  # what its control law says of it
+
+
+class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/3"):
     """The status of a request; the newest one for an `id` is valid."""
 
     request_id: str
@@ -109,6 +118,7 @@ class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/2"):
     running: Names = ()  # that have confirmed it
     missing: Names = ()  # addressed, but not present now; they get it when they join
     refused_by: Names = ()  # that refused it, e.g. with a latched e-stop
+    results: Annotated[tuple[Result, ...], Meta(max_length=MOST)] = ()  # of robots whose behaviour has ended itself
     stamp_s: Stamp = 0.0
 
 
@@ -293,7 +303,7 @@ class MissionStatus(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2"):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -304,6 +314,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/2")
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
     team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
+    members: Names = ()  # all robots of the request, in its order; empty for an intent, which is sent too often
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
     expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival
@@ -614,9 +625,12 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     deviation_m_s: Finite = 0.0  # present difference between allowed and desired velocity
     deviation_m: Finite = 0.0  # the same added up over time since the agent started
     filter_note: str = ""  # why the safety filter brakes: not merely limits
+    message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
+    message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
+    result: Result | None = None  # of the newest request, if the behaviour has ended itself
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/2"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/4"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

@@ -75,6 +75,16 @@ def log_to_stderr(*, warnings_only: bool = False) -> None:
     )
 
 
+def quiet() -> None:
+    """Log nothing, unless the program has set its log up: for a library whose errors are raised."""
+    import logging
+
+    import structlog
+
+    if not structlog.is_configured():
+        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+
+
 # ---------------------------------------------------------------- errors and exit codes
 def run_guarded(call: Callable[[], int | None], debug: bool = False) -> int:
     """Run a command and return its exit code (None counts as 0); an error becomes one line on stderr.

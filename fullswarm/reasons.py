@@ -40,6 +40,7 @@ class Code(enum.StrEnum):
     UNSURE = "unsure"
     SETTLED = "settled"
     SILENT = "silent"  # robots: their names
+    FLOOD = "flood"  # robot: the sender; per_s
     NO_WAY = "no_way"  # goal, needed_m, widest_m
     GOAL_CLOSED = "goal_closed"  # goal, needed_m, available_m
     STOPPED = "stopped"  # by
@@ -47,6 +48,8 @@ class Code(enum.StrEnum):
     ESTOP_RELEASED = "estop_released"  # by
     DRIVER_FAILED = "driver_failed"  # fault
     DRIVER_STOPPED = "driver_stopped"
+    ARRIVED = "arrived"  # behaviour, text: what its control law says of it
+    FAILED = "failed"  # behaviour, text
 
     # what a driver reports of its robot
     CLIFF = "cliff"
@@ -56,6 +59,8 @@ class Code(enum.StrEnum):
     MOTORS_OFF = "motors_off"
     POSITION = "position"  # its autopilot has no position
     PORT_HELD = "port_held"  # another process uses the port
+
+    ACTUATOR = "actuator"  # name, error: it does not take what a control law asks for
 
     # why a request was refused or ended
     ESTOP_LATCHED = "estop_latched"
@@ -95,14 +100,19 @@ TEXTS: dict[Code, str] = {
     "it goes on when there is room",
     Code.SILENT: "waits for robots that are silent: {robots}; it cannot see where they are. Restart or remove them, or "
     "let another robot look at the place",
+    Code.FLOOD: "'{robot}' broadcasts {per_s} times a second, which is more than its behaviour may; what is beyond is "
+    "dropped",
     Code.NO_WAY: "it knows no way to {goal}: it needs one {needed_m} m wide, and the widest is {widest_m} m; it "
     "continues when it knows a wider one",
     Code.GOAL_CLOSED: "its goal {goal} is {available_m} m from an obstacle, and it needs {needed_m} m",
+    Code.ACTUATOR: "the actuator '{name}' is not set: {error}",
     Code.STOPPED: "it was stopped by {by}",
     Code.ESTOP_ENGAGED: "its e-stop was engaged by {by}",
     Code.ESTOP_RELEASED: "its e-stop was released by {by}",
     Code.DRIVER_FAILED: "the driver failed: {fault}",
     Code.DRIVER_STOPPED: "the robot has stopped by itself",
+    Code.ARRIVED: "{behaviour} has arrived: {text}",
+    Code.FAILED: "{behaviour} has failed: {text}",
     Code.ESTOP_LATCHED: "its e-stop is latched; clear it with `fullswarm estop --clear`",
     Code.VOIDED: "{why}; ask for it again",
     Code.SUPERSEDED: "superseded by {by}",
@@ -114,8 +124,10 @@ TEXTS: dict[Code, str] = {
 }
 """The texts of this package; all others come with their codes from outside."""
 
-DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED})
-"""A robot without a behaviour that stands for one of these was stopped on request: no cause for alarm."""
+DELIBERATE = frozenset({Code.STOPPED, Code.ESTOP_ENGAGED, Code.ESTOP_RELEASED, Code.EXPIRED, Code.ARRIVED})
+"""A robot without a behaviour that stands for one of these was stopped on request, or is done: no cause for alarm."""
+RESULTS = frozenset({Code.ARRIVED, Code.FAILED})
+"""With these a behaviour ends itself on a robot."""
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 

@@ -19,6 +19,7 @@ import sys
 import tomllib
 import traceback
 from importlib.machinery import ModuleSpec
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -125,6 +126,8 @@ def law_module(name: str) -> Any:
     ConfigError
         Unknown law, or a plug-in that does not import.
     """
+    if name in _GIVEN:
+        return _GIVEN[name]
     target = LAWS.get(name) or _entry_point(BEHAVIOUR_GROUP, name)
     if target is None:
         raise ConfigError(f"this robot has no control law '{name}'", hint=did_you_mean(name, law_names()))
@@ -168,6 +171,30 @@ def record_files() -> tuple[Path, ...]:
     """
     files = [file.with_suffix(".toml") for file in law_files().values()]
     return tuple(dict.fromkeys(file for file in files if file.is_file()))
+
+
+# ---------------------------------------------------------------- laws of this process alone
+_GIVEN: dict[str, Any] = {}
+
+
+def give_law(name: str, module: Any) -> None:
+    """Have this process find a law, a module or an object like one, that no package has installed.
+
+    Raises
+    ------
+    ConfigError
+        A law of that name is known already.
+    """
+    if name in _GIVEN or name in law_names():
+        raise ConfigError(f"a control law '{name}' exists already", hint="give it another name")
+    _GIVEN[name] = module
+    law_module.cache_clear()
+
+
+def take_law(name: str) -> None:
+    """Forget a law that :func:`give_law` has made known."""
+    _GIVEN.pop(name, None)
+    law_module.cache_clear()
 
 
 # ---------------------------------------------------------------- laws under development
@@ -221,6 +248,26 @@ def check_law(name: str) -> None:
             _load(spec.name, Path(spec.origin))
 
 
+def load_file(file: Path) -> ModuleType:
+    """Return the module of a Python file that belongs to no package; it need not have a law.
+
+    Raises
+    ------
+    ConfigError
+        It does not load; names file and line.
+    """
+    name = f"fullswarm_file.{file.stem}"
+    before = sys.modules.get(name)
+    try:
+        module = _load(name, file.absolute(), needs_law=False, register=True)
+    except ConfigError:
+        sys.modules.pop(name, None)
+        if before is not None:
+            sys.modules[name] = before
+        raise
+    return module
+
+
 def put_in_place(module: ModuleType) -> None:
     """Use a module that :func:`load_again` has returned, in place of the one of its name."""
     sys.modules[module.__name__] = module
@@ -231,17 +278,19 @@ def put_in_place(module: ModuleType) -> None:
     centralised_module.cache_clear()
 
 
-def _load(name: str, file: Path) -> ModuleType:
+def _load(name: str, file: Path, *, needs_law: bool = True, register: bool = False) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None:
         raise ConfigError("is no Python file", where=str(file))
     module = importlib.util.module_from_spec(spec)
+    if register:
+        sys.modules[name] = module  # a dataclass looks its module up
     try:
         # From the source itself: compiled files are told apart by whole seconds.
         exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)  # noqa: S102  (as any import does)
     except Exception as error:  # outside code: whatever it raises, the law before stays in use
         raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=_line_of(error, file)) from error
-    if not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
+    if needs_law and not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
         raise ConfigError("has no law", where=str(file), hint="define velocity(view, params) or twist(view, params)")
     return module
 
@@ -276,7 +325,7 @@ def _spec(group: str, name: str) -> ModuleSpec | None:
 def _entry_point(group: str, name: str) -> str | None:
     if name in (developed := _developed(group)):
         return developed[name]
-    found = list(importlib.metadata.entry_points(group=group, name=name))
+    found = [each for each in _installed(group, tuple(sys.path)) if each.name == name]
     if len(found) > 1:
         owners = ", ".join(sorted(each.dist.name if each.dist else "?" for each in found))
         raise ConfigError(f"'{name}' is offered by several packages: {owners}", hint="uninstall all but one")
@@ -284,8 +333,14 @@ def _entry_point(group: str, name: str) -> str | None:
 
 
 def _entry_point_names(group: str, table: MappingProxyType[str, str]) -> tuple[str, ...]:
-    installed = {each.name for each in importlib.metadata.entry_points(group=group)}
+    installed = {each.name for each in _installed(group, tuple(sys.path))}
     return tuple(sorted((installed | set(_developed(group))) - set(table)))
+
+
+@functools.lru_cache(maxsize=16)
+def _installed(group: str, _path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Return the entry points of the packages on a path: reading them all takes tens of milliseconds."""
+    return tuple(importlib.metadata.entry_points(group=group))
 
 
 def _developed(group: str) -> dict[str, str]:
@@ -294,14 +349,21 @@ def _developed(group: str) -> dict[str, str]:
     file = folder / "pyproject.toml"
     if not file.is_file():
         return {}
-    try:
-        found = tomllib.loads(file.read_text("utf-8")).get("project", {}).get("entry-points", {}).get(group, {})
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(error), where=str(file), hint="correct the file") from error
     for each in (folder / "src", folder):
         if each.is_dir() and str(each) not in sys.path:
             sys.path.insert(0, str(each))
-    return {str(name): str(target) for name, target in found.items()}
+    found: dict[str, str] = _project(file, file.stat().st_mtime_ns).get(group, {})
+    return found
+
+
+@functools.lru_cache(maxsize=4)
+def _project(file: Path, _changed_ns: int) -> dict[str, dict[str, str]]:
+    """Return the entry points that a `pyproject.toml` declares, by group; read once per change."""
+    try:
+        found = tomllib.loads(file.read_text("utf-8")).get("project", {}).get("entry-points", {})
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(error), where=str(file), hint="correct the file") from error
+    return {str(group): {str(name): str(target) for name, target in each.items()} for group, each in found.items()}
 
 
 def _import(module: str, where: str) -> Any:

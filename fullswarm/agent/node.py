@@ -12,18 +12,20 @@ from numpy.typing import NDArray
 
 from fullswarm import __version__
 from fullswarm.agent.core_clock import CoreClock
+from fullswarm.agent.messaging.exchange import Exchange
+from fullswarm.agent.motion.actuation import ActuatorCommands
 from fullswarm.agent.motion.desired import DesiredMotion
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.reflexes import DriverWatch, Reflexes, Standstill, Thresholds
 from fullswarm.agent.motion.robot_controller import Doubt, Link, RobotController, Sensed, Task
 from fullswarm.agent.motion.settling import Settling, Wanted
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours
 from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
 from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.neighbours.silent import SilentSearch
 from fullswarm.agent.orders.inbox import Inbox
-from fullswarm.agent.orders.tasks import Tasks
+from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.pose.estimator import estimator_for
 from fullswarm.agent.pose.fixes import Fixes
@@ -98,14 +100,16 @@ class AgentNode:
         gain_limit = accel / self.controller.speed_limit
         self.tasks = Tasks(
             len(limits), settings.safety_margin_m, settings.barrier_gain_per_s, gain_limit, settings.barrier,
-            settings.coordination,
+            settings.coordination, fleet.ids, config.world_or_default.seed,
         )  # fmt: skip
         top_speed = self.controller.speed_limit.tolist()
         extra = np.array([each.stop_extra(top) for each, top in zip(limits, top_speed, strict=True)]).reshape(-1, 2)
         self.neighbours = _neighbours(settings, fleet, self.controller, accel, extra)
         self.core_clock = CoreClock(bus, keys, scheduler, identity.host, settings.state_delay_s)
         self.neighbours.delay_of = self.core_clock.delay_s
-        self._state_subscriptions = StateSubscriptions(bus, keys, config.state_cell_m, self._on_states)
+        self._state_subscriptions = CellSubscriptions(
+            bus, keys.state, RobotStates, config.state_cell_m, self._on_states
+        )  # fmt: skip
         self.reception = ReceptionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.neighbours, settings.state_rate_hz,
             alone=len(fleet.ids) > 1 and set(config.robots) <= set(fleet.ids),
@@ -136,6 +140,7 @@ class AgentNode:
             settings, config.bounds_m, any(each.senses_obstacles for each in fleet.descriptions), state, self.tasks,
             self.neighbours, self.obstacle_map, self.settling, self.deadlocks, self.filter, self.controller, evasion,
         )  # fmt: skip
+        self.actuators = ActuatorCommands(fleet)
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.inbox = Inbox(
@@ -150,6 +155,13 @@ class AgentNode:
             bus, keys, scheduler, settings, self._estimator, fleet, state, self.publish_health,
             vague_m=vaguest_fix_m(config, fleet.descriptions),
         )  # fmt: skip
+        self.desired.context.contacts = self.fixes.touches
+        self.exchange = Exchange(
+            bus, keys, scheduler, identity.host, fleet.ids, config.state_cell_m, state, self.tasks, self.neighbours,
+            settings.sensing_radius_m, 1.0 / settings.control_rate_hz,
+            FOLLOW_PERIOD_S * float(self.controller.speed_limit.max()),
+        )  # fmt: skip
+        self.desired.context.channel = self.exchange.channel
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -166,7 +178,8 @@ class AgentNode:
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            waiting=Waiting(state, self.tasks, self.filter, self.neighbours),
+            results=self.inbox.results,
+            waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
         )  # fmt: skip
@@ -220,10 +233,15 @@ class AgentNode:
         return self._identity
 
     def wake(self) -> None:
-        """Act on a message now instead of at the next period; with many robots the next tick does it."""
+        """Act on a message now instead of at the next period; the next tick does it with many robots.
+
+        It also does with a control law that remembers, which is called once per tick.
+        """
         self._dirty = True
         if len(self._fleet.ids) == 1 and self._state.reading is not None:
-            self._act(self._scheduler.now_s(), self._state.reading)
+            groups = self.tasks.groups()
+            if not self.tasks.any_apart:
+                self._act(self._scheduler.now_s(), self._state.reading, groups, at_tick=False)
 
     # ------------------------------------------------------------------ the tick
     def tick(self) -> None:
@@ -240,7 +258,8 @@ class AgentNode:
         if reading.bodies is not None or self.objects.any:
             self.objects.update(now_s, state.pose, reading.bodies, float(reading.stamp_s.max()))
         self.reflexes.watch_clock(now_s, self._last_tick_s, self._patience_s)
-        self._act(now_s, reading)
+        self._act(now_s, reading, self.tasks.groups())
+        self.exchange.send()
         period_s = 1.0 / self._config.control_rate_hz
         try:
             contacts = self.fixes.touches() if self.fixes.touching else reading.contacts
@@ -269,13 +288,14 @@ class AgentNode:
                 log.error("the estimator failed; its robots stand", error=str(error), exc_info=error)
             return np.full((len(self._fleet.ids), 3), math.nan)
 
-    def _act(self, now_s: float, reading: FleetReading) -> None:
+    def _act(self, now_s: float, reading: FleetReading, groups: list[Group], *, at_tick: bool = True) -> None:
         """Evaluate the control laws, decide and command the drivers."""
         period_s = 1.0 / self._config.control_rate_hz
         dt_s = min(max(now_s - self._last_act_s, 0.0), 2.0 * period_s)
         self._last_act_s = now_s
-        groups = self.tasks.groups()
-        self.desired.gather(groups, now_s, reading)
+        self.desired.gather(groups, now_s, reading, dt_s, at_tick=at_tick)
+        if self.desired.endings:
+            self._end_tasks()
         self.reflexes.watch_geofence(
             self._state.pose, self._state.twist, self.controller.desired, self.filter.commands.underway
         )
@@ -294,11 +314,21 @@ class AgentNode:
         read_since_s = now_s + 0.5 * period_s - self._config.reading_timeout_s
         twists = self.controller.step(now_s, dt_s, read_since_s, self._task, link, sensed, doubt)
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
+        if self.desired.asked:
+            self.actuators.carry_out(self.desired.asked, self.controller.drive_on)
+            self.desired.asked.clear()
         if self.desired.news:
             self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
+
+    def _end_tasks(self) -> None:
+        """End the behaviours that have ended themselves, before anything is commanded: their robots stand."""
+        for row, ending in self.desired.endings.items():
+            self.inbox.end(row, ending.outcome, ending.text)
+        self.desired.endings.clear()
+        self._dirty = True
 
     # ------------------------------------------------------------------ what goes out
     def _on_states(self, states: RobotStates) -> None:
@@ -314,8 +344,9 @@ class AgentNode:
         reaches_m = [group.hearing_m for group in self.tasks.groups()]
         # What comes within reach before the next call must be subscribed already.
         way_m = FOLLOW_PERIOD_S * float(self.controller.speed_limit.max())
-        reach_m = max([self._config.sensing_radius_m, *reaches_m]) + way_m
+        reach_m = max([self._config.sensing_radius_m, self.exchange.reach_m, *reaches_m]) + way_m
         self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
+        self.exchange.follow()
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
@@ -326,6 +357,7 @@ class AgentNode:
         now_s = self._scheduler.now_s()
         self.pose_conflicts.update(now_s)
         self.reception.update()
+        self.exchange.watch()
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -376,7 +408,9 @@ class AgentNode:
                 "delay_s": np.full(len(self._fleet.ids), self.neighbours.longest_delay_s(now_s)),
                 **self.calculators.columns(),
             }
-            message = self.metrics.message(now_s, self._identity, self._loop(), self._bus, columns)
+            message = self.metrics.message(
+                now_s, self._identity, self._loop(), self._bus, self.exchange.counts, columns
+            )
             self._bus.publish(self._keys.measurement("robots", host), message)
 
     @property
@@ -411,6 +445,7 @@ class AgentNode:
         self._state_subscriptions.close()
         self._obstacle_sharing.close()
         self.reception.close()
+        self.exchange.close()
         self._object_subscription.close()
         self.silent_search.close()
         self.fixes.close()

@@ -62,14 +62,19 @@ def request(
         ),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Check a mission file and start nothing.")] = False,
+    until_end: Annotated[
+        bool,
+        typer.Option("--until-end", help="Wait until the behaviour has ended on all robots; Ctrl-C leaves it running."),
+    ] = False,
     take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
 ) -> int:
     """Request a behaviour and print what the robots answer, or start the mission of a file.
 
-    Exit code 0: all robots present run it; 1: one refused or did not answer; 2: the core refused; 3: no hub or no
-    core; 4: a latched e-stop is in the way. With --no-wait 0: the core accepted.
+    Exit code 0: all robots present run it, or have arrived; 1: one refused, failed or did not answer; 2: the core
+    refused; 3: no hub or no core; 4: a latched e-stop is in the way. With --no-wait 0: the core accepted. With
+    --until-end 0: all have arrived.
     """
     import msgspec
 
@@ -78,7 +83,7 @@ def request(
     if is_mission(behaviour):
         if robots or settings:
             raise ConfigError("the file names its robots and parameters", where=behaviour, hint="edit the file")
-        return start(target, Path(behaviour), check=check, wait=bool(wait), take=take, timeout=timeout, as_json=as_json)
+        return start(target, Path(behaviour), check=check, wait=bool(wait) or until_end, take=take, timeout=timeout, as_json=as_json)
     if check:
         raise ConfigError("--check is for mission files", where=behaviour, hint="e.g. survey.toml")
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
@@ -88,18 +93,23 @@ def request(
 
         def receive(status: RequestStatus) -> None:
             nonlocal newest, shown
-            if newest is None and wait is None:
+            if newest is None and wait is None and not until_end:
                 connection.runtime.after(ANSWER_S, connection.finish)
             newest = status
             text = f"{status.phase}: {len(status.running)} of {len(status.robots)} confirmed"
-            if wait and status.phase != "refused" and text != shown:  # the core repeats it
+            if status.results:
+                text = f"{status.phase}: {len(status.results)} of {len(status.robots)} ended"
+            if (wait or until_end) and status.phase != "refused" and text != shown:  # the core repeats it
                 output.progress(text)
                 shown = text
-            if wait is False or settled(status):
+            if ended(status) if until_end else wait is False or settled(status):
                 connection.finish()
 
+        if until_end:
+            connection.on_interrupt = connection.finish
+            connection.runtime.after(timeout, lambda: None if newest else connection.finish())
         connection.operator.request(behaviour, ids, parameters, receive, take=take)
-        connection.run(timeout)
+        connection.run(None if until_end else timeout)
         if newest is None:
             raise connection.no_core(timeout)
     if as_json:
@@ -108,11 +118,14 @@ def request(
         output.data("\n".join(status_lines(newest)))
     if newest.phase == "refused":
         raise refusal(newest)
-    if wait is False or (newest.phase == "running" and settled(newest) and not newest.refused_by):
+    if newest.phase == "ended" and newest.results:
+        return 0 if all_arrived(newest) else 1
+    confirmed = newest.phase == "running" and settled(newest) and not newest.refused_by
+    if not until_end and (wait is False or confirmed):
         return 0
     late = unconfirmed(newest)
     if late and not settled(newest):
-        within_s = timeout if wait else min(ANSWER_S, timeout)
+        within_s = timeout if wait or until_end else min(ANSWER_S, timeout)
         output.progress(f"not confirmed within {within_s:g} s: {', '.join(late)}")
     return refusal(newest).exit_code if newest.refused_by else 1
 
@@ -130,15 +143,25 @@ def refusal(status: RequestStatus) -> FullswarmError:
 
 def unconfirmed(status: RequestStatus) -> tuple[str, ...]:
     """Return the robots that are present and have not answered yet."""
-    answered = {*status.running, *status.refused_by, *status.missing}
+    answered = {*status.running, *status.refused_by, *status.missing, *(each.robot for each in status.results)}
     return tuple(robot for robot in status.robots if robot not in answered)
+
+
+def all_arrived(status: RequestStatus) -> bool:
+    """Return whether the behaviour has ended itself on each robot by arriving."""
+    return {each.robot for each in status.results if each.outcome == "arrived"} == set(status.robots)
+
+
+def ended(status: RequestStatus) -> bool:
+    """Return whether no robot runs the request any more, or will."""
+    return status.phase in ("refused", "superseded", "ended")
 
 
 def settled(status: RequestStatus) -> bool:
     """Return whether nothing more is to be expected soon."""
-    if status.phase in ("refused", "superseded", "ended"):
+    if ended(status):
         return True
-    return bool(status.running or status.refused_by) and not unconfirmed(status)
+    return bool(status.running or status.refused_by or status.results) and not unconfirmed(status)
 
 
 def status_lines(status: RequestStatus) -> list[str]:
@@ -154,6 +177,7 @@ def status_lines(status: RequestStatus) -> list[str]:
     ):
         if names:
             lines.append(f"{title}: {', '.join(names)}")
+    lines += [f"{each.robot}: {each.outcome}" + (f", {each.text}" if each.text else "") for each in status.results]
     return lines
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from fullswarm.messages import ControlAck, ControlRequest, RobotHealth, Value
+from fullswarm.messages import ControlAck, ControlRequest, Result, RobotHealth, Value
 from fullswarm.reasons import NONE, Code, Reason, given, reason
 
 RESEND_S = 0.1
@@ -37,6 +37,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, Value] = {}
     law: str = ""
     team: int = 0
+    members: tuple[str, ...] = ()
     filtered: bool = False
     centralised: bool = False
     survives_core: bool = False
@@ -116,6 +117,7 @@ class Desired:
             filtered=filled.filtered,
             law=filled.law,
             team=filled.team,
+            members=filled.members,
             centralised=filled.centralised,
             survives_core=filled.survives_core,
             expires_s=filled.expires_s,
@@ -173,6 +175,11 @@ class Desired:
             self._clear_in_flight()
             self.acked_sequence = 0
             self._maybe_active = ""
+        result = health.result
+        if result is not None and self.order is not None and result.request_id == self.order.request_id:
+            self._clear_in_flight()
+            self.active = self._maybe_active = ""
+            return result_reason(result, self.order.behaviour)
         if self._foreign(health) and not restarted:
             overdue = now_s - self.acked_s >= BEHIND_S and self.order is not None
             return reason(Code.OTHER_CORE) if overdue else NONE  # two cores must not alternate
@@ -225,3 +232,9 @@ class Desired:
 
     def _clear_in_flight(self) -> None:
         self.in_flight, self.resend_s = None, math.inf
+
+
+def result_reason(result: Result, behaviour: str) -> Reason:
+    """Return the result of a behaviour that has ended itself as a reason."""
+    code = Code.ARRIVED if result.outcome == "arrived" else Code.FAILED
+    return reason(code, behaviour=behaviour, text=result.text or "no more is said")

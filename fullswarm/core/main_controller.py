@@ -120,7 +120,10 @@ class MainController:
             self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
         team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
-        orders = {robot: _order(request.id, record, parameters[robot], line, stamp_s, team) for robot in robots}
+        members = () if record.centralised or record.expires_s > 0.0 else robots
+        orders = {
+            robot: _order(request.id, record, parameters[robot], line, stamp_s, team, members) for robot in robots
+        }
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -251,6 +254,7 @@ def _order(
     line: Line = ("", ""),
     stamp_s: float = 0.0,
     team: int = 0,
+    members: tuple[str, ...] = (),
 ) -> Order:
     # Robots need no parameters of a law that is computed on the base station.
     given = {} if record.centralised else parameters
@@ -260,6 +264,7 @@ def _order(
         parameters=given,
         law=record.law,
         team=team,
+        members=members,
         filtered=record.filtered,
         centralised=record.centralised,
         survives_core=record.survives_core,

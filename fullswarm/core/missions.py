@@ -382,6 +382,7 @@ class Missions:
         """Apply the event that is due to a running step, if any."""
         step, state = each.step, each.state
         request_id = mission.request_id(each)
+        changed = bool(step.behaviour) and self._take_results(each, request_id)
         kind, why = self._trouble(each, request_id) if step.behaviour else ("", "")
         if kind == "pause":
             return mission.pause(f"{each.path}: {why}")
@@ -392,7 +393,7 @@ class Missions:
                 state.kept = step.keep_running
                 return True
             if not step.fail_after_s or state.elapsed_s < step.fail_after_s - 1e-6:
-                return False
+                return changed
             why = f"not done within {step.fail_after_s:g} s ({'; '.join(waits)})"
             state.elapsed_s = 0.0  # a resumed step gets its time anew
         return self._fail(mission, each, why)
@@ -422,6 +423,15 @@ class Missions:
                 self._fail(mission, each, str(error))
         return begun
 
+    def _take_results(self, each: Running, request_id: str) -> bool:
+        """Note the robots whose behaviour has ended itself by arriving, for good; return whether there are new ones."""
+        status = self._board.get(request_id)
+        found = {each.robot for each in status.results if each.outcome == "arrived"} if status is not None else set()
+        new = tuple(robot for robot in each.state.robots if robot in found and robot not in each.state.arrived)
+        each.state.arrived += new
+        each.state.over = set(each.state.robots) == set(each.state.arrived) if new else each.state.over
+        return bool(new)
+
     def _trouble(self, each: Running, request_id: str) -> tuple[str, str]:
         """Return what must happen to a running step because of its request, "pause" or "fail", and why."""
         status = self._board.get(request_id)
@@ -430,7 +440,7 @@ class Missions:
         held = self._handler.holders(request_id)
         if status.phase == "refused" or status.refused_by:
             return "fail", status.reason or "it was refused"
-        gone = [robot for robot in each.state.robots if robot not in held]
+        gone = [robot for robot in each.state.robots if robot not in held and robot not in each.state.arrived]
         if gone:
             taken = status.phase == "superseded" or status.code in (Code.SUPERSEDED, Code.CAME_FIRST)
             return "pause" if taken else "fail", f"{', '.join(gone)}: {status.reason or 'the request has ended'}"

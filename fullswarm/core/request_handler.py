@@ -21,8 +21,8 @@ from fullswarm.core.request_order import RequestOrder
 from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus
-from fullswarm.reasons import NONE, Code, Reason, given, reason
+from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus, Result
+from fullswarm.reasons import NONE, RESULTS, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
@@ -204,6 +204,15 @@ class RequestHandler:
             self._release(state.robot, order.request_id, why, superseded=False)
             self._keep([state.robot])
 
+    def _finish(self, state: Desired, result: Result) -> None:
+        """End a robot's order because its behaviour has ended itself."""
+        progress = self._requests.get(result.request_id)
+        if progress is not None and result.robot == state.robot:
+            progress.finish(result)
+            self._mark(result.request_id)
+        state.set_order(None, self._scheduler.now_s())
+        self._keep([state.robot])
+
     # ------------------------------------------------------------ acknowledgements and reports
     def _acknowledged(self, ack: ControlAck) -> None:
         state = self._robots.get(ack.robot)
@@ -221,7 +230,9 @@ class RequestHandler:
         before = state.present, state.settled, state.order
         state.present = True
         given_up = state.compare(health, restarted, self._scheduler.now_s())
-        if given_up:
+        if given_up.code in RESULTS and health.result is not None:
+            self._finish(state, health.result)
+        elif given_up:
             self._give_up(state, given_up)
         elif state.order is None and not state.acked_sequence and health.behaviour and health.core != self._process:
             self._adopt(state, health.request_id, health.behaviour)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import msgspec
 
 from fullswarm.bus import Bus
-from fullswarm.core.desired import Desired
+from fullswarm.core.desired import Desired, result_reason
 from fullswarm.keys import Keys
-from fullswarm.messages import Phase, RequestStatus
+from fullswarm.messages import Phase, RequestStatus, Result
 from fullswarm.reasons import NONE, Reason, joined
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -30,6 +30,14 @@ class Progress:
     reason: Reason = NONE
     left: dict[str, Reason] = field(default_factory=dict)  # robot → why it does not hold the request any more
     superseded: bool = False
+    results: dict[str, Result] = field(default_factory=dict)  # robot → how its behaviour has ended itself
+
+    def finish(self, result: Result) -> None:
+        """Note how the behaviour has ended itself on a robot, which leaves the request with that."""
+        self.results[result.robot] = result
+        self.leave(result.robot, result_reason(result, self.behaviour), superseded=False)
+        if len(self.results) > 1:
+            self.reason = joined({robot: result_reason(each, self.behaviour) for robot, each in self.results.items()})
 
     def leave(self, robot: str, reason: Reason, *, superseded: bool) -> None:
         """Note that `robot` does not hold the request any more; `superseded`: by another request."""
@@ -39,6 +47,7 @@ class Progress:
     def join(self, robot: str) -> None:
         """Note that `robot` holds the request, perhaps again."""
         self.left.pop(robot, None)
+        self.results.pop(robot, None)
         if robot not in self.robots:
             self.robots = (*self.robots, robot)
 
@@ -77,6 +86,7 @@ class Progress:
             running=tuple(running),
             missing=tuple(missing),
             refused_by=tuple(refused),
+            results=tuple(self.results.values()),
         )
 
     def _phase(self, refused: int, waiting: bool) -> Phase:

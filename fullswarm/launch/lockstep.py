@@ -26,6 +26,7 @@ from fullswarm.perf.summarizers import Summarizer
 from fullswarm.runtime import Mailbox, Runtime
 from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.world import World
+from fullswarm.store import Store
 
 
 @dataclass(slots=True)
@@ -35,6 +36,7 @@ class Lockstep:
     Attributes
     ----------
     bus : carries every message unharmed, for onlookers; nodes are on :meth:`bus_of` their name
+    store : the core's local database
     agents : one that carries all robots; on a bad network one per robot, in the order of the file
     """
 
@@ -42,6 +44,7 @@ class Lockstep:
     runtime: Runtime = field(init=False)
     bus: LocalBus = field(init=False)
     world: World = field(init=False)
+    store: Store = field(init=False)
     agents: tuple[AgentNode, ...] = field(init=False)
     summarizers: tuple[Summarizer[Any], ...] = field(init=False)
     wall_s: float = field(init=False, default=0.0)
@@ -67,6 +70,7 @@ class Lockstep:
         self.runtime.every(1.0 / settings.rate_hz, self.world.step)
         core = nodes.core(self.bus_of(CORE), self.runtime, config, "core-0", self.runtime.now_s)
         self._nodes += core
+        self.store = next(node for node in core if isinstance(node, Store))
         extra = [each for node in core if isinstance(node, CoreNode) for each in node.extra]
         self.summarizers = tuple(each for each in extra if isinstance(each, Summarizer))
         self._nodes.append(nodes.centralised(self.bus_of(CENTRALISED), self.runtime, config, "centralised-0"))

@@ -51,12 +51,13 @@ class Files:
         self._files = files
         self._taken: dict[str, Signature] = {}
         self._seen: dict[str, Signature] = {}
+        self._problem = ""
         self.changed()
 
     def changed(self) -> dict[str, Path]:
         """Return the files that have changed since they were returned last, or since they were first seen."""
         found = {}
-        for name, path in self._files().items():
+        for name, path in self._known().items():
             try:
                 state = path.stat()
             except OSError:
@@ -68,6 +69,17 @@ class Files:
                 self._taken[name] = signature
                 found[name] = path
         return found
+
+    def _known(self) -> Mapping[str, Path]:
+        """Return the files; none while the package's `pyproject.toml` is being edited and cannot be read."""
+        try:
+            files, problem = self._files(), ""
+        except FullswarmError as error:
+            files, problem = {}, str(error)
+        if problem and problem != self._problem:
+            log.error("the behaviours under development are unknown", error=problem)
+        self._problem = problem
+        return files
 
 
 class Runs(Protocol):

@@ -72,16 +72,19 @@ def row_state(row: RobotRow) -> RowState:
         return RowState("E-STOP, still rolling" if rolls else "E-STOP", attention=True)
     alarm = health.behaviour or health.stop_code not in DELIBERATE
     settled = health.stop_code == Code.SETTLED
+    arrived = health.stop_code == Code.ARRIVED and not health.behaviour
     if health.stop_reason and health.stop_code != Code.EXPIRED and alarm and not settled:
         return RowState("STOPPED", health.stop_reason, attention=True)
-    doing = "moving" if health.moving else "settled" if settled else "standing"
+    doing = "moving" if health.moving else "settled" if settled else "arrived" if arrived else "standing"
     if health.lifecycle not in ("READY", "ACTIVE"):
         doing = f"{health.lifecycle.lower()}, not ready"
     if health.contacts:
         return RowState(f"{doing}, TOUCHING", attention=True)
     if 0.0 <= health.battery < LOW_BATTERY:
         return RowState(f"{doing}, BATTERY {health.battery:.0%}", attention=True)
-    return RowState(doing, health.stop_reason if doing == "settled" else "")
+    if health.message_note:
+        return RowState(doing, health.message_note, attention=True)
+    return RowState(doing, health.stop_reason if doing in ("settled", "arrived") else "")
 
 
 def advise(row: RobotRow) -> str:
@@ -109,6 +112,8 @@ def _of(health: RobotHealth) -> str:
         return "Charge it soon."
     if health.contacts:
         return "It touches something: drive it back by hand, or move the obstacle."
+    if health.message_code == Code.FLOOD:
+        return "Restart the agent that floods, or stop its behaviour; the others go on meanwhile."
     if health.pose_note:
         return "Its pose is uncertain: check that its position source sees it, and that it was not carried."
     if health.filter_note:

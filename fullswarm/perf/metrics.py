@@ -69,6 +69,9 @@ COLUMNS = {
     "worst_late_s": Column("s", "the latest of them", "most", per_host=True),
     "sent": Column("", "messages published by the agent", "add", per_host=True),
     "received": Column("", "messages that the agent took in", "add", per_host=True),
+    "broadcasts_sent": Column("", "broadcasts of its robots' behaviours, one per robot and time", "add", per_host=True),
+    "broadcasts_received": Column("", "those of others that it took in", "add", per_host=True),
+    "broadcasts_dropped": Column("", "those that it dropped, beyond their senders' rates", "add", per_host=True),
 }
 
 LOOP: dict[str, tuple[Rule, str]] = {
@@ -146,6 +149,14 @@ METRICS = {
         "What driving cost",
         {"total_j": ("sum", "energy_j"), "mean_j": ("mean", "energy_j"), "max_j": ("max", "energy_j")},
         "energy_j",
+    ),
+    "broadcasts": Metric(
+        "What behaviours broadcast to neighbours",
+        {
+            "sent": ("sum", "broadcasts_sent"),
+            "received": ("sum", "broadcasts_received"),
+            "dropped": ("sum", "broadcasts_dropped"),
+        },
     ),
     "loop": Metric("Deadlines and messages of the agents", LOOP),
     "formation": Metric("Root mean square distance to the targets", {"error_m": ("rms", "goal_m")}, "goal_m"),

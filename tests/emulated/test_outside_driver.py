@@ -175,6 +175,7 @@ def test_a_robot_that_stops_later_than_its_driver_claims_is_found_out(
     monkeypatch.setattr(session, "WATCHDOG_S", 5.0)  # of the firmware; the driver's description still says 1 s
     monkeypatch.setattr("fullswarm.testing.driver.check_contract", lambda *_: None)
     monkeypatch.setattr("fullswarm.testing.driver.check_claims", lambda _: None)
+    monkeypatch.setattr("fullswarm.testing.driver.check_actuators", lambda *_: None)
     monkeypatch.setattr("fullswarm.testing.driver.check_faults", lambda _: None)
 
     def speed() -> Twist:

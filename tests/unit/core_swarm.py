@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Literal
 
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
@@ -19,6 +20,7 @@ from fullswarm.messages import (
     HealthReport,
     Message,
     RequestStatus,
+    Result,
     RobotHealth,
     StopRequest,
     Value,
@@ -31,11 +33,18 @@ Drop = Callable[[str, Message], bool]
 
 
 def health(
-    robot: str, *, behaviour: str = "", request_id: str = "", core: str = "", sequence: int = 0, estop: bool = False
+    robot: str,
+    *,
+    behaviour: str = "",
+    request_id: str = "",
+    core: str = "",
+    sequence: int = 0,
+    estop: bool = False,
+    result: Result | None = None,
 ) -> RobotHealth:
     return RobotHealth(
         robot=robot, driver="null://", make="", model="", firmware="", lifecycle="ACTIVE",
-        behaviour=behaviour, request_id=request_id, core=core, sequence=sequence, estop=estop,
+        behaviour=behaviour, request_id=request_id, core=core, sequence=sequence, estop=estop, result=result,
     )  # fmt: skip
 
 
@@ -60,11 +69,12 @@ class Robot:
         self.refuse = ""
         self.starts = 0
         self.task: ControlRequest | None = None
+        self.result: Result | None = None
         self.alive = False
 
     def start(self) -> Robot:
         self.starts += 1
-        self.task, self.alive, self.estop = None, True, False
+        self.task, self.alive, self.estop, self.result = None, True, False, None
         self.newest, self.answer = ("", 0), ControlAck(
             request_id="", robot=self.robot, behaviour="", enabled=False, accepted=False
         )  # fmt: skip
@@ -98,6 +108,14 @@ class Robot:
         self.task = None
         self.report()
 
+    def finish(self, *, arrived: bool = True) -> None:
+        """End the task as its own control law does."""
+        if self.task is not None:
+            outcome: Literal["arrived", "failed"] = "arrived" if arrived else "failed"
+            self.result = Result(request_id=self.task.request_id, robot=self.robot, outcome=outcome)
+            self.task = None
+            self.report()
+
     def control(self, request: ControlRequest) -> None:
         if request.core == self.newest[0] and request.sequence <= self.newest[1]:
             if request.sequence == self.newest[1]:
@@ -106,7 +124,7 @@ class Robot:
         self.newest = (request.core, request.sequence)
         accepted = not (request.enable and self.refuse)
         if accepted:
-            self.task = request if request.enable else None
+            self.task, self.result = request if request.enable else None, None
             self.log.append(("on" if request.enable else "off", request.behaviour, request.request_id))
         self.answer = ControlAck(
             request_id=request.request_id, robot=self.robot, behaviour=request.behaviour,
@@ -118,7 +136,7 @@ class Robot:
 
     def report(self) -> None:
         task = self.task
-        state = health(self.robot, estop=self.estop) if task is None else health(
+        state = health(self.robot, estop=self.estop, result=self.result) if task is None else health(
             self.robot, behaviour=task.behaviour, request_id=task.request_id, core=task.core, sequence=task.sequence,
             estop=self.estop,
         )  # fmt: skip

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
+from fullswarm.agent.view import Params, View
 from fullswarm.config import WorldConfig
 from fullswarm.drivers.actuators import Actuator, checked, flag, number, pairs, text, word
 from fullswarm.drivers.base import STAND, Lifecycle, Twist
@@ -24,10 +26,13 @@ from fullswarm.drivers.sim import protocol as sim_protocol
 from fullswarm.drivers.sim.session import Session as SimSession
 from fullswarm.drivers.sim.settings import parse_url
 from fullswarm.errors import DriverError
+from fullswarm.kernels import Array
 from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.world import World
 from fullswarm.testing.actuators import bad_values, good_values
-from tests.unit.create_bench import Bench
+from tests.unit.agent_bench import Bench
+from tests.unit.create_bench import Bench as CreateBench
+from tests.unit.laws import install
 
 EVERY = (
     flag("lamp"),
@@ -70,8 +75,8 @@ def test_values_come_out_in_one_type_also_from_arrays() -> None:
 
 
 # ---------------------------------------------------------------- a Create
-def active(generation: Generation = CREATE2) -> Bench:
-    bench = Bench(generation)
+def active(generation: Generation = CREATE2) -> CreateBench:
+    bench = CreateBench(generation)
     bench.run(1.0)
     bench.session.activate(bench.clock.now_s())
     bench.run(0.5, STAND)
@@ -79,11 +84,11 @@ def active(generation: Generation = CREATE2) -> Bench:
     return bench
 
 
-def put(bench: Bench, name: str, value: Any) -> None:
+def put(bench: CreateBench, name: str, value: Any) -> None:
     bench.session.actuate(name, checked(describe(CREATE2).actuators, name, value), bench.clock.now_s())
 
 
-def serve(bench: Bench, duration_s: float, twist: Twist = STAND) -> list[tuple[float, bytes]]:
+def serve(bench: CreateBench, duration_s: float, twist: Twist = STAND) -> list[tuple[float, bytes]]:
     """Run the bench as a driver would: what may wait goes behind everything else. Return what went, and when."""
     sent = []
     for _ in range(round(duration_s / 0.005)):
@@ -214,3 +219,49 @@ def test_a_robot_without_actuators_refuses_them_all() -> None:
     fleet = OneRobot("r1", NullDriver("null://r1"))
     with pytest.raises(ValueError, match="no actuator 'lamp'"):
         fleet.actuate(0, "lamp", math.nan)
+
+
+# ---------------------------------------------------------------- what a control law asks for
+def test_a_law_sets_actuators_of_its_robots_while_they_may_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    def signalling(view: View, params: Params) -> Array:
+        east = view.position[:, 0] > 3.0
+        view.actuate(east, "lamp", "red")
+        view.actuate(np.flatnonzero(~east), "lamp", "green")
+        return np.zeros((len(view.position), 2))
+
+    install(monkeypatch, signalling=signalling)
+    bench = Bench([(1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (5.0, 4.0, 0.0)])
+    bench.run(0.2)
+    for robot in ("r2", "r3"):  # not all: rows of a view are not those of the agent
+        bench.enable("signalling", robot=robot)
+    bench.run(0.1)
+    assert [each["lamp"] for each in bench.simulated.actuators] == ["off", "red", "red"]
+    bench.estop(True, "e1")
+    bench.run(0.1)
+    for each in bench.simulated.actuators:
+        each["lamp"] = "off"
+    bench.run(0.2)
+    assert [each["lamp"] for each in bench.simulated.actuators] == ["off", "off", "off"]
+
+
+def test_what_a_robot_does_not_have_is_logged_once_with_the_reason_and_it_drives_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def mistaken(view: View, params: Params) -> Array:
+        view.actuate(0, "lmap", "red")
+        view.actuate(0, "lamp", 7)
+        view.actuate(0, "gripper", "closed")
+        return np.tile([0.3, 0.0], (len(view.position), 1))
+
+    install(monkeypatch, mistaken=mistaken)
+    bench = Bench([(1.0, 1.0, 0.0)])
+    bench.run(0.2)
+    with capture_logs() as logs:
+        bench.enable("mistaken", robot="r1")
+        bench.run(1.0)
+    told = [each for each in logs if each["event"] == "an actuator is not set"]
+    assert [(each["robot"], each["code"]) for each in told] == [("r1", "actuator")] * 2
+    assert "the robot has no actuator 'lmap' (did you mean 'lamp'?)" in told[0]["reason"]
+    assert "takes off | white" in told[1]["reason"]
+    assert bench.simulated.actuators[0] == {"lamp": "off", "gripper": "closed"}
+    assert bench.commanded[0, 0] > 0.25

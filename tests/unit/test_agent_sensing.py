@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours
 from fullswarm.agent.pose.estimator import DirectEstimator, EkfEstimator
 from fullswarm.bus import LocalBus
 from fullswarm.config import SwarmConfig
@@ -128,7 +128,7 @@ def test_the_table_grows_with_the_swarm() -> None:
 def test_a_robot_listens_to_the_cells_around_it() -> None:
     mailbox = Mailbox()
     bus, heard = LocalBus(mailbox), []
-    listening = StateSubscriptions(bus, KEYS, 3.0, lambda message: heard.append(message.host))
+    listening = CellSubscriptions(bus, KEYS.state, RobotStates, 3.0, lambda message: heard.append(message.host))
     for x, expected in ((1.0, {"near"}), (31.0, {"far"})):
         heard.clear()
         listening.follow(np.array([[x, 1.0]]), 3.0)

@@ -28,6 +28,19 @@ import numpy as np
 def velocity(view, params):
     return np.tile([{vx}, 0.0], (len(view.position), 1)) * params.speed
 """
+REMEMBERING = """
+from dataclasses import dataclass
+import numpy as np
+from fullswarm.memory import rows
+
+@dataclass
+class Memory:
+    calls: object = rows()
+
+def velocity(view, params, memory):
+    memory.calls += 1
+    return np.tile([1.0, 0.0], (len(view.position), 1)) * params.speed * (memory.calls[:, None] > 75)
+"""
 RECORD = """
 [glide]
 summary = "Glide"
@@ -157,6 +170,23 @@ def test_a_file_that_does_not_load_keeps_the_law_and_is_named_with_its_line(on_b
     assert lab.speed == [0.15, 0.15]
 
 
+def test_memory_starts_afresh(on_board: Lab) -> None:
+    lab = on_board
+    lab.ask()
+    watch(lab)
+    lab.lockstep.run(1.0)
+    lab.write(lab.law, REMEMBERING)
+    lab.lockstep.run(0.9)
+    assert lab.speed == [0.0, 0.0]
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.3, 0.3]
+    lab.write(lab.law, REMEMBERING.replace("> 75", "> 60"))
+    lab.lockstep.run(1.2)
+    assert lab.speed == [0.0, 0.0]  # its count begins at zero again
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.3, 0.3]
+
+
 def test_a_centralised_law_is_exchanged_as_well(lab: Lab) -> None:
     entry(lab, "fullswarm.centralised")
     lab.law.write_text(LAW.format(vx=1.0))
@@ -205,6 +235,36 @@ def test_a_law_that_was_never_good_is_refused_with_its_line_and_runs_once_it_is(
     lab.write(lab.law, LAW.format(vx=1.0))
     lab.ask()
     assert lab.phase == "running"
+
+
+def test_a_project_file_that_is_being_edited_ends_nothing(on_board: Lab) -> None:
+    lab, project = on_board, on_board.folder / "pyproject.toml"
+    lab.ask()
+    watch(lab)
+    good = project.read_text()
+    with capture_logs() as logs:
+        lab.write(project, good + "[half")
+        lab.lockstep.run(1.0)
+    assert [each["event"] for each in logs] == ["the behaviours under development are unknown"]
+    assert "pyproject.toml" in logs[0]["error"]
+    lab.write(project, good)
+    lab.write(lab.law, LAW.format(vx=0.5))
+    lab.lockstep.run(2.0)
+    assert lab.speed == [0.15, 0.15]
+
+
+def test_looking_at_the_files_reads_no_installed_package(on_board: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    on_board.ask()
+    watch(on_board)
+    read: list[str] = []
+
+    def entry_points(**named: str) -> tuple[str, ...]:
+        read.append(str(named))
+        return ()
+
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
+    on_board.lockstep.run(2.0)
+    assert read == []
 
 
 def test_built_in_laws_are_not_watched(on_board: Lab) -> None:

@@ -69,6 +69,7 @@ def test_an_outside_make_that_does_not_import_is_named_and_hides_no_other(monkey
         )
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+    monkeypatch.setattr(registry, "_installed", registry._installed.__wrapped__)  # which remembers what is installed
     assert {each.name for each in records.makes()} == {*(each.name for each in built_in()), "plain"}
     assert "no_such_package" in records.broken()["half:"]
     assert registry.driver_class("plain://r1").__name__ == "NullDriver"

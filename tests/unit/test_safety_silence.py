@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fullswarm.agent.neighbours import estimates
-from fullswarm.agent.neighbours.estimates import Assumed, Neighbours, Predicted, Received, StateSubscriptions
+from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours, Predicted, Received
 from fullswarm.agent.safety.filter import (
     BLIND,
     CROWDED,
@@ -219,7 +219,9 @@ def test_a_state_that_is_no_number_does_not_make_a_robot_vanish() -> None:
 def test_silence_where_nobody_listens_says_nothing() -> None:
     mailbox = Mailbox()
     others = table()
-    listening = StateSubscriptions(LocalBus(mailbox), Keys("swarm"), 3.0, lambda states: others.receive(states, 0.0))
+    listening = CellSubscriptions(
+        LocalBus(mailbox), Keys("swarm").state, RobotStates, 3.0, lambda states: others.receive(states, 0.0)
+    )
     listening.follow(np.array([[1.5, 1.5]]), 3.0)  # cells from -3 to 6 m
     others.receive(state(2.0, 2.0, robot="dead"), 0.0)
     others.receive(state(5.95, 2.0, robot="leaving"), 0.0)

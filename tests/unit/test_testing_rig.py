@@ -142,8 +142,8 @@ def test_a_broken_driver_is_told_what_is_wrong(
 
 def only(monkeypatch: pytest.MonkeyPatch, section: str) -> None:
     """Leave out what takes time and is not meant; the lifecycle is the business of another file."""
-    for name in {"check_contract", "check_claims", "check_faults", "check_jumps"} - {section}:
-        monkeypatch.setattr(driver, name, open_only if name == "check_contract" else lambda _: None)
+    for name in {"check_contract", "check_claims", "check_actuators", "check_faults", "check_jumps"} - {section}:
+        monkeypatch.setattr(driver, name, open_only if name == "check_contract" else lambda *_: None)
 
 
 def open_only(trial: trial.Trial, *_: object) -> None:
@@ -166,6 +166,7 @@ def test_without_a_rig_nothing_is_believed_to_be_checked() -> None:
     assert set(report.checked) == {
         "lifecycle", "limits, signs and scale", "silence of the controller", "not finite", "promptness",
         "deactivate and close", "slow driving", "can_reverse", "senses_bumps", "senses_pose", "senses_obstacles",
+        "actuators",
     }  # fmt: skip
     for name, lack in (("unplug", "no unplug, no replug"), ("garbage", "no garbage"), ("wall clock set", "no make_on")):
         assert lack in report.skipped[name]

@@ -186,6 +186,40 @@ class ReplicatedTable:
         self.evicted += 1
 
 
+class SharedTable:
+    """The table of a request as n robots know it, each by itself.
+
+    Parameters
+    ----------
+    replica : ``replica(row)`` returns that of one robot
+    """
+
+    def __init__(self, replica: Callable[[int], ReplicatedTable]) -> None:
+        self._replica = replica
+
+    def put(self, row: int, key: str, value: float | str | Sequence[float]) -> None:
+        """Write a value as robot `row`; see :meth:`ReplicatedTable.put`."""
+        self._sound(row).put(key, value)
+
+    def get(self, row: int, key: str, default: Shared | None = None) -> Any:
+        """Return the value of `key` as far as robot `row` knows, `default` if it knows none."""
+        return self._sound(row).get(key, default)
+
+    def items(self, row: int) -> list[tuple[str, Shared]]:
+        """Return all keys that robot `row` knows, sorted, with their values."""
+        return self._sound(row).items()
+
+    def writer(self, row: int, key: str) -> str:
+        """Return the robot that wrote the value of `key` that robot `row` knows; empty: it knows none."""
+        return self._sound(row).writer_of(key)
+
+    def _sound(self, row: int) -> ReplicatedTable:
+        table = self._replica(row)
+        if table.failure:
+            raise ConfigError(table.failure, hint="a merge must take any two values that robots write")
+        return table
+
+
 def _shared(key: str, value: Any) -> Shared:
     """Return a value as it is kept and sent.
 

@@ -3,6 +3,7 @@
 ``desired.py``           Evaluates the control laws and has the safety filter map their velocities to twists
 ``coordination.py``      Has robots avoid one another in advance (ORCA), before the filter
 ``evade.py``             Moves robots out of the way of objects that move and are no robots of the fleet
+``actuation.py``         Passes what control laws ask of actuators on to the drivers, after the motion
 ``settling.py``          Lets robots stand that cannot get nearer to their goals
 ``robot_controller.py``  Decides whether each robot may move, and holds speed and turn rate within their limits
 ``reflexes.py``          What stops a robot without a message: battery, pose, geofence, clock, driver; standstill

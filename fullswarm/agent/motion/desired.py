@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import structlog
 
+from fullswarm.agent.motion.actuation import Actuation
 from fullswarm.agent.motion.coordination import Coordinator, Crowd
 from fullswarm.agent.motion.evade import Evasion
 from fullswarm.agent.motion.robot_controller import RobotController
@@ -20,10 +21,10 @@ from fullswarm.agent.orders.tasks import Group, Tasks
 from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import Measured, Requested, SafetyFilter
 from fullswarm.agent.state import AgentState
-from fullswarm.agent.view import View
+from fullswarm.agent.view import Context, Ending, RequestsDiffer, View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
-from fullswarm.kernels import sum_of
+from fullswarm.kernels import Array, Index, sum_of
 from fullswarm.reasons import NONE, Code, Reason, reason
 
 log = structlog.get_logger()
@@ -39,7 +40,10 @@ class DesiredMotion:
     law_error : the last failure of each robot's control law, false if it never failed
     blocked : by robot, why its control law knows no way to where it is to drive
     news : `blocked` has changed since this was last set to False
+    asked : what control laws have asked of actuators since this was last emptied
     sees_obstacles : a robot senses obstacles; else the map that the fleet file gives stands for them
+    context : what control laws may know beside positions
+    endings : by robot, how control laws have ended themselves since this was last emptied
     """
 
     def __init__(
@@ -62,8 +66,13 @@ class DesiredMotion:
         self._logged_errors: set[str] = set()
         crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
         self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
+        self.context = Context(
+            neighbours.ids, neighbours.names, state, tasks.since_s, tasks.index, self._contacts_read, tasks.generator
+        )
         self.law_error = [NONE] * count
         self.blocked: dict[int, Reason] = {}
+        self.asked: list[Actuation] = []
+        self.endings: dict[int, Ending] = {}
         self.news = False
 
     def near(self, now_s: float) -> Nearby:
@@ -74,8 +83,19 @@ class DesiredMotion:
             return self._neighbours.around(position, self._config.sensing_radius_m)
         return self._near
 
-    def gather(self, groups: list[Group], now_s: float, reading: FleetReading) -> None:
-        """Evaluate all control laws and write the desired twists, filtered where requested, into the controller."""
+    def _contacts_read(self) -> Index:
+        return self.context.reading.contacts
+
+    def gather(
+        self, groups: list[Group], now_s: float, reading: FleetReading, dt_s: float = 0.0, *, at_tick: bool = True
+    ) -> None:
+        """Evaluate all control laws and write the desired twists, filtered where requested, into the controller.
+
+        Parameters
+        ----------
+        dt_s : since the last call
+        at_tick : False: for a message between two ticks, with control laws that are not called once per request
+        """
         self._near = self._alone
         if self._filter.commands.any:
             self._filter.commands.update(self._state.setpoints, now_s)
@@ -91,16 +111,16 @@ class DesiredMotion:
 
         self._planar.fill(math.nan)
         self._state.aim.fill(math.nan)
+        self.context.now_s, self.context.dt_s = now_s, dt_s
         planar = False
         for group in groups:
-            reach_m = group.hearing_m or settings.sensing_radius_m
-            view = View(
-                position, pose[:, 2], self._state.radius, partial(neighbours.within, position, reach_m, tasks.team),
-                neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
-                self._controller.speed_limit, neighbours.aims, tasks.margin_m, self._standing.around,
-            )  # fmt: skip
-            whole = len(group.rows) == len(position)
-            planar |= self._evaluate(group, view if whole else view.select(group.rows), now_s)
+            try:
+                planar |= self._evaluate(group, position, now_s)
+            except RequestsDiffer:
+                tasks.separate(group.law)
+                for part in tasks.groups() if at_tick else ():
+                    if part.law == group.law and np.isin(part.rows, group.rows).all():
+                        planar |= self._evaluate(part, position, now_s)
         if not planar and not tasks.any_filtered:
             return
         reach_m = settings.sensing_radius_m
@@ -121,18 +141,38 @@ class DesiredMotion:
             self._measured = measured = Measured(pose, reading.twist, reading.stamp_s, self._state.sigma)
         self._filter.apply(now_s, self._requested, measured, near, obstacles, self._controller.desired)
 
-    def _evaluate(self, group: Group, view: View, now_s: float) -> bool:
+    def _view(self, group: Group, position: Array) -> View:
+        neighbours, pose = self._neighbours, self._state.pose
+        reach_m = group.hearing_m or self._config.sensing_radius_m
+        find = neighbours.within if group.shared is None else neighbours.within_by_name
+        view = View(
+            position, pose[:, 2], self._state.radius, partial(find, position, reach_m, self._tasks.team),
+            neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
+            self._controller.speed_limit, neighbours.aims, self._tasks.margin_m, self._standing.around,
+            self.context, None, group.shared,
+        )  # fmt: skip
+        return view if len(group.rows) == len(position) else view.select(group.rows)
+
+    def _evaluate(self, group: Group, position: Array, now_s: float) -> bool:
         """Call one control law; if it raises or returns what is not finite, its robots are stopped with that reason.
 
         Returns
         -------
         bool
             It returned planar velocities, which have yet to be mapped to twists.
+
+        Raises
+        ------
+        RequestsDiffer
+            It must be called once per request.
         """
+        view = self._view(group, position)
         try:
             desired = group.call(view, group.params)
             if not math.isfinite(sum_of(desired)):
                 raise ValueError("the law's answer is not finite")
+        except RequestsDiffer:
+            raise
         except Exception as error:  # a control law is outside code: whatever it raises, the robot must stop
             self._law_failed(group, error)
             return False
@@ -141,6 +181,10 @@ class DesiredMotion:
         (self._planar if group.planar else controller.desired)[rows] = desired
         controller.valid_until_s[rows] = now_s + self._config.command_ttl_s
         controller.law_failed[rows] = False
+        if view.actuations:
+            self.asked += [each._replace(row=int(group.rows[each.row])) for each in view.actuations]
+        if view.endings:
+            self.endings |= {int(group.rows[each.row]): each for each in view.endings}
         if view.aim is not None:
             self._state.aim[rows] = view.aim
         if view.blocked or self.blocked:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from fullswarm.bus.base import Bus, Subscription
 from fullswarm.kernels import Array, Flags, Index, bound, kernel, views
-from fullswarm.keys import ANY, WHOLE_SWARM_CELL, Keys, cells_within
-from fullswarm.messages import RobotStates
+from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
+from fullswarm.messages import Message, RobotStates
+
+M = TypeVar("M", bound=Message)
 
 MANY_CELLS = 64
 
@@ -147,6 +149,7 @@ class Neighbours:
         self.silent = 0
         self.own_frame_host, self.own_frame_s = "", -math.inf
         self._near: Nearby | None = None
+        self._rank = np.zeros(0, np.int64)  # of each robot's name among all
         self._grow(max(16, len(ids)))
 
     def receive(self, states: RobotStates, now_s: float) -> None:
@@ -295,7 +298,7 @@ class Neighbours:
 
         Parameters
         ----------
-        listened : whether all of a disc (x, y, radius in m) is listened to: ``StateSubscriptions.covers``
+        listened : whether all of a disc (x, y, radius in m) is listened to: ``CellSubscriptions.covers``
         """
         ages_s = now_s - self.arrival_s[: self.count]
         for row in np.flatnonzero((ages_s > SILENT_S) & np.isfinite(ages_s)).tolist():
@@ -346,6 +349,19 @@ class Neighbours:
             keep_team.run(start, other, team, self.teams)
         return start, other
 
+    def within_by_name(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+        """Do what `within` does, with the neighbours of each robot in the order of their names.
+
+        Else they come in the order in which they were first received, which differs from agent to agent, and so does
+        the last bit of a sum over them.
+        """
+        start, other = self.within(position, reach_m, team)
+        if len(self._rank) != self.count:
+            self._rank = np.argsort(np.argsort(np.array(self.names, np.str_)))
+        found = other[: start[-1]]
+        of = np.repeat(np.arange(len(position)), start[1:] - start[:-1])
+        return start, found[np.lexsort((self._rank[found], of))]
+
     def _mixed(self, team: Index) -> bool:
         """Tell whether an own robot, of `team` (n,), may have received one that is not of its team."""
         if self._alone is not None:  # to look through its few neighbours costs less than to reduce an array
@@ -378,6 +394,10 @@ class Neighbours:
         ages = now_s - self.arrival_s[: self.count]
         fresh = ages[ages <= self._timeout_s]
         return float(fresh.max()) if len(fresh) else 0.0
+
+    def row_of(self, robot: str) -> int:
+        """Return the row of a robot that was received, -1 if it never was."""
+        return self._row_of.get(robot, -1)
 
     def _rows(self, robots: tuple[str, ...]) -> Index:
         if self._batch is not None and self._batch[0] == robots:
@@ -451,11 +471,18 @@ def _fits(states: RobotStates) -> bool:
     return fits and count == len(speed_m_s) == len(turn_rad_s) == len(radius_m)
 
 
-class StateSubscriptions:
-    """Subscriptions to the states of the grid cells around the own robots; they follow as the robots move."""
+class CellSubscriptions(Generic[M]):
+    """Subscriptions to the messages of the grid cells around the own robots; they follow as the robots move.
 
-    def __init__(self, bus: Bus, keys: Keys, cell_m: float, receive: Callable[[RobotStates], None]) -> None:
-        self._bus, self._keys, self._cell_m, self._receive = bus, keys, cell_m, receive
+    Parameters
+    ----------
+    key_of : returns the key expression of a cell
+    """
+
+    def __init__(
+        self, bus: Bus, key_of: Callable[[str], str], kind: type[M], cell_m: float, receive: Callable[[M], None]
+    ) -> None:
+        self._bus, self._key_of, self._kind, self._cell_m, self._receive = bus, key_of, kind, cell_m, receive
         self._cells: dict[str, Subscription] = {}
 
     def follow(self, position: Array, reach_m: float) -> None:
@@ -465,7 +492,7 @@ class StateSubscriptions:
         """
         wanted = {WHOLE_SWARM_CELL} if self._cell_m <= 0.0 else self._around(position, reach_m)
         for cell in wanted - self._cells.keys():
-            self._cells[cell] = self._bus.subscribe(self._keys.state(cell), RobotStates, self._receive, latest=True)
+            self._cells[cell] = self._bus.subscribe(self._key_of(cell), self._kind, self._receive, latest=True)
         for cell in self._cells.keys() - wanted:
             self._cells.pop(cell).close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from typing import Literal
 
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
@@ -16,7 +17,7 @@ from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, StopRequest
+from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, Result, StopRequest
 from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -40,6 +41,7 @@ class Inbox:
     Attributes
     ----------
     ended : why the last task of each robot was ended on board; false: it was not
+    results : how it was ended by its own control law; None: it was not
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Inbox:
         self._conflicts, self._wake = conflicts, wake
         ids = fleet.ids
         self.ended = [NONE] * len(ids)
+        self.results: list[Result | None] = [None] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
         self._epochs = [CoreEpoch(self._cores) for _ in ids]
@@ -165,7 +168,7 @@ class Inbox:
             return given(str(error))
         epoch.accept()
         self._controller.law_failed[row] = False
-        self.ended[row] = NONE
+        self.ended[row], self.results[row] = NONE, None
         if request.centralised:
             self._controller.forget(row)
         return NONE
@@ -185,6 +188,16 @@ class Inbox:
         self._epochs[row].voided[task.request.request_id] = why
         self.ended[row] = why
         self._drop(row)
+
+    def end(self, row: int, outcome: Literal["arrived", "failed"], text: str) -> None:
+        """End robot `row`'s task as its own control law has decided, and keep the result for the core."""
+        task = self._tasks.of[row]
+        if task is None:
+            return
+        code = Code.ARRIVED if outcome == "arrived" else Code.FAILED
+        request, said = task.request, text or "no more is said"
+        self.void(row, reason(code, behaviour=request.behaviour, text=said))
+        self.results[row] = Result(request_id=request.request_id, robot=request.robot, outcome=outcome, text=text)
 
     def _drop(self, row: int) -> None:
         self._tasks.disable(row)

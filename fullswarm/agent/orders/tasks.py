@@ -6,6 +6,7 @@ A control law is called once for all robots that run it.
 from __future__ import annotations
 
 import functools
+import hashlib
 import math
 import tomllib
 from bisect import bisect_left
@@ -18,19 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from fullswarm import registry
-from fullswarm.agent.view import Params, View
+from fullswarm import memory, registry
+from fullswarm.agent.messaging.declaration import RANGE, RATE, layout_of
+from fullswarm.agent.view import Params, Shared, View
 from fullswarm.config.models import EXPIRES_S, HEARING_M
 from fullswarm.config.parameter import FILTER, Parameter
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
-from fullswarm.messages import ControlRequest, Value
+from fullswarm.messages import SAYS_HZ, ControlRequest, Value
 from fullswarm.parameters import column_width
 
 CENTRALISED = ""
 """Law of a task that has none on board and follows Command messages."""
 
 HEARING = "hearing_m"
+EXACT = (HEARING, RANGE, RATE)
+"""Parameters that are the same for all robots of one call of a control law."""
 LINEAR = "linear"
 
 ARRIVE_M = 0.1
@@ -40,7 +44,7 @@ ARRIVE_M = 0.1
 def _kind(name: str, value: Value) -> tuple[str, str]:
     """Return what robots must have in common to share one call of a control law: kinds, texts and hearing range."""
     width = column_width(value)
-    return name, str(width) if width and name != HEARING else repr(value)
+    return name, str(width) if width and name not in EXACT else repr(value)
 
 
 def _alike(one: ControlRequest, other: ControlRequest) -> bool:
@@ -51,6 +55,18 @@ def _alike(one: ControlRequest, other: ControlRequest) -> bool:
         and one.centralised == other.centralised
         and one.survives_core == other.survives_core
     )
+
+
+def _continues(before: Task | None, task: Task) -> bool:
+    """Tell whether a task goes on with what the robot does: the same request again, or the next frame of a stick."""
+    if before is None or before.law != task.law or before.request.behaviour != task.request.behaviour:
+        return False
+    return stream(before.request) == stream(task.request)
+
+
+def stream(request: ControlRequest) -> str:
+    """Name what goes on over renewed parameters: the request, or all frames of one operator's stick."""
+    return f"{request.behaviour} {request.team}" if request.expires_s > 0.0 else request.request_id
 
 
 def _number(value: Value | None, otherwise: float) -> float:
@@ -94,14 +110,24 @@ class Group:
     rows: Index
     params: Params
     hearing_m: float  # 0: the sensing radius
+    exact: tuple[Value | None, ...]  # the values of `EXACT`
+    shared: Shared | None  # the request that all of them run, if the law is called once per request
+    memory: Any = None  # as the law's module declares it
 
 
 @dataclass(slots=True)
 class Tasks:
     """The tasks of n robots, and what the tick needs of them as arrays.
 
+    A control law is called once for all robots that run it with the same kinds of parameters. One that remembers,
+    broadcasts or asks for its request's members is called once per request, and once per tick: also on board, where
+    others are called on each message that concerns them.
+
     Attributes
     ----------
+    ids, seed : (n,) names of the robots, and the swarm's seed, for random numbers
+    since_s : (n,) when each task began; renewed parameters do not count
+    index : (n,) place of each robot among its request's members, -1: it is not among them
     active : (n,) a task is on
     filtered : (n,) it runs behind the safety filter
     lasting : (n,) it is filtered and no intent of a stick
@@ -121,6 +147,8 @@ class Tasks:
     gain_limit_per_s: Array  # (n,) what the brakes can follow
     usual_barrier: str = LINEAR
     usually_coordinated: bool = False
+    ids: tuple[str, ...] = ()
+    seed: int = 0
     of: list[Task | None] = field(init=False)
     active: NDArray[np.bool_] = field(init=False)
     filtered: NDArray[np.bool_] = field(init=False)
@@ -133,8 +161,15 @@ class Tasks:
     goal_m: Array = field(init=False)
     reach_m: Array = field(init=False)
     expires_at_s: Array = field(init=False)
+    since_s: Array = field(init=False)
+    index: Index = field(init=False)
     any_filtered: bool = field(init=False, default=False)
+    any_apart: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
+    _apart: set[str] = field(init=False, default_factory=set)  # laws that are called once per request
+    _remembered: dict[int, tuple[Any, int]] = field(init=False, default_factory=dict)  # robot → memory, its row there
+    _generators: dict[int, np.random.Generator] = field(init=False, default_factory=dict)
+    _starts: dict[tuple[int, str], int] = field(init=False, default_factory=dict)
     _held: set[str] = field(init=False, default_factory=set)  # laws under development, while they are exchanged
 
     def __post_init__(self) -> None:
@@ -151,6 +186,8 @@ class Tasks:
         self.expires_at_s = np.full(self.count, math.inf)
         self.goal_m = np.full((self.count, 2), math.nan)
         self.reach_m = np.full(self.count, ARRIVE_M)
+        self.since_s = np.zeros(self.count)
+        self.index = np.full(self.count, -1, np.int64)
 
     def enable(self, row: int, task: Task) -> None:
         """Give robot `row` a task in place of the one it has.
@@ -164,8 +201,17 @@ class Tasks:
         check(request)
         alike = before is not None and _alike(before.request, request)
         if not alike and task.law != CENTRALISED:
-            registry.law_module(task.law)
+            module = registry.law_module(task.law)
+            # A wrong declaration is refused here.
+            if declares(module):
+                memory.allocate(module.Memory, 0)
+                self._apart.add(task.law)
+            if layout_of(module) is not None:
+                self._apart.add(task.law)
+        goes_on = _continues(before, task)
         self.of[row] = task
+        if not goes_on:
+            self._start(row, task)
         self.expires_at_s[row] = task.expires_at_s
         self.team[row] = request.team
         self.goal_m[row] = goal_of(request)
@@ -180,20 +226,57 @@ class Tasks:
         has_goal = not math.isnan(self.goal_m[row, 0])
         wanted = request.parameters.get("coordination", self.usually_coordinated) is True
         self.coordinated[row] = wanted and has_goal and request.filtered and request.expires_s <= 0.0
-        if alike and self._renew(row, request):
+        if alike and (goes_on or task.law not in self._apart) and self._renew(row, request):
             return
         self.active[row] = True
         self.filtered[row] = request.filtered
         self.lasting[row] = request.filtered and request.expires_s <= 0.0
         self.survives_core[row] = request.survives_core
+        self._regroup()
+
+    def _start(self, row: int, task: Task) -> None:
+        """Begin a task afresh: time, memory and random numbers."""
+        key = row, task.request.behaviour
+        self._starts[key] = self._starts.get(key, 0) + 1
+        self._generators.pop(row, None)
+        if task.law in self._apart:
+            self._regroup()
+        self._remembered.pop(row, None)
+        self.since_s[row] = task.arrived_s
+        members = task.request.members
+        robot = task.request.robot
+        self.index[row] = members.index(robot) if robot in members else -1
+
+    def generator(self, row: int) -> np.random.Generator:
+        """Return the random number generator of robot `row`'s task; see ``view.Draws``."""
+        found, task = self._generators.get(row), self.of[row]
+        if found is None and task is not None:
+            behaviour = task.request.behaviour
+            source = f"{self.seed}/{task.request.robot}/{behaviour}/{self._starts[row, behaviour]}"
+            digest = hashlib.sha256(source.encode()).digest()
+            found = self._generators[row] = np.random.default_rng(int.from_bytes(digest[:16], "big"))
+        if found is None:
+            raise ConfigError("a robot without a task has no random numbers")
+        return found
+
+    def _regroup(self) -> None:
+        """Have the groups made anew; what robots remember stays where it is until then."""
+        for group in self._groups or ():
+            if group.memory is not None:
+                self._remembered |= {row: (group.memory, place) for place, row in enumerate(group.rows.tolist())}
         self._groups = None
+
+    def separate(self, law: str) -> None:
+        """Have a control law called once per request from now on."""
+        self._apart.add(law)
+        self._regroup()
 
     def _renew(self, row: int, request: ControlRequest) -> bool:
         """Write new parameters of a running control law into its group: a stick sends them twenty times a second."""
         for group in self._groups or ():
             place = bisect_left(group.rows, row)  # NumPy's own search takes ten times as long for a few rows
             if place < len(group.rows) and group.rows[place] == row:
-                same_reach = group.hearing_m == (request.parameters.get(HEARING) or 0.0)
+                same_reach = group.exact == tuple(map(request.parameters.get, EXACT))
                 # By the class: a parameter may be called "update".
                 return same_reach and Params.update(group.params, place, request.parameters)
         return False
@@ -206,16 +289,19 @@ class Tasks:
         self.expires_at_s[row] = math.inf
         self.team[row] = 0
         self.goal_m[row] = math.nan
-        self._groups = None
+        self._regroup()
+        self._remembered.pop(row, None)
+        self._generators.pop(row, None)
 
     def hold(self, law: str) -> None:
         """Leave a control law out of the groups: nothing is desired of its robots, so they stop."""
         self._held.add(law)
-        self._groups = None
+        self._regroup()
 
     def release(self, law: str) -> dict[int, ConfigError]:
         """Begin the tasks with a control law anew; return why it was not possible, by robot, whose tasks have ended."""
         self._held.discard(law)
+        self._apart.discard(law)  # the law may be another kind now
         refused = {}
         for row in self.rows_with(law):
             task = self.of[row]
@@ -232,29 +318,72 @@ class Tasks:
         return [row for row, task in enumerate(self.of) if task is not None and task.law == law]
 
     def groups(self) -> list[Group]:
-        """Return the robots with a control law on board, grouped by law and kind of parameters."""
+        """Return the robots with a control law on board, grouped by law, kind of parameters and perhaps request."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
-            members: dict[tuple[str, tuple[tuple[str, str], ...]], list[int]] = {}
+            members: dict[tuple[str, tuple[tuple[str, str], ...], str], list[int]] = {}
             for row, task in enumerate(self.of):
                 if task is not None and task.law != CENTRALISED and task.law not in self._held:
                     kinds = tuple(sorted(_kind(*each) for each in task.request.parameters.items()))
-                    members.setdefault((task.law, kinds), []).append(row)
-            self._groups = [self._group(law, rows) for (law, _), rows in members.items()]
+                    apart = stream(task.request) if task.law in self._apart else ""
+                    members.setdefault((task.law, kinds, apart), []).append(row)
+            self._groups = [self._group(law, rows) for (law, _, _), rows in members.items()]
+            self.any_apart = any(group.shared is not None for group in self._groups)
+            self._remembered = {}
         return self._groups
 
     def _group(self, law: str, rows: list[int]) -> Group:
-        parameters = [task.request.parameters for row in rows if (task := self.of[row]) is not None]
+        requests = [task.request for row in rows if (task := self.of[row]) is not None]
+        parameters = [each.parameters for each in requests]
         module = registry.law_module(law)
         planar = hasattr(module, "velocity")
+        call, kept = module.velocity if planar else module.twist, None
+        if declares(module):
+            kept = self._memory(module.Memory, rows)
+            call = _remembering(call, kept)
         return Group(
             law=law,
-            call=module.velocity if planar else module.twist,
+            call=call,
             planar=planar,
             rows=np.array(rows, np.int64),
             params=Params(parameters),
             hearing_m=_number(parameters[0].get(HEARING), 0.0),
+            exact=tuple(map(parameters[0].get, EXACT)),
+            shared=Shared(requests[0].request_id, requests[0].members) if law in self._apart else None,
+            memory=kept,
         )
+
+    def _memory(self, kind: type, rows: list[int]) -> Any:
+        """Return the memory of some robots: what they remember already, new for the others."""
+        before = [self._remembered.get(row) for row in rows]
+        whole = before[0][0] if before[0] is not None else None
+        if whole is not None and len(rows) == memory.count(whole) and _in_order(before, whole):
+            return whole  # kept, not copied: a law that is being called may hold it
+        made = memory.allocate(kind, len(rows))
+        for place, found in enumerate(before):
+            if found is not None:
+                memory.copy_row(*found, made, place)
+        return made
+
+    def memory_of(self, row: int) -> dict[str, list[float]]:
+        """Return what robot `row` remembers, by name; empty: its control law has no memory."""
+        for group in self.groups():
+            if group.memory is not None and row in group.rows:
+                return memory.as_lists(group.memory, int(np.searchsorted(group.rows, row)))
+        return {}
+
+
+def _in_order(found: list[tuple[Any, int] | None], whole: Any) -> bool:
+    return all(each is not None and each[0] is whole and each[1] == place for place, each in enumerate(found))
+
+
+def declares(module: Any) -> bool:
+    """Tell whether a control law remembers something from call to call."""
+    return getattr(module, "Memory", None) is not None
+
+
+def _remembering(call: Callable[..., Array], kept: Any) -> Callable[[View, Params], Array]:
+    return lambda view, params: call(view, params, kept)
 
 
 def simulated_only(law: str) -> bool:
@@ -275,7 +404,12 @@ GREATEST = 1e7
 LONGEST = 1000
 """Of a text that no record knows, in characters."""
 
-OWN = {**FILTER, "hearing_m": Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1])}
+OWN = {
+    **FILTER,
+    HEARING: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RANGE: Parameter(type="number", unit="m", min=HEARING_M[0], max=HEARING_M[1]),
+    RATE: Parameter(type="number", unit="1/s", min=0.1, max=SAYS_HZ),
+}
 """Parameters that the agent itself reads, whatever the control law."""
 
 Allowed = Mapping[str, tuple[Parameter, ...]]

@@ -262,8 +262,10 @@ def half_planes(
         )
         if count < 0:
             return -1
-    nearest = min(x - bounds_m[0], y - bounds_m[1], bounds_m[2] - x, bounds_m[3] - y)
-    if nearest - clearance_m >= binding_m:
+    if (
+        x - bounds_m[0] - clearance_m >= binding_m and y - bounds_m[1] - clearance_m >= binding_m
+        and bounds_m[2] - x - clearance_m >= binding_m and bounds_m[3] - y - clearance_m >= binding_m
+    ):  # fmt: skip
         return count
     for side in range(4):
         horizontal = side % 2 == 0

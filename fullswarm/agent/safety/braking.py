@@ -61,7 +61,7 @@ def rate_within(angle: float, periods: float, most: float, period_s: float) -> f
     step = most * period_s
     whole = math.floor(math.sqrt(periods * periods + 2.0 * angle / (step * period_s)) - periods)
     left = angle - step * period_s * whole * (0.5 * whole + periods)
-    return whole * step + max(0.0, left) / ((whole + 0.5 + periods) * period_s)
+    return whole * step + (left if left > 0.0 else 0.0) / ((whole + 0.5 + periods) * period_s)
 
 
 @kernel

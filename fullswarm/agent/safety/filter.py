@@ -232,9 +232,9 @@ def guard(
         late_s = dead_time_s[i]
         overrun = overrun_s[i]
         # The braking barrier uses all of the brakes: it is for makes that follow their ramps exactly.
-        exact = late_s == 0.0 and overrun == 0.0
-        barrier_gain = gain[i]
-        barrier_gain = barrier_gain if barrier_gain > 0.0 or exact else min(LOOSE_GAIN_PER_S, accel / top)
+        gamma = gain[i]
+        as_given = gamma > 0.0 or (late_s == 0.0 and overrun == 0.0)
+        barrier_gain = gamma if as_given else min(LOOSE_GAIN_PER_S, accel / top)
         age = now_s - stamp_s[i]
         count = 0
         why = FREE
@@ -387,7 +387,7 @@ class SafetyFilter:
         self, now_s: float, requested: Requested, measured: Measured, near: Nearby, obstacles: Array, twist: Array
     ) -> None:
         """Write the twists of all robots with a desired motion into `twist` (n, 2); see :func:`guard`."""
-        dt_s = min(max(now_s - self._last_s, 0.0), LONGEST_S)
+        dt_s = clamp.plain(now_s - self._last_s, 0.0, LONGEST_S)  # for one number faster than compiled
         self._last_s = now_s
         given = self.given
         if (

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fullswarm.agent.messaging.exchange import Counts
 from fullswarm.agent.neighbours.estimates import Nearby
 from fullswarm.agent.orders.tasks import ARRIVE_M, Task, Tasks, goal_of
 from fullswarm.agent.pose.conflicts import Near
@@ -118,6 +119,7 @@ class MetricSampler:
         identity: Identity,
         loop: LoopStats,
         traffic: CountingBus,
+        broadcasts: Counts,
         counted: Mapping[str, Array],
     ) -> RobotMeasurement:
         """Return the measurement; ``perf/metrics.py`` defines its columns.
@@ -143,6 +145,8 @@ class MetricSampler:
         totals = {
             "ticks": float(loop.ticks), "late": float(loop.late), "missed": float(loop.missed),
             "worst_late_s": loop.worst_late_s, "sent": float(traffic.sent), "received": float(traffic.received),
+            "broadcasts_sent": float(broadcasts.sent), "broadcasts_received": float(broadcasts.received),
+            "broadcasts_dropped": float(broadcasts.dropped),
         }  # fmt: skip
         return RobotMeasurement(
             host=identity.host,

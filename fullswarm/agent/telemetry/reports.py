@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys, cell_of
-from fullswarm.messages import ControlRequest, HealthReport, RobotHealth, RobotStates
+from fullswarm.messages import ControlRequest, HealthReport, Result, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
 from fullswarm.reasons import NONE, Code, Reason, reason
 from fullswarm.runtime import LoopStats
@@ -64,20 +64,25 @@ class Reports:
     Parameters
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
+    results : (n,) how its control law has ended it; None: it has not
     settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
     limits : (n, 5) what each can do: m/s, rad/s, m/s²; what a stop takes beyond that: m, s
+    message_note : returns what is wrong with the broadcasts that a robot receives
     """
 
     def __init__(
         self, identity: Identity, fleet: Fleet, state: AgentState, tasks: Tasks, safety: SafetyFilter,
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
         blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
+        message_note: Callable[[int], Reason],
+        results: Sequence[Result | None],
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
-        self._settled_by = settled_by
+        self._settled_by, self._message_note = settled_by, message_note
+        self._results = results
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
@@ -192,7 +197,7 @@ class Reports:
             task, description = self._tasks.of[row], fleet.descriptions[row]
             request = task.request if task else NO_REQUEST
             pose = self._fixes.health(row, sensed[row])
-            why = self._why(row, reasons[row])
+            why, messages = self._why(row, reasons[row]), self._message_note(row)
             stated_m = stated[row] if pose.position_sigma_m < 0.0 else math.nan
             yield RobotHealth(
                 robot=robot,
@@ -222,6 +227,9 @@ class Reports:
                 deviation_m_s=deviation_m_s[row],
                 deviation_m=deviation_m[row],
                 filter_note=filter_note[row],
+                message_note=messages.text,
+                message_code=messages.code,
+                result=self._results[row],
             )
 
 

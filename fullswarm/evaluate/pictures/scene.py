@@ -113,8 +113,9 @@ class Scene:
         """
         moment = self._timeline.at(time_s, since_s)
         self._moving.update(moment, self._timeline.trails(time_s - trail_s, moment))
-        arrived = f"arrived {moment.arrived}/{self._timeline.robots}"
-        self._status.set_text(f"{time_s:.1f} s    {arrived}")
+        aimed = np.isfinite(self._timeline.trajectory.goals).any()
+        arrived = f"    arrived {moment.arrived}/{self._timeline.robots}" if aimed else ""
+        self._status.set_text(f"{time_s:.1f} s{arrived}")
         self._contacts.set_text(f"contacts {moment.contacts}" if moment.contacts else "")
         return moment
 

@@ -106,7 +106,7 @@ export class Store extends Emitter {
       if (estop) found.add(`${id} e-stop`);
       if (silent) found.add(`${id} silent`);
       if (fault || lifecycle === "FAULT") found.add(`${id} fault`);
-      if (stopped && code !== "settled") found.add(`${id} ${stopped}`);
+      if (stopped && code !== "settled" && code !== "arrived") found.add(`${id} ${stopped}`);
       if (lease && !lease.mine) found.add(`${id} held`);
     }
     return found;

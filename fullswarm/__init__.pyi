@@ -1,0 +1,3 @@
+from fullswarm.lab import Lab as Lab
+
+__version__: str
