@@ -30,6 +30,14 @@ def is_mission(name: str) -> bool:
     return name.endswith(".toml")
 
 
+def check_options(name: str, *, given: bool) -> None:
+    """Refuse options of `request` that do not go together; `given`: robots or parameters were."""
+    if not is_mission(name):
+        raise ConfigError("--check is for mission files", where=name, hint="e.g. survey.toml")
+    if given:
+        raise ConfigError("the file names its robots and parameters", where=name, hint="edit the file")
+
+
 # ---------------------------------------------------------------- start
 def start(target: Target, file: Path, *, check: bool, wait: bool, take: bool, timeout: float, as_json: bool) -> int:
     """Start the mission of a file, or only check it; with `wait` follow it until it has ended.

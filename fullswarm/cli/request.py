@@ -9,10 +9,10 @@ import typer
 
 from fullswarm import output
 from fullswarm.cli import completion
-from fullswarm.cli.mission import is_mission, start
+from fullswarm.cli.mission import check_options, is_mission, start
 from fullswarm.cli.options import Json, RobotArguments, Robots, Take, Timeout, robot_ids, shell_command
 from fullswarm.cli.values import parse_parameters
-from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, SafetyStop, Unreachable
+from fullswarm.errors import FullswarmError, RequestRefused, SafetyStop, Unreachable
 from fullswarm.reasons import Code, holds
 
 if TYPE_CHECKING:
@@ -80,12 +80,10 @@ def request(
 
     from fullswarm.operator import session
 
-    if is_mission(behaviour):
-        if robots or settings:
-            raise ConfigError("the file names its robots and parameters", where=behaviour, hint="edit the file")
-        return start(target, Path(behaviour), check=check, wait=bool(wait) or until_end, take=take, timeout=timeout, as_json=as_json)
-    if check:
-        raise ConfigError("--check is for mission files", where=behaviour, hint="e.g. survey.toml")
+    if check or is_mission(behaviour):
+        check_options(behaviour, given=bool(robots or settings))
+        follow = bool(wait) or until_end
+        return start(target, Path(behaviour), check=check, wait=follow, take=take, timeout=timeout, as_json=as_json)
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
     newest: RequestStatus | None = None
     shown = ""
