@@ -80,7 +80,10 @@ def test_a_mission_from_its_start_to_its_end(shell: Shell) -> None:
 
 @pytest.mark.parametrize(("end", "code"), [("confirm", 0), ("abort", 1)])
 def test_a_mission_is_followed_until_its_end(shell: Shell, end: str, code: int) -> None:
-    shell.lab.swarm.runtime.after(2.0, lambda: shell.lab.ask(end))
+    def act() -> None:
+        shell.lab.ask(end)
+
+    shell.lab.swarm.runtime.after(2.0, act)
     done = shell.run("request", str(shell.file), "--wait")
     assert done.exit_code == code, done.output
     assert "Confirm: fullswarm mission confirm walk" in done.stderr
