@@ -5,6 +5,7 @@ file               commands
 ================== ==================================================================================
 ``main.py``        puts all commands together; `demo`, `up`, `init`, `info` and the single processes
 ``request.py``     `request`, `mock`, `drive`, `stop`
+``mission.py``     `request FILE.toml`, `mission show|pause|resume|abort|confirm`
 ``estop.py``       `estop`
 ``status.py``      `status`, `watch`, `behaviours`, `robots` without a verb
 ``params.py``      `params get|set|history|watch`

@@ -14,6 +14,7 @@ from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
 from fullswarm.cli.leases import leases_app
+from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
 from fullswarm.cli.results import results_app
@@ -36,7 +37,9 @@ for command in (
     status.behaviours, console,
 ):  # fmt: skip
     app.command()(command)
-for group, name in ((params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick")):
+for group, name in (
+    (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
+):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fullswarm import output
 from fullswarm.cli import completion
+from fullswarm.cli.mission import check_options, is_mission, start
 from fullswarm.cli.options import Json, RobotArguments, Robots, Take, Timeout, robot_ids, shell_command
 from fullswarm.cli.values import parse_parameters
 from fullswarm.errors import FullswarmError, RequestRefused, SafetyStop, Unreachable
@@ -32,6 +34,14 @@ Settings = Annotated[
 Behaviour = Annotated[
     str, typer.Argument(help="Its name; `fullswarm behaviours` lists them.", autocompletion=completion.behaviours)
 ]
+Requested = Annotated[
+    str,
+    typer.Argument(
+        metavar="BEHAVIOUR|FILE.toml",
+        help="A behaviour (`fullswarm behaviours` lists them), or a mission file.",
+        autocompletion=completion.behaviours,
+    ),
+]
 Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's full rate, -1 to 1.")]
 
 
@@ -39,7 +49,7 @@ Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's 
 @shell_command()
 def request(
     target: NamedTarget,
-    behaviour: Behaviour,
+    behaviour: Requested,
     robots: Robots = None,
     settings: Settings = None,
     wait: Annotated[
@@ -47,9 +57,11 @@ def request(
         typer.Option(
             "--wait/--no-wait",
             show_default=False,
-            help="Wait for the robots' answers until --timeout, or not at all (default: for 2 s at most).",
+            help="Wait for the robots' answers until --timeout, or not at all (default: for 2 s at most). "
+            "A mission: follow it until it ends (default: do not).",
         ),
     ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Check a mission file and start nothing.")] = False,
     until_end: Annotated[
         bool,
         typer.Option("--until-end", help="Wait until the behaviour has ended on all robots; Ctrl-C leaves it running."),
@@ -58,7 +70,7 @@ def request(
     timeout: Timeout = 5.0,
     as_json: Json = False,
 ) -> int:
-    """Request a behaviour and print what the robots answer.
+    """Request a behaviour and print what the robots answer, or start the mission of a file.
 
     Exit code 0: all robots present run it, or have arrived; 1: one refused, failed or did not answer; 2: the core
     refused; 3: no hub or no core; 4: a latched e-stop is in the way. With --no-wait 0: the core accepted. With
@@ -68,6 +80,10 @@ def request(
 
     from fullswarm.operator import session
 
+    if check or is_mission(behaviour):
+        check_options(behaviour, given=bool(robots or settings))
+        follow = bool(wait) or until_end
+        return start(target, Path(behaviour), check=check, wait=follow, take=take, timeout=timeout, as_json=as_json)
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
     newest: RequestStatus | None = None
     shown = ""

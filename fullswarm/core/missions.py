@@ -163,10 +163,10 @@ class Missions:
         elif request.op == "resume":
             self._resume(mission, request)
         elif request.op == "abort":
-            if not mission.state.change("abort", f"aborted by {_operator(request)}"):
+            if not mission.state.change("abort", f"by {_operator(request)}"):
                 raise RequestRefused(f"mission '{mission.plan.name}' has ended already: {mission.state.phase}")
             mission.end()
-        elif not mission.pause(f"paused by {_operator(request)}"):
+        elif not mission.pause(f"by {_operator(request)}"):
             raise RequestRefused(f"mission '{mission.plan.name}' does not run: it is {mission.state.phase}")
         mission.state.answer(request.id)
         self._changed(mission)

@@ -1,14 +1,15 @@
 """Operator layer: requests behaviours of a swarm (paper II.B) and shows its state. A library: ``cli/`` prints.
 
-Out: BehaviourRequest, StopRequest, EStop, LeaseRequest, ParamRequest. In: RequestStatus, EStopReceipt, HealthReport,
-RobotStates, Summary, Heartbeat, Leases, ParamReply. The package imports nothing by itself, so that ``fullswarm --help``
-appears at once.
+Out: BehaviourRequest, MissionRequest, StopRequest, EStop, LeaseRequest, ParamRequest. In: RequestStatus, MissionStatus,
+EStopReceipt, HealthReport, RobotStates, Summary, Heartbeat, Leases, ParamReply. The package imports nothing by itself,
+so that ``fullswarm --help`` appears at once.
 
 ``session.py``      connects one command to a swarm: bus, keys and runtime, with an orderly Ctrl-C
 ``client.py``       sends requests, stops and e-stops; the paper's mock publisher; read this first
 ``estop.py``        repeats one e-stop until the robots have confirmed it
 ``leases.py``       holds robots: the operator's side of the leases that the core keeps
 ``teleop.py``       drives by hand: a stream of short-lived intents, and zero at its end
+``missions.py``     starts and controls missions, and collects their states
 ``params.py``       reads and writes a layer's local database (paper II.A)
 ``view.py``         collects what a swarm publishes: the newest of everything, with its age
 ``robot_state.py``  describes in a few words what a robot does, and the remedy

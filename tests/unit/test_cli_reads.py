@@ -14,6 +14,7 @@ DOERS = {
         "drive",
         "mock",
         "leases hold",
+        *("mission pause", "mission resume", "mission abort", "mission confirm"),
         "joystick",
         "joystick map",
         "joystick test",

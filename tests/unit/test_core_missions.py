@@ -259,7 +259,7 @@ def test_leases_are_obeyed_and_taken_only_on_request(lab: MissionLab) -> None:
     lab.run(0.5)
     assert lab.swarm.behaviours() == ["", "", ""]
     assert lab.status is not None
-    assert lab.status.reason == "aborted by bob"
+    assert lab.status.reason == "by bob"
 
 
 def test_a_resume_that_is_older_than_a_stop_is_refused(lab: MissionLab) -> None:

@@ -1,0 +1,138 @@
+"""Starts and controls missions: sends each request until the core has answered, and collects the missions' states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+
+from fullswarm.bus.base import Bus
+from fullswarm.config.mission_file import MissionFile
+from fullswarm.errors import ConfigError, RequestRefused
+from fullswarm.keys import Keys
+from fullswarm.messages import MissionOp, MissionPlan, MissionReply, MissionRequest, MissionStatus, StepStatus
+from fullswarm.operator.client import RESEND_S, short_id
+from fullswarm.runtime import Scheduler, Timer
+
+ReplyHandler = Callable[[MissionReply], None]
+SILENT_S = 3.0
+"""The core repeats the state of each mission that has not ended every second."""
+
+
+@dataclass(slots=True)
+class PendingMissionRequest:
+    """A request and its answer, `reply`."""
+
+    request: MissionRequest
+    on_reply: ReplyHandler | None
+    reply: MissionReply | None = None
+    _timer: Timer | None = field(default=None, repr=False)
+
+
+class MissionClient:
+    """One operator's access to the missions of a swarm.
+
+    Parameters
+    ----------
+    source, name, clock
+        As in :class:`~fullswarm.operator.client.Operator`.
+    on_status
+        Called with each status that is received.
+
+    Attributes
+    ----------
+    missions : id → newest status, the oldest mission first
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        scheduler: Scheduler,
+        source: str,
+        *,
+        name: str = "",
+        clock: str = "",
+        on_status: Callable[[MissionStatus], None] | None = None,
+    ) -> None:
+        self._bus, self._keys, self._scheduler = bus, keys, scheduler
+        self._source, self._name, self._clock, self._on_status = source, name or source, clock, on_status
+        self.missions: dict[str, MissionStatus] = {}
+        self._pending: dict[str, PendingMissionRequest] = {}
+        self._subscriptions = [
+            bus.subscribe(keys.mission_reply(), MissionReply, self._replied),
+            bus.subscribe(keys.mission_status, MissionStatus, self._received),
+        ]
+
+    def ask(
+        self,
+        op: MissionOp,
+        on_reply: ReplyHandler | None = None,
+        *,
+        mission: str = "",
+        plan: MissionPlan | None = None,
+        track: str = "",
+        step: str = "",
+        take: bool = False,
+    ) -> PendingMissionRequest:
+        """Send a request, again every 0.2 s until the core has answered it."""
+        request = MissionRequest(
+            id=short_id(), op=op, mission=mission[:64], plan=plan, track=track[:64], step=step[:64], take=take,
+            source=self._source, operator=self._name, clock=self._clock, stamp_s=self._scheduler.now_s(),
+        )  # fmt: skip
+        pending = PendingMissionRequest(request, on_reply)
+        self._pending[request.id] = pending
+
+        def send() -> None:
+            self._bus.publish(self._keys.mission_request, request)
+
+        send()
+        pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
+        return pending
+
+    def close(self) -> None:
+        """Stop sending and unsubscribe. Missions go on."""
+        for pending in self._pending.values():
+            self._settle(pending)
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    def _settle(self, pending: PendingMissionRequest) -> None:
+        if pending._timer is not None:  # noqa: SLF001  (its own record)
+            pending._timer.cancel()  # noqa: SLF001  (its own record)
+
+    def _replied(self, reply: MissionReply) -> None:
+        pending = self._pending.pop(reply.id, None)
+        if pending is None:
+            return
+        self._settle(pending)
+        pending.reply = reply
+        if pending.on_reply is not None:
+            pending.on_reply(reply)
+
+    def _received(self, status: MissionStatus) -> None:
+        before = self.missions.get(status.mission)
+        if before is not None and before.core == status.core and before.sequence >= status.sequence:
+            return
+        self.missions[status.mission] = status
+        if self._on_status is not None:
+            self._on_status(status)
+
+
+def refusal(reply: MissionReply, file: MissionFile | None = None) -> ConfigError:
+    """Return the error for a refused request; what is wrong with a plan has the lines of its file."""
+    if reply.problems and file is not None:
+        return file.errors(reply.problems)
+    return RequestRefused(reply.reason or "refused without a reason", code=reply.code)
+
+
+def waiting_steps(status: MissionStatus) -> list[tuple[str, StepStatus]]:
+    """Return (track, step) of those that wait for a confirmation."""
+    return [(track.name, step) for track in status.tracks for step in track.steps if step.confirm]
+
+
+def plain(status: MissionStatus) -> dict[str, object]:
+    """Return a status as plain values for JSON."""
+    found: dict[str, object] = msgspec.to_builtins(status)
+    return found
