@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -50,7 +51,7 @@ def parameters(behaviour: str, middle: np.ndarray, count: int, rng: np.random.Ge
     return {}
 
 
-def run(starts: dict[str, list[float]], asked: list[tuple[str, tuple[str, ...], dict[str, Any]]]) -> np.ndarray:
+def run(starts: dict[str, list[float]], asked: Sequence[tuple[str, tuple[str, ...], dict[str, Any]]]) -> np.ndarray:
     """Return the poses of our group in each tick."""
     robots = [{"id": robot, "pose": pose} for robot, pose in starts.items()]
     world = {"engine": "kinematic", "bounds_m": (0.0, 0.0, SIDE_M, SIDE_M)}
