@@ -2,8 +2,9 @@
 
 A control law is a module with ``velocity(view, params) -> (n, 2)`` desired planar velocities, world frame (m/s), or,
 where body motion is meant, ``twist(view, params) -> (n, 2)`` speed (m/s) and turn rate (rad/s). It does no I/O, reads
-no clock and keeps no state but what it declares as ``Memory`` (``fullswarm/memory.py``). ``params.name`` is a column (n, 1) for numbers and (n, 2) for points, one row per
-robot. ``core/behaviours.toml`` defines the parameters; ``_bc`` is a field of that record, not a control law.
+no clock and keeps no state but what it declares as ``Memory`` (``fullswarm/memory.py``). ``params.name`` is a column
+(n, 1) for numbers and (n, 2) for points, one row per robot. ``core/behaviours.toml`` defines the parameters; ``_bc`` is
+a field of that record, not a control law.
 
 The paper prints the update as ``v_{k+1} = v_k + dv``. Taken literally, that integrates the error and orbits the goal;
 the control laws here take ``dv`` as the desired velocity itself, as in the differential equations next to it.
