@@ -45,8 +45,6 @@ Further files:
 
 from __future__ import annotations
 
-from typing import Any
-
 __version__ = "0.1.0"
 _LAZY = {"Lab": "fullswarm.lab"}
 """Exported names by the module that has them: imported when first used, because a robot needs none of them.
@@ -55,7 +53,7 @@ Type checkers read ``__init__.pyi``.
 """
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Import an exported name (PEP 562)."""
     if name not in _LAZY:
         raise AttributeError(f"module 'fullswarm' has no attribute '{name}'")
