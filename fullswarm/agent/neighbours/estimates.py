@@ -465,6 +465,8 @@ def _fits(states: RobotStates) -> bool:
     accel_m_s2 = states.accel_m_s2
     if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
         return False
+    if len(states.stop_extra_m) != len(states.stop_extra_s):
+        return False
     if len(states.aim_x_m) != len(states.aim_y_m) or (states.aim_x_m and len(states.aim_x_m) != count):
         return False
     fits = count == len(x_m) == len(y_m) == len(heading_rad)
