@@ -179,8 +179,8 @@ def test_a_team_that_is_not_clear_is_refused() -> None:
             assert why in status.reason
         status = swarm.ask("drive", ONE, team="group")
         assert "is for sticks" in status.reason
-        targets = [[2.0, 2.0], [3.0, 3.0], [4.0, 4.0]]
-        status = swarm.ask("formation_assigned_bc", ONE, {"targets": targets}, team="swarm")
+        targets: dict[str, Value] = {"targets": [[2.0, 2.0], [3.0, 3.0], [4.0, 4.0]]}
+        status = swarm.ask("formation_assigned_bc", ONE, targets, team="swarm")
         assert "always has the robots of its request as neighbours" in status.reason
     finally:
         swarm.operator.close()
