@@ -37,6 +37,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, Value] = {}
     law: str = ""
     team: int = 0
+    peers: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     filtered: bool = False
     centralised: bool = False
@@ -118,6 +119,7 @@ class Desired:
             filtered=filled.filtered,
             law=filled.law,
             team=filled.team,
+            peers=filled.peers,
             members=filled.members,
             centralised=filled.centralised,
             survives_core=filled.survives_core,

@@ -9,9 +9,9 @@ core that dies in between cannot know a stop that they do not.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from fullswarm.bus import Bus
@@ -25,6 +25,7 @@ from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.request_order import Line, RequestOrder
 from fullswarm.core.request_status import StatusBoard
 from fullswarm.core.roster import Roster
+from fullswarm.core.teams import NO_TEAM, TeamOf, team_of
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import (
@@ -97,24 +98,30 @@ class MainController:
         """Tell whether a request is held by some robot, or is remembered with its end."""
         return self._handler.holds(request_id) or self._board.get(request_id) is not None
 
-    def check(self, behaviour: str, parameters: Mapping[str, Value], robots: Sequence[str]) -> None:
+    def check(self, request: BehaviourRequest, robots: Sequence[str]) -> None:
         """Check what a mission will request later.
+
+        Parameters
+        ----------
+        robots : that `request` means
 
         Raises
         ------
         RequestRefused
-            No such behaviour, one that expires unless it is repeated, or parameters that do not fit it.
+            No such behaviour, one that expires unless it is repeated, or parameters or a team that do not fit it.
         """
-        record = self.library.get(behaviour)
+        record = self.library.get(request.behaviour)
         if record.expires_s > 0.0:
-            raise RequestRefused(f"'{behaviour}' expires unless it is repeated: it is for sticks")
+            raise RequestRefused(f"'{request.behaviour}' expires unless it is repeated: it is for sticks")
         _check_packages(record)
-        self.library.resolve(record, parameters, robots)
+        self.library.resolve(record, request.parameters, robots)
+        team_of(request, record, robots, self._groups)
 
     def _received(self, request: BehaviourRequest) -> None:
         if request.behaviour == STOP and not self.knows(request.id):
-            robots = tuple(self._groups.expand(request.robots))
-            self._notify(request.id, robots, f"stopped by {request.operator or request.source or UNNAMED}")
+            by = request.operator or request.source or UNNAMED
+            with contextlib.suppress(RequestRefused):  # `submit` answers that
+                self._notify(request.id, self._groups.expand(request.robots), f"stopped by {by}")
         self.submit(request)
 
     def submit(self, request: BehaviourRequest) -> None:
@@ -145,11 +152,12 @@ class MainController:
         _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
             self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
+        team = team_of(request, record, robots, self._groups)
         overtaken, robots = self._overtaken(request, robots)
         if not robots:
             self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
-        team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
+        line, stamp_s = _line(request), request.stamp_s
         members = () if record.centralised or record.expires_s > 0.0 else robots
         orders = {
             robot: _order(request.id, record, parameters[robot], line, stamp_s, team, members) for robot in robots
@@ -277,18 +285,6 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
 
 
-def _team(request: BehaviourRequest, record: Record) -> int:
-    """Return the number of the team that the request's robots are; 0: the law's neighbours are the whole swarm.
-
-    Each frame of a stick is a request of its own: its team is all robots that one operator
-    steers with one behaviour.
-    """
-    if record.team == "swarm":
-        return 0
-    parts = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
-    return zlib.crc32(" ".join(parts).encode()) or 1
-
-
 def _line(request: BehaviourRequest) -> Line:
     """Return the operator and the clock whose stamps order this request."""
     return request.operator or request.source, request.clock or request.source
@@ -300,7 +296,7 @@ def _order(
     parameters: dict[str, Value],
     line: Line = ("", ""),
     stamp_s: float = 0.0,
-    team: int = 0,
+    team: TeamOf = NO_TEAM,
     members: tuple[str, ...] = (),
 ) -> Order:
     # Robots need no parameters of a law that is computed on the base station.
@@ -310,7 +306,8 @@ def _order(
         behaviour=record.name,
         parameters=given,
         law=record.law,
-        team=team,
+        team=team.number,
+        peers=team.peers,
         members=members,
         filtered=record.filtered,
         centralised=record.centralised,

@@ -37,7 +37,7 @@ from fullswarm.messages import (
     MissionReply,
     MissionRequest,
     MissionStatus,
-    Value,
+    MissionStep,
 )
 from fullswarm.perf.metrics import METRICS, SHAPE, SHAPE_DOC
 from fullswarm.reasons import Code
@@ -281,7 +281,7 @@ class Missions:
                     found["robots"] = f"robots of mission '{taken[0]}', which has not ended: abort it first"
                 if step.behaviour:
                     try:
-                        self._controller.check(step.behaviour, step.parameters, robots)
+                        self._controller.check(_request_of(step), robots)
                     except RequestRefused as error:
                         found["parameters" if error.code == Code.PARAMETERS else "behaviour"] = str(error)
                 wanted = comparison(step)
@@ -458,21 +458,18 @@ class Missions:
             request_id = mission.request_id(each)
             if mission.wants(each):
                 if not mission.state.ended and not each.state.over and not self._controller.knows(request_id):
-                    self._request(mission, request_id, each.step.behaviour, each.state.robots, each.step.parameters)
+                    request = msgspec.structs.replace(_request_of(each.step), robots=each.state.robots)
+                    self._request(mission, request_id, request)
             elif held := self._handler.holders(request_id):
                 stale.append((request_id, held))
         for request_id, _ in stale:
             if held := self._handler.holders(request_id):  # the requests above may have replaced it
-                self._request(mission, f"{request_id}.stop", STOP, held, {})
+                self._request(mission, f"{request_id}.stop", BehaviourRequest(id="", behaviour=STOP, robots=held))
 
-    def _request(
-        self, mission: Mission, request_id: str, behaviour: str, robots: tuple[str, ...], parameters: dict[str, Value]
-    ) -> None:
-        request = BehaviourRequest(
+    def _request(self, mission: Mission, request_id: str, what: BehaviourRequest) -> None:
+        request = msgspec.structs.replace(
+            what,
             id=request_id,
-            behaviour=behaviour,
-            robots=robots,
-            parameters=parameters,
             source=f"{self._process}/missions",
             operator=mission.state.operator,
             stamp_s=self._scheduler.now_s(),
@@ -562,6 +559,13 @@ def _essence(status: MissionStatus) -> object:
     """Return what of a status is sent at once when it changes; times and distances wait for the next second."""
     steps = [(step.phase, step.confirm, step.reason) for track in status.tracks for step in track.steps]
     return status.phase, status.reason, steps
+
+
+def _request_of(step: MissionStep) -> BehaviourRequest:
+    """Return what a step requests, for the robots that it names."""
+    return BehaviourRequest(
+        id="", behaviour=step.behaviour, robots=step.robots, parameters=step.parameters, team=step.team
+    )  # fmt: skip
 
 
 def _unknown_metric(metric: str, quantity: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fullswarm.config.mission_file import parse_mission
-from fullswarm.messages import ControlRequest, Message, MissionStatus
+from fullswarm.messages import STOP, BehaviourRequest, ControlRequest, Message, MissionStatus
 from fullswarm.operator.missions import MissionClient
 from tests.unit.mission_lab import Killed, MortalStore
 from tests.unit.whole_swarm import KEYS, Whole
@@ -197,3 +197,15 @@ def test_a_resumed_mission_goes_on_although_its_robots_still_report_the_stop(lab
     assert lab.status is not None
     assert lab.status.phase == "running", lab.status
     assert lab.whole.driven()
+
+
+def test_a_stop_that_reaches_the_core_only_as_a_request_pauses_the_mission(lab: Lab) -> None:
+    lab.start()
+    for robots in (("@nobody",), ("r1",)):  # the first is refused, and nothing follows from it
+        lab.whole.bus.publish(
+            KEYS.behaviour_request, BehaviourRequest(id=f"s{robots}", behaviour=STOP, robots=robots, source="op")
+        )
+        lab.whole.run(0.3)
+        assert lab.status is not None
+        assert lab.status.phase == ("running" if robots == ("@nobody",) else "paused")
+    assert lab.whole.drives_within(3.0) == []
