@@ -201,6 +201,7 @@ class Lab:
         robots: Iterable[str] | str | None = None,
         filtered: bool | None = None,
         twist: bool = False,
+        team: str = "",
         **parameters: Any,
     ) -> LabRequest:
         """Request a behaviour; it begins with the next step.
@@ -213,6 +214,8 @@ class Lab:
         filtered : whether a function, a module or a file runs behind the safety filter (default: it does). A named
             behaviour says it by its name: ``flocking_bc`` is filtered
         twist : a function returns speed and turn rate instead of a planar velocity
+        team : which robots its control law counts as neighbours: "request", "group", "@name" or "swarm"; default: as
+            its record says
         parameters : of the behaviour
 
         Raises
@@ -234,7 +237,7 @@ class Lab:
             name = behaviour
         else:
             name = self._give(behaviour, values, filtered is not False, twist)
-        pending = self._operator.request(name, chosen, values)
+        pending = self._operator.request(name, chosen, values, team=team)
         self._lockstep.runtime.mailbox.drain()
         request = LabRequest(pending, name, chosen, values, self._cancel)
         self._refuse(request)
