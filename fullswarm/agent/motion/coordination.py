@@ -357,7 +357,7 @@ class Coordinator:
         if near is not self._near or obstacles is not self._obstacles:
             self._near, self._obstacles = near, obstacles
             arena = Arena(obstacles, self._bounds_m)
-            given: tuple[object, ...] = self._crowd, near, arena, self._lines
+            given = self._crowd, near, arena, self._lines
             if plain:
                 given = views(self._crowd), views(near), views(arena), self._listed
             self._run = bound(partial(coordinate.run, self._rules, *given))
