@@ -14,6 +14,7 @@ key                                                     message                w
 ``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
+``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
@@ -115,6 +116,10 @@ class Keys:
     def broadcast(self, cell: str = ANY, host: str = ANY) -> str:
         """What behaviours broadcast to neighbours, by grid cell as the states."""
         return f"{self.swarm}/broadcast/{cell}/{host}"
+
+    def profile(self, cell: str = ANY, host: str = ANY) -> str:
+        """What robots are and can do, by grid cell as the states."""
+        return f"{self.swarm}/profile/{cell}/{host}"
 
     def reception(self, host: str = ANY) -> str:
         """Whose states a host receives."""
