@@ -583,6 +583,31 @@ class BehaviourBroadcast(Message, frozen=True, kw_only=True):
     tables: Annotated[tuple[TableUpdate, ...], Meta(max_length=MOST)] = ()
 
 
+MEMORY_NUMBERS = 64
+"""Of what one robot remembers, at most, in a message."""
+
+
+class RobotMemory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the control law of one robot remembers; part of BehaviourMemory."""
+
+    robot: str
+    behaviour: str
+    request_id: str
+    fields: Annotated[
+        dict[ShortText, Annotated[tuple[Finite | None, ...], Meta(max_length=MEMORY_NUMBERS)]],
+        Meta(max_length=MEMORY_NUMBERS),
+    ]  # flags are 0 and 1; None: not finite
+    left_out: Count = 0  # numbers beyond `MEMORY_NUMBERS`
+
+
+class BehaviourMemory(Message, frozen=True, kw_only=True):
+    """What control laws remember of the robots of one host, 1 Hz while any does, then once empty: for people."""
+
+    host: str
+    robots: Annotated[tuple[RobotMemory, ...], Meta(max_length=MOST)] = ()
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
