@@ -672,6 +672,18 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
+class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The newest stop or e-stop that a robot has carried out, while it has started nothing since; part of RobotHealth.
+
+    A core that was down when the stop was sent learns of it here, before it can request anything of the robot.
+    """
+
+    id: str  # of the StopRequest or EStop
+    source: str = ""
+    estop: bool = False
+    stamp_s: Stamp = 0.0  # when it was carried out, on the clock of the report's own `stamp_s`
+
+
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The state of one robot; part of a HealthReport."""
 
@@ -705,9 +717,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
     message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
     result: Result | None = None  # of the newest request, if the behaviour has ended itself
+    halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/4"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/5"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

@@ -25,6 +25,7 @@ import numpy as np
 
 from fullswarm import registry
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.view import RequestsDiffer
 from fullswarm.bus.base import OPERATOR
 from fullswarm.core.behaviours import PREFIX, make_record
 from fullswarm.errors import BehaviourFailed, ConfigError, RequestRefused, did_you_mean
@@ -169,6 +170,21 @@ class Lab:
         """How many bodies and obstacles each robot touches now, (n,)."""
         return self._lockstep.world.contacts.astype(np.int64)
 
+    @property
+    def contact_events(self) -> Index:
+        """How often each robot has begun to touch a body or an obstacle, (n,)."""
+        return self._truth.events.copy()
+
+    @property
+    def interventions(self) -> Array:
+        """How far the safety filter changed the desired velocity of each robot in the last control period, (n,) m/s."""
+        return np.array([agent.filter.deviation_m_s[row] for agent, row in self._rows.values()])
+
+    @property
+    def config(self) -> SwarmConfig:
+        """All settings."""
+        return self._lockstep.config
+
     def rows(self, robots: Iterable[str] | str | None = None) -> Index:
         """Return the rows of some robots in the arrays; None: all.
 
@@ -300,7 +316,8 @@ class Lab:
 
     # ------------------------------------------------------------------ behaviours that the program gives
     def _note_error(self, error: Exception) -> None:
-        self._error = error
+        if not isinstance(error, RequestsDiffer):  # which the agent answers by calling the law again
+            self._error = error
 
     def _give(self, source: Source, values: Mapping[str, Any], filtered: bool, twist: bool) -> str:
         """Make a behaviour known and return its name; one that is known already is made again if it differs."""
@@ -338,7 +355,7 @@ class Lab:
 
         Parameters
         ----------
-        until : checked after each control period; True ends the run
+        until : called after each control period; True ends the run
 
         Raises
         ------
@@ -353,8 +370,7 @@ class Lab:
         before_s = self._passed_s
         end_s = before_s + duration_s
         while self._passed_s < end_s - 1e-9:
-            due_s = end_s if until is None else min(end_s, self._passed_s + self._period_s)
-            self._passed_s = due_s
+            self._passed_s = due_s = min(end_s, self._passed_s + self._period_s)
             self._lockstep.run(max(0.0, self._began_s + due_s - self._lockstep.runtime.now_s()))
             self._raise_failures()
             if until is not None and until(self):
@@ -362,6 +378,8 @@ class Lab:
         return self._passed_s - before_s
 
     def _raise_failures(self) -> None:
+        if not any(agent.controller.law_failed.any() for agent in self._lockstep.agents):
+            return
         failed: dict[str, list[str]] = {}
         for name, (agent, row) in self._rows.items():
             if agent.controller.law_failed[row] and agent.tasks.of[row] is not None and agent.desired.law_error[row]:
