@@ -28,6 +28,7 @@ key                                                     message                w
 ``<swarm>/mission/request``                             MissionRequest         operator → core
 ``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
 ``<swarm>/mission/status``                              MissionStatus          core → all
+``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -176,6 +177,10 @@ class Keys:
     def mission_status(self) -> str:
         """The state of each mission."""
         return f"{self.swarm}/mission/status"
+
+    def memory(self, host: str = ANY) -> str:
+        """What control laws remember."""
+        return f"{self.swarm}/memory/{host}"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

@@ -583,6 +583,31 @@ class BehaviourBroadcast(Message, frozen=True, kw_only=True):
     tables: Annotated[tuple[TableUpdate, ...], Meta(max_length=MOST)] = ()
 
 
+MEMORY_NUMBERS = 64
+"""Of what one robot remembers, at most, in a message."""
+
+
+class RobotMemory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the control law of one robot remembers; part of BehaviourMemory."""
+
+    robot: str
+    behaviour: str
+    request_id: str
+    fields: Annotated[
+        dict[ShortText, Annotated[tuple[Finite | None, ...], Meta(max_length=MEMORY_NUMBERS)]],
+        Meta(max_length=MEMORY_NUMBERS),
+    ]  # flags are 0 and 1; None: not finite
+    left_out: Count = 0  # numbers beyond `MEMORY_NUMBERS`
+
+
+class BehaviourMemory(Message, frozen=True, kw_only=True):
+    """What control laws remember of the robots of one host, 1 Hz while any does, then once empty: for people."""
+
+    host: str
+    robots: Annotated[tuple[RobotMemory, ...], Meta(max_length=MOST)] = ()
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
@@ -647,6 +672,18 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
+class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The newest stop or e-stop that a robot has carried out, while it has started nothing since; part of RobotHealth.
+
+    A core that was down when the stop was sent learns of it here, before it can request anything of the robot.
+    """
+
+    id: str  # of the StopRequest or EStop
+    source: str = ""
+    estop: bool = False
+    stamp_s: Stamp = 0.0  # when it was carried out, on the clock of the report's own `stamp_s`
+
+
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The state of one robot; part of a HealthReport."""
 
@@ -680,9 +717,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
     message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
     result: Result | None = None  # of the newest request, if the behaviour has ended itself
+    halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/4"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/5"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

@@ -37,6 +37,8 @@ from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
+from fullswarm.agent.telemetry.remembered import PERIOD_S as MEMORY_PERIOD_S
+from fullswarm.agent.telemetry.remembered import MemoryReporter
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
@@ -184,10 +186,11 @@ class AgentNode:
         self.interventions = InterventionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.neighbours.names
         )
+        self._remembered = MemoryReporter(bus, keys, scheduler, identity.host, fleet.ids, self.tasks)
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
-            results=self.inbox.results,
+            results=self.inbox.results, halts=self.inbox.halts,
             waiting=Waiting(state, self.tasks, self.filter, self.neighbours), message_note=self.exchange.note,
             settled_by=self.settling.rule,
             limits=np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel, extra]),
@@ -212,6 +215,7 @@ class AgentNode:
             every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
             every(INTERVENTION_PERIOD_S, self.interventions.publish),
+            every(MEMORY_PERIOD_S, self._remembered.publish),
             every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from fullswarm.messages import Needs, Value
 
 
-def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
-    """Return the parameters that ``--set key=value`` options give.
+def parse_parameters(options: Iterable[str], where: str = "--set") -> dict[str, Value]:
+    """Return the parameters that ``--set key=value`` options give; `where` is how an error names the option.
 
     Raises
     ------
@@ -27,10 +27,12 @@ def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
         key, equals, raw = option.partition("=")
         key = key.strip()
         if not equals or not key:
-            raise ConfigError(f"'{option}' is not key=value", where="--set", hint="e.g. --set speed=0.3")
+            raise ConfigError(
+                f"'{option}' is not key=value", where=where, hint=f"e.g. {where} speed=0.3".replace("parameters ", "")
+            )
         if key in found:
-            raise ConfigError("is given twice", where=f"--set {key}")
-        found[key] = parse_value(raw, where=f"--set {key}")
+            raise ConfigError("is given twice", where=f"{where} {key}")
+        found[key] = parse_value(raw, where=f"{where} {key}")
     return found
 
 

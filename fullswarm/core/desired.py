@@ -71,6 +71,7 @@ class Desired:
     present: bool = False
     order: Order | None = None
     waiting: Order | None = None  # until the schedule interval is over
+    ordered_s: float = -math.inf  # when this core got the newest order; one that it has restored is older than any stop
     switched_s: float = -math.inf
     expires_at_s: float = math.inf
     settled: bool = False  # the robot confirmed `order`

@@ -1,12 +1,18 @@
 """The main controller (paper II.C.1): looks a request up, refuses or completes it, passes it to the request handler.
 
 Every request gets a status, a refused one too; a repeated one gets its newest status again and nothing else.
+
+A stop may come in three ways: as the message to all, dated as a request, and in the report of a robot that has carried
+it out, perhaps while no core was there. Those who keep plans of their own are told before it is carried out, so that a
+core that dies in between cannot know a stop that they do not.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import msgspec
 
@@ -31,13 +37,24 @@ from fullswarm.messages import (
     BehaviourRequest,
     CentralisedRequest,
     EStop,
+    Halt,
     Phase,
     RequestStatus,
     StopRequest,
 )
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
+from fullswarm.runtime import Scheduler
 
 UNNAMED = "an unnamed operator"
+
+
+class Halted(NamedTuple):
+    """A stop or an e-stop, whichever way it came; no `robots`: all."""
+
+    id: str
+    robots: tuple[str, ...]
+    why: str
+    at_s: float
 
 
 class MainController:
@@ -55,14 +72,18 @@ class MainController:
         groups: Groups,
         authority: Authority,
         request_order: RequestOrder,
+        scheduler: Scheduler,
     ) -> None:
         self._groups, self._authority, self._request_order = groups, authority, request_order
         self.library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
+        self._scheduler = scheduler
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
+        self._on_stop: list[Callable[[Halted], None]] = []
         handler.watch_holders(remapper.narrow)
+        handler.watch_halts(self._halted)
         self._subscriptions = [
-            bus.subscribe(keys.behaviour_request, BehaviourRequest, self.submit),
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._received),
             bus.subscribe(keys.stop, StopRequest, self._stopped),
             bus.subscribe(keys.estop, EStop, self._emergency),
         ]
@@ -71,6 +92,10 @@ class MainController:
         """End the subscriptions."""
         for subscription in self._subscriptions:
             subscription.close()
+
+    def watch_stops(self, callback: Callable[[Halted], None]) -> None:
+        """Have `callback` called for each stop, and for most of its copies, before it is carried out."""
+        self._on_stop.append(callback)
 
     def knows(self, request_id: str) -> bool:
         """Tell whether a request is held by some robot, or is remembered with its end."""
@@ -98,6 +123,13 @@ class MainController:
         roles_of(request, record, fit, self._groups, self._roster.profile)
         self.library.resolve(record, request.parameters, fit)
         team_of(request, record, robots, self._groups)
+
+    def _received(self, request: BehaviourRequest) -> None:
+        if request.behaviour == STOP and not self.knows(request.id):
+            by = request.operator or request.source or UNNAMED
+            with contextlib.suppress(RequestRefused):  # `submit` answers that
+                self._notify(request.id, self._groups.expand(request.robots), f"stopped by {by}")
+        self.submit(request)
 
     def submit(self, request: BehaviourRequest) -> None:
         """Accept or refuse a request; one that is known gets its newest status again, and nothing else."""
@@ -191,12 +223,29 @@ class MainController:
     def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
         self._board.publish(_status(request.id, request.behaviour, "refused", why, request.robots))
 
+    def _notify(self, stop_id: str, robots: Sequence[str], why: str, at_s: float | None = None) -> None:
+        halted = Halted(stop_id, tuple(robots), why, self._scheduler.now_s() if at_s is None else at_s)
+        for callback in self._on_stop:
+            callback(halted)
+
+    def _halted(self, robot: str, halt: Halt, at_s: float) -> None:
+        """Carry out a stop that a robot obeys and that no core has received, for this robot."""
+        stop_id = f"{halt.id}@{robot}"  # of its own: other robots may report the same stop
+        if self.knows(halt.id) or self.knows(stop_id):
+            return
+        by = halt.source or UNNAMED
+        self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
+        if self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
+            self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
+
     def _stopped(self, request: StopRequest) -> None:
+        self._notify(request.id, request.robots, f"stopped by {request.source or UNNAMED}")
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
+            self._notify(estop.id, estop.robots, f"e-stop by {estop.source or UNNAMED}")
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 

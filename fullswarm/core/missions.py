@@ -20,7 +20,7 @@ import structlog
 from fullswarm.bus import Bus
 from fullswarm.config.mission_file import plan_problems
 from fullswarm.core.leases import Authority
-from fullswarm.core.main_controller import UNNAMED, MainController
+from fullswarm.core.main_controller import UNNAMED, Halted, MainController
 from fullswarm.core.mission_facts import MissionFacts
 from fullswarm.core.mission_state import Mission, MissionState, Running, comparison, open_conditions
 from fullswarm.core.request_handler import RequestHandler
@@ -32,14 +32,12 @@ from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import (
     STOP,
     BehaviourRequest,
-    EStop,
     MissionPlan,
     MissionProblem,
     MissionReply,
     MissionRequest,
     MissionStatus,
     MissionStep,
-    StopRequest,
 )
 from fullswarm.perf.metrics import METRICS, SHAPE, SHAPE_DOC
 from fullswarm.reasons import Code
@@ -107,15 +105,15 @@ class Missions:
         self._kept_s: dict[str, float] = {}
         self._absent_s: dict[str, float] = {}  # robot → since when, while a step needs it
         self._replies: Recent[str, MissionReply] = Recent(256)
-        self._stops: Recent[tuple[str, bool], None] = Recent(256)
+        self._stops: Recent[str, None] = Recent(256)
+        self._started_s: dict[str, float] = {}  # when this core started or resumed a mission
         self._timer: Timer | None = None
         self._ticked_s = scheduler.now_s()
         self._restore()
         self._subscriptions = [
             bus.subscribe(keys.mission_request, MissionRequest, self._requested),
-            bus.subscribe(keys.stop, StopRequest, self._stopped),
-            bus.subscribe(keys.estop, EStop, self._latched),
         ]
+        controller.watch_stops(self._halted)
 
     def close(self) -> None:
         """Stop advancing missions; the next start of the core continues them."""
@@ -180,6 +178,7 @@ class Missions:
         number = 1 + max((each.state.number for each in self._missions.values()), default=0)
         mission = Mission.new(request.id, request.plan, _operator(request), number)
         self._missions[request.id], self._slots[request.id] = mission, slot
+        self._started_s[request.id] = self._scheduler.now_s()
         self._begin_ready(mission)
         self._changed(mission, plan=True)
         self._advance(mission, 0.0)
@@ -191,6 +190,7 @@ class Missions:
             raise RequestRefused(f"mission '{mission.plan.name}' is not paused: it is {mission.state.phase}")
         self._admit(request, self._robots(mission))
         mission.state.change("resume")
+        self._started_s[mission.state.mission] = self._scheduler.now_s()
         mission.state.operator = _operator(request)
         self._absent_s.clear()
         for each in mission.steps():
@@ -305,20 +305,15 @@ class Missions:
         return tuple(found)
 
     # ---------------------------------------------------------------- stops
-    def _stopped(self, stop: StopRequest) -> None:
-        self._pause_for((stop.id, True), stop.robots, f"stopped by {stop.source or UNNAMED}")
-
-    def _latched(self, order: EStop) -> None:
-        if order.engaged:
-            self._pause_for((order.id, False), order.robots, f"e-stop by {order.source or UNNAMED}")
-
-    def _pause_for(self, key: tuple[str, bool], robots: tuple[str, ...], why: str) -> None:
-        if key[0] and key in self._stops:
+    def _halted(self, stop: Halted) -> None:
+        if stop.id and stop.id in self._stops:
             return  # each stop is sent several times: a late copy must not pause what was resumed since
-        self._stops[key] = None
-        for mission in self._missions.values():
-            touched = not robots or not set(robots).isdisjoint(self._robots(mission))
-            if touched and mission.pause(why):
+        self._stops[stop.id] = None
+        for key, mission in self._missions.items():
+            touched = not stop.robots or not set(stop.robots).isdisjoint(self._robots(mission))
+            # What was restored counts as older than any stop.
+            older = self._started_s.get(key, -math.inf) <= stop.at_s
+            if touched and older and mission.pause(stop.why):
                 self._changed(mission)
                 self._advance(mission, 0.0)
 
@@ -505,6 +500,7 @@ class Missions:
         oldest = min(ended, key=lambda state: state.number).mission
         del self._missions[oldest]
         self._published.pop(oldest, None)
+        self._started_s.pop(oldest, None)
         return self._slots.pop(oldest)
 
     def _restore(self) -> None:

@@ -355,7 +355,7 @@ class Lab:
 
         Parameters
         ----------
-        until : checked after each control period; True ends the run
+        until : called after each control period; True ends the run
 
         Raises
         ------
@@ -370,8 +370,7 @@ class Lab:
         before_s = self._passed_s
         end_s = before_s + duration_s
         while self._passed_s < end_s - 1e-9:
-            due_s = end_s if until is None else min(end_s, self._passed_s + self._period_s)
-            self._passed_s = due_s
+            self._passed_s = due_s = min(end_s, self._passed_s + self._period_s)
             self._lockstep.run(max(0.0, self._began_s + due_s - self._lockstep.runtime.now_s()))
             self._raise_failures()
             if until is not None and until(self):
@@ -379,6 +378,8 @@ class Lab:
         return self._passed_s - before_s
 
     def _raise_failures(self) -> None:
+        if not any(agent.controller.law_failed.any() for agent in self._lockstep.agents):
+            return
         failed: dict[str, list[str]] = {}
         for name, (agent, row) in self._rows.items():
             if agent.controller.law_failed[row] and agent.tasks.of[row] is not None and agent.desired.law_error[row]:
