@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from fullswarm.messages import ControlAck, ControlRequest, Result, RobotHealth, Value
+from fullswarm.messages import ControlAck, ControlRequest, Needs, Result, RobotHealth, Value
 from fullswarm.reasons import NONE, Code, Reason, given, reason
 
 RESEND_S = 0.1
@@ -37,7 +37,11 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, Value] = {}
     law: str = ""
     team: int = 0
+    peers: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
+    roles: tuple[str, ...] = ()
+    needs: Needs | None = None
+    stays: bool = False
     filtered: bool = False
     centralised: bool = False
     survives_core: bool = False
@@ -67,6 +71,7 @@ class Desired:
     present: bool = False
     order: Order | None = None
     waiting: Order | None = None  # until the schedule interval is over
+    ordered_s: float = -math.inf  # when this core got the newest order; one that it has restored is older than any stop
     switched_s: float = -math.inf
     expires_at_s: float = math.inf
     settled: bool = False  # the robot confirmed `order`
@@ -117,7 +122,11 @@ class Desired:
             filtered=filled.filtered,
             law=filled.law,
             team=filled.team,
+            peers=filled.peers,
             members=filled.members,
+            roles=filled.roles,
+            needs=filled.needs,
+            stays=filled.stays,
             centralised=filled.centralised,
             survives_core=filled.survives_core,
             expires_s=filled.expires_s,

@@ -1,13 +1,20 @@
 """The main controller (paper II.C.1): looks a request up, refuses or completes it, passes it to the request handler.
 
 Every request gets a status, a refused one too; a repeated one gets its newest status again and nothing else.
+
+A stop may come in three ways: as the message to all, dated as a request, and in the report of a robot that has carried
+it out, perhaps while no core was there. Those who keep plans of their own are told before it is carried out, so that a
+core that dies in between cannot know a stop that they do not.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import msgspec
 
 from fullswarm.bus import Bus
 from fullswarm.core.behaviours import Library, Record
@@ -19,22 +26,35 @@ from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.request_order import Line, RequestOrder
 from fullswarm.core.request_status import StatusBoard
+from fullswarm.core.roles import roles_of, select
 from fullswarm.core.roster import Roster
+from fullswarm.core.teams import NO_TEAM, TeamOf, team_of
 from fullswarm.errors import RequestRefused, did_you_mean
+from fullswarm.fitness import ANYTHING, both
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     STOP,
     BehaviourRequest,
     CentralisedRequest,
     EStop,
+    Halt,
     Phase,
     RequestStatus,
     StopRequest,
-    Value,
 )
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
+from fullswarm.runtime import Scheduler
 
 UNNAMED = "an unnamed operator"
+
+
+class Halted(NamedTuple):
+    """A stop or an e-stop, whichever way it came; no `robots`: all."""
+
+    id: str
+    robots: tuple[str, ...]
+    why: str
+    at_s: float
 
 
 class MainController:
@@ -52,14 +72,18 @@ class MainController:
         groups: Groups,
         authority: Authority,
         request_order: RequestOrder,
+        scheduler: Scheduler,
     ) -> None:
         self._groups, self._authority, self._request_order = groups, authority, request_order
         self.library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
+        self._scheduler = scheduler
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
+        self._on_stop: list[Callable[[Halted], None]] = []
         handler.watch_holders(remapper.narrow)
+        handler.watch_halts(self._halted)
         self._subscriptions = [
-            bus.subscribe(keys.behaviour_request, BehaviourRequest, self.submit),
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._received),
             bus.subscribe(keys.stop, StopRequest, self._stopped),
             bus.subscribe(keys.estop, EStop, self._emergency),
         ]
@@ -69,23 +93,43 @@ class MainController:
         for subscription in self._subscriptions:
             subscription.close()
 
+    def watch_stops(self, callback: Callable[[Halted], None]) -> None:
+        """Have `callback` called for each stop, and for most of its copies, before it is carried out."""
+        self._on_stop.append(callback)
+
     def knows(self, request_id: str) -> bool:
         """Tell whether a request is held by some robot, or is remembered with its end."""
         return self._handler.holds(request_id) or self._board.get(request_id) is not None
 
-    def check(self, behaviour: str, parameters: Mapping[str, Value], robots: Sequence[str]) -> None:
+    def check(self, request: BehaviourRequest, robots: Sequence[str]) -> None:
         """Check what a mission will request later.
+
+        Parameters
+        ----------
+        robots : that `request` means
 
         Raises
         ------
         RequestRefused
-            No such behaviour, one that expires unless it is repeated, or parameters that do not fit it.
+            No such behaviour, one that expires unless it is repeated, or parameters, robots,
+            roles or a team that do not fit it.
         """
-        record = self.library.get(behaviour)
+        record = self.library.get(request.behaviour)
         if record.expires_s > 0.0:
-            raise RequestRefused(f"'{behaviour}' expires unless it is repeated: it is for sticks")
+            raise RequestRefused(f"'{request.behaviour}' expires unless it is repeated: it is for sticks")
         _check_packages(record)
-        self.library.resolve(record, parameters, robots)
+        needs = both(self.library.needs(record, request.parameters), request.needs)
+        fit, _ = select(request, robots, needs, self._roster.profile)
+        roles_of(request, record, fit, self._groups, self._roster.profile)
+        self.library.resolve(record, request.parameters, fit)
+        team_of(request, record, robots, self._groups)
+
+    def _received(self, request: BehaviourRequest) -> None:
+        if request.behaviour == STOP and not self.knows(request.id):
+            by = request.operator or request.source or UNNAMED
+            with contextlib.suppress(RequestRefused):  # `submit` answers that
+                self._notify(request.id, self._groups.expand(request.robots), f"stopped by {by}")
+        self.submit(request)
 
     def submit(self, request: BehaviourRequest) -> None:
         """Accept or refuse a request; one that is known gets its newest status again, and nothing else."""
@@ -111,19 +155,27 @@ class MainController:
             raise RequestRefused("the request has no id", hint="give each request an id of its own")
         record = self.library.get(request.behaviour)
         robots = self.addressed(request.robots, lenient=record.name == STOP)
+        needs = both(self.library.needs(record, request.parameters), request.needs)
+        robots, left_out = select(request, robots, needs, self._roster.profile)
+        roles = roles_of(request, record, robots, self._groups, self._roster.profile)
         parameters = self.library.resolve(record, request.parameters, robots)
         _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
             self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
+        team = team_of(request, record, robots, self._groups)
         overtaken, robots = self._overtaken(request, robots)
         if not robots:
             self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
-        team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
-        members = () if record.centralised or record.expires_s > 0.0 else robots
-        orders = {
-            robot: _order(request.id, record, parameters[robot], line, stamp_s, team, members) for robot in robots
-        }
+        common = _order(request.id, record, _line(request), request.stamp_s, team)
+        if needs != ANYTHING:
+            common = msgspec.structs.replace(common, needs=needs)
+        if not record.centralised and record.expires_s == 0.0:  # what a law asks of its request as a whole
+            given_roles = tuple(roles.get(robot, "") for robot in robots) if roles else ()
+            common = msgspec.structs.replace(common, members=robots, roles=given_roles)
+        orders = dict.fromkeys(robots, common)
+        if not record.centralised:  # robots need no parameters of a law that is computed on the base station
+            orders = {robot: msgspec.structs.replace(common, parameters=parameters[robot]) for robot in robots}
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -133,11 +185,13 @@ class MainController:
                     enable=True,
                     robots=robots,
                     parameters=parameters[robots[0]],
+                    roles={robot: roles[robot] for robot in robots if robot in roles},
                     filtered=record.filtered,
                 ),
                 lasting=record.expires_s == 0.0,
             )
-        self._handler.submit(orders, overtaken, at_once=record.name == STOP)
+        why = overtaken or joined(left_out)
+        self._handler.submit(orders, why, at_once=record.name == STOP, left_out=tuple(left_out), roles=roles)
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[Reason, tuple[str, ...]]:
         """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""
@@ -169,12 +223,29 @@ class MainController:
     def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
         self._board.publish(_status(request.id, request.behaviour, "refused", why, request.robots))
 
+    def _notify(self, stop_id: str, robots: Sequence[str], why: str, at_s: float | None = None) -> None:
+        halted = Halted(stop_id, tuple(robots), why, self._scheduler.now_s() if at_s is None else at_s)
+        for callback in self._on_stop:
+            callback(halted)
+
+    def _halted(self, robot: str, halt: Halt, at_s: float) -> None:
+        """Carry out a stop that a robot obeys and that no core has received, for this robot."""
+        stop_id = f"{halt.id}@{robot}"  # of its own: other robots may report the same stop
+        if self.knows(halt.id) or self.knows(stop_id):
+            return
+        by = halt.source or UNNAMED
+        self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
+        if self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
+            self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
+
     def _stopped(self, request: StopRequest) -> None:
+        self._notify(request.id, request.robots, f"stopped by {request.source or UNNAMED}")
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
+            self._notify(estop.id, estop.robots, f"e-stop by {estop.source or UNNAMED}")
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 
@@ -226,20 +297,8 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
         return None
     if record.centralised:
         remapper.spare(request_id)
-        return _order(request_id, record, {})
+        return _order(request_id, record)
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
-
-
-def _team(request: BehaviourRequest, record: Record) -> int:
-    """Return the number of the team that the request's robots are; 0: the law's neighbours are the whole swarm.
-
-    Each frame of a stick is a request of its own: its team is all robots that one operator
-    steers with one behaviour.
-    """
-    if record.team == "swarm":
-        return 0
-    parts = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
-    return zlib.crc32(" ".join(parts).encode()) or 1
 
 
 def _line(request: BehaviourRequest) -> Line:
@@ -250,24 +309,21 @@ def _line(request: BehaviourRequest) -> Line:
 def _order(
     request_id: str,
     record: Record,
-    parameters: dict[str, Value],
     line: Line = ("", ""),
     stamp_s: float = 0.0,
-    team: int = 0,
-    members: tuple[str, ...] = (),
+    team: TeamOf = NO_TEAM,
 ) -> Order:
-    # Robots need no parameters of a law that is computed on the base station.
-    given = {} if record.centralised else parameters
+    """Return what the orders of all robots of a request have in common."""
     return Order(
         request_id=request_id,
         behaviour=record.name,
-        parameters=given,
         law=record.law,
-        team=team,
-        members=members,
+        team=team.number,
+        peers=team.peers,
         filtered=record.filtered,
         centralised=record.centralised,
         survives_core=record.survives_core,
+        stays=record.finished == "stays",
         expires_s=record.expires_s,
         operator=line[0],
         clock=line[1],

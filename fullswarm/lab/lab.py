@@ -20,10 +20,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from fullswarm import registry
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.view import RequestsDiffer
 from fullswarm.bus.base import OPERATOR
 from fullswarm.core.behaviours import PREFIX, make_record
 from fullswarm.errors import BehaviourFailed, ConfigError, RequestRefused, did_you_mean
@@ -38,6 +40,7 @@ from fullswarm.lab.recording import Recording
 from fullswarm.lab.request import LabRequest
 from fullswarm.lab.settings import from_arguments, from_file
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.messages import Needs
 from fullswarm.operator.client import Operator
 from fullswarm.output import quiet
 from fullswarm.perf.truth import Truth
@@ -167,6 +170,21 @@ class Lab:
         """How many bodies and obstacles each robot touches now, (n,)."""
         return self._lockstep.world.contacts.astype(np.int64)
 
+    @property
+    def contact_events(self) -> Index:
+        """How often each robot has begun to touch a body or an obstacle, (n,)."""
+        return self._truth.events.copy()
+
+    @property
+    def interventions(self) -> Array:
+        """How far the safety filter changed the desired velocity of each robot in the last control period, (n,) m/s."""
+        return np.array([agent.filter.deviation_m_s[row] for agent, row in self._rows.values()])
+
+    @property
+    def config(self) -> SwarmConfig:
+        """All settings."""
+        return self._lockstep.config
+
     def rows(self, robots: Iterable[str] | str | None = None) -> Index:
         """Return the rows of some robots in the arrays; None: all.
 
@@ -185,6 +203,9 @@ class Lab:
         robots: Iterable[str] | str | None = None,
         filtered: bool | None = None,
         twist: bool = False,
+        team: str = "",
+        needs: Mapping[str, Any] | None = None,
+        roles: Mapping[str, Iterable[str]] | None = None,
         **parameters: Any,
     ) -> LabRequest:
         """Request a behaviour; it begins with the next step.
@@ -197,6 +218,10 @@ class Lab:
         filtered : whether a function, a module or a file runs behind the safety filter (default: it does). A named
             behaviour says it by its name: ``flocking_bc`` is filtered
         twist : a function returns speed and turn rate instead of a planar velocity
+        team : which robots its control law counts as neighbours: "request", "group", "@name" or "swarm"; default: as
+            its record says
+        needs : what robots must be able to do: ``{"capabilities": ["gripper"], "speed_m_s": 0.3}``
+        roles : role → robots, "@groups", "+capabilities"
         parameters : of the behaviour
 
         Raises
@@ -218,7 +243,7 @@ class Lab:
             name = behaviour
         else:
             name = self._give(behaviour, values, filtered is not False, twist)
-        pending = self._operator.request(name, chosen, values)
+        pending = self._operator.request(name, chosen, values, team=team, needs=_needs(needs or {}), roles=roles)
         self._lockstep.runtime.mailbox.drain()
         request = LabRequest(pending, name, chosen, values, self._cancel)
         self._refuse(request)
@@ -291,7 +316,8 @@ class Lab:
 
     # ------------------------------------------------------------------ behaviours that the program gives
     def _note_error(self, error: Exception) -> None:
-        self._error = error
+        if not isinstance(error, RequestsDiffer):  # which the agent answers by calling the law again
+            self._error = error
 
     def _give(self, source: Source, values: Mapping[str, Any], filtered: bool, twist: bool) -> str:
         """Make a behaviour known and return its name; one that is known already is made again if it differs."""
@@ -329,7 +355,7 @@ class Lab:
 
         Parameters
         ----------
-        until : checked after each control period; True ends the run
+        until : called after each control period; True ends the run
 
         Raises
         ------
@@ -344,8 +370,7 @@ class Lab:
         before_s = self._passed_s
         end_s = before_s + duration_s
         while self._passed_s < end_s - 1e-9:
-            due_s = end_s if until is None else min(end_s, self._passed_s + self._period_s)
-            self._passed_s = due_s
+            self._passed_s = due_s = min(end_s, self._passed_s + self._period_s)
             self._lockstep.run(max(0.0, self._began_s + due_s - self._lockstep.runtime.now_s()))
             self._raise_failures()
             if until is not None and until(self):
@@ -353,6 +378,8 @@ class Lab:
         return self._passed_s - before_s
 
     def _raise_failures(self) -> None:
+        if not any(agent.controller.law_failed.any() for agent in self._lockstep.agents):
+            return
         failed: dict[str, list[str]] = {}
         for name, (agent, row) in self._rows.items():
             if agent.controller.law_failed[row] and agent.tasks.of[row] is not None and agent.desired.law_error[row]:
@@ -469,6 +496,13 @@ class Lab:
     def _open(self) -> None:
         if self._closed:
             raise ConfigError("the laboratory is closed", where="Lab", hint="open another one")
+
+
+def _needs(given: Mapping[str, Any]) -> Needs:
+    try:
+        return msgspec.convert(dict(given), Needs)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(error), where="needs", hint=f"known: {', '.join(Needs.__struct_fields__)}") from None
 
 
 def _free(name: str) -> Iterable[str]:

@@ -65,7 +65,9 @@ class DesiredMotion:
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
-        self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
+        self._coordinator = Coordinator(
+            crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz, safety.bounds_m
+        )
         self.context = Context(
             neighbours.ids, neighbours.names, state, tasks.since_s, tasks.index, self._contacts_read, tasks.generator
         )
@@ -133,7 +135,7 @@ class DesiredMotion:
                 now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
             )
         if planar and tasks.any_filtered:
-            self._coordinator.apply(self._planar, pose, reading.twist, near)
+            self._coordinator.apply(self._planar, pose, reading.twist, near, obstacles)
         if tasks.any_filtered and settings.evade:
             self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
@@ -144,9 +146,12 @@ class DesiredMotion:
     def _view(self, group: Group, position: Array) -> View:
         neighbours, pose = self._neighbours, self._state.pose
         reach_m = group.hearing_m or self._config.sensing_radius_m
-        find = neighbours.within if group.shared is None else neighbours.within_by_name
+        find = partial(
+            neighbours.within if group.shared is None else neighbours.within_by_name, position, reach_m,
+            self._tasks.team, self._tasks.peers,
+        )  # fmt: skip
         view = View(
-            position, pose[:, 2], self._state.radius, partial(find, position, reach_m, self._tasks.team),
+            position, pose[:, 2], self._state.radius, find,
             neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
             self._controller.speed_limit, neighbours.aims, self._tasks.margin_m, self._standing.around,
             self.context, None, group.shared,
