@@ -36,8 +36,9 @@ def velocity(view: View, params: Params) -> Array:
         elif is_rival.any():
             to[row] = chase(view.position[row], offset, is_rival, view.bounds_m)
     _end(view, params, evades, rivals)
-    speed: Array = np.where(evades[:, None], params.evader_m_s, params.speed_m_s)
-    return speed * to / np.maximum(np.linalg.norm(to, axis=1, keepdims=True), AT_M)
+    speed = np.where(evades[:, None], params.evader_m_s, params.speed_m_s)
+    desired: Array = speed * to / np.maximum(np.linalg.norm(to, axis=1, keepdims=True), AT_M)
+    return desired
 
 
 def _end(view: View, params: Params, evades: Flags, rivals: Flags) -> None:
