@@ -18,6 +18,7 @@ Further files:
 ``earth.py``       Latitude and longitude in a swarm's own frame: the plane tangent to the WGS84 ellipsoid at the
                    swarm's origin
 ``emulators/``     Emulated robots of each make on real ports
+``envs/``          Environments for Gymnasium and PettingZoo, and trained policies as behaviours
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): scenarios, trials, experiments, results
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one

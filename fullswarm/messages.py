@@ -67,7 +67,7 @@ LARGEST = 1e15
 """Of what is measured; a sum of many such numbers is finite."""
 
 Team = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
-"""Number of a team: robots whose laws count each other as neighbours, those of one request; 0: of no team."""
+"""Number of a team: robots whose laws count each other as neighbours, of one request or group; 0: of no team."""
 Teams = Annotated[tuple[Team, ...], Meta(max_length=MOST)]
 
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
@@ -82,13 +82,14 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 # ---------------------------------------------------------------- operator <-> core
-class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/3"):
+class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/4"):
     """An operator requests a behaviour (paper II.B). Repeated until answered; `id` makes it exactly-once."""
 
     id: str
     behaviour: str
     robots: Names = ()  # empty: the whole swarm; "@name": a group of the core's database
     parameters: Parameters = {}
+    team: Annotated[str, Meta(max_length=65)] = ""  # "request", "group", "swarm" or "@name"; empty: as the record says
     source: str = ""  # the requesting process: "cli@host:pid"
     operator: str = ""  # the person, for leases: "anna@lab1"
     take: bool = False  # also take the leases that another operator holds
@@ -210,6 +211,7 @@ class MissionStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     behaviour: Label = ""  # empty: none, the track waits for the conditions
     robots: Names = ()  # empty: the whole swarm; "@name": a group
     parameters: Parameters = {}
+    team: Annotated[str, Meta(max_length=65)] = ""  # as in BehaviourRequest
     done: StepConditions = StepConditions()
     after: Names = ()  # "track/step" of other tracks that must be done before
     fail_after_s: Duration = 0.0  # 0: it may take any time
@@ -231,7 +233,7 @@ class MissionPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     tracks: Annotated[tuple[MissionTrack, ...], Meta(max_length=64)]
 
 
-class MissionRequest(Message, frozen=True, kw_only=True):
+class MissionRequest(Message, frozen=True, kw_only=True, tag="MissionRequest/2"):
     """An operator checks, starts or controls a mission. Repeated until answered; `id` makes it exactly-once."""
 
     id: Label
@@ -303,7 +305,7 @@ class MissionStatus(Message, frozen=True, kw_only=True):
 
 
 # ---------------------------------------------------------------- core -> agents
-class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3"):
+class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/4"):
     """Enable or disable one behaviour of one robot (paper II.D); `sequence` grows, an older one is ignored."""
 
     request_id: str
@@ -314,6 +316,7 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/3")
     filtered: bool = False  # run the law behind the safety filter (`_bc`)
     law: str = ""  # name of the law; behaviours that differ only by the filter share it
     team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
+    peers: Names = ()  # the robots that the law counts as neighbours whatever they run; empty: those of `team`
     members: Names = ()  # all robots of the request, in its order; empty for an intent, which is sent too often
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
@@ -595,6 +598,18 @@ class SeenObstacles(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
+class Halt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The newest stop or e-stop that a robot has carried out, while it has started nothing since; part of RobotHealth.
+
+    A core that was down when the stop was sent learns of it here, before it can request anything of the robot.
+    """
+
+    id: str  # of the StopRequest or EStop
+    source: str = ""
+    estop: bool = False
+    stamp_s: Stamp = 0.0  # when it was carried out, on the clock of the report's own `stamp_s`
+
+
 class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The state of one robot; part of a HealthReport."""
 
@@ -628,9 +643,10 @@ class RobotHealth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     message_note: str = ""  # what is wrong with the broadcasts that its behaviour receives
     message_code: str = ""  # of `message_note`, see `fullswarm.reasons`
     result: Result | None = None  # of the newest request, if the behaviour has ended itself
+    halt: Halt | None = None  # None: it has started something since the newest stop
 
 
-class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/4"):
+class HealthReport(Message, frozen=True, kw_only=True, tag="HealthReport/5"):
     """Health of all robots of one host, 2 Hz and on change, with its loop statistics."""
 
     host: str

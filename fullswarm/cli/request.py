@@ -42,6 +42,14 @@ Requested = Annotated[
         autocompletion=completion.behaviours,
     ),
 ]
+Team = Annotated[
+    str,
+    typer.Option(
+        metavar="request|group|@NAME|swarm",
+        help="Robots that the control law counts as neighbours: those of this request, of its group, of a group, or "
+        "all (default: as the behaviour's record says).",
+    ),
+]
 Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's full rate, -1 to 1.")]
 
 
@@ -66,6 +74,7 @@ def request(
         bool,
         typer.Option("--until-end", help="Wait until the behaviour has ended on all robots; Ctrl-C leaves it running."),
     ] = False,
+    team: Team = "",
     take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
@@ -81,7 +90,7 @@ def request(
     from fullswarm.operator import session
 
     if check or is_mission(behaviour):
-        check_options(behaviour, given=bool(robots or settings))
+        check_options(behaviour, given=bool(robots or settings or team))
         follow = bool(wait) or until_end
         return start(target, Path(behaviour), check=check, wait=follow, take=take, timeout=timeout, as_json=as_json)
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
@@ -106,7 +115,7 @@ def request(
         if until_end:
             connection.on_interrupt = connection.finish
             connection.runtime.after(timeout, lambda: None if newest else connection.finish())
-        connection.operator.request(behaviour, ids, parameters, receive, take=take)
+        connection.operator.request(behaviour, ids, parameters, receive, take=take, team=team)
         connection.run(None if until_end else timeout)
         if newest is None:
             raise connection.no_core(timeout)

@@ -11,6 +11,7 @@
     name = "out"                         # default: "step 1", "step 2", ...
     behaviour = "move_to_goal_bc"        # none: the robots stand, the track waits
     parameters = { goal = [8.0, 2.0] }
+    team = "group"                       # whom its law counts as neighbours; default: as its record says
     done = { arrived = "all" }           # when = "all" | "any" of: arrived, time_s, metric, confirm
     after = ["east/out"]                 # steps of other tracks that must be over before it begins
     fail_after_s = 60.0
@@ -103,6 +104,7 @@ class StepSection(Section):
     behaviour: str = Field("", max_length=64)
     robots: tuple[str, ...] | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
+    team: str = Field("", max_length=65)
     done: DoneSection = DoneSection()
     after: tuple[str, ...] = ()
     fail_after_s: float = Field(0.0, ge=0.0, le=1e9)
@@ -234,6 +236,7 @@ def _step(number: int, step: StepSection, robots: tuple[str, ...]) -> MissionSte
         behaviour=step.behaviour,
         robots=robots if step.robots is None else step.robots,
         parameters=msgspec.convert(step.parameters, dict[str, Value]),
+        team=step.team,
         done=StepConditions(
             when=done.when,
             arrived=done.arrived or "",
@@ -313,6 +316,8 @@ def _condition_problems(step: MissionStep) -> Iterator[tuple[str, str]]:
             parse_comparison(done.metric)
         except ConfigError as error:
             yield "done.metric", str(error)
+    if step.team and not step.behaviour:
+        yield "team", "the step has no behaviour that it is for"
     if step.parameters and not step.behaviour:
         yield "parameters", "the step has no behaviour that they are for"
     if step.keep_running and not step.behaviour:

@@ -49,7 +49,7 @@ class Record(Section):
     centralised: bool = False
     filtered: bool = False  # behind the safety filter (`_bc`)
     survives_core: bool = False
-    team: Literal["request", "swarm"] = "request"  # which robots the law counts as neighbours
+    team: Literal["request", "group", "swarm"] = "request"  # which robots the law counts as neighbours
     expires_s: float = Field(0.0, ge=EXPIRES_S[0], le=EXPIRES_S[1])  # > 0: an intent, to be repeated
     formation: Literal["", "each", "assigned"] = ""  # a target per robot, or all targets to the centralised node
     parameters: dict[str, Parameter] = Field(default_factory=dict)
@@ -69,6 +69,10 @@ class Record(Section):
         missing = [name for name in FORMATION if name not in self.parameters] if self.formation else []
         if missing:
             raise ValueError(f"a formation needs the parameters {', '.join(missing)}")
+        if self.team == "group" and self.expires_s > 0.0:
+            raise ValueError('team = "group" is not for an intent (expires_s), which is sent too often')
+        if self.team != "request" and self.centralised:
+            raise ValueError("team: a centralised behaviour always has the robots of its request as neighbours")
         if self.centralised and not self.law:
             raise ValueError("a centralised behaviour needs a law")
         if (self.formation == "assigned") != (self.centralised and bool(self.formation)):

@@ -37,6 +37,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, Value] = {}
     law: str = ""
     team: int = 0
+    peers: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     filtered: bool = False
     centralised: bool = False
@@ -67,6 +68,7 @@ class Desired:
     present: bool = False
     order: Order | None = None
     waiting: Order | None = None  # until the schedule interval is over
+    ordered_s: float = -math.inf  # when this core got the newest order; one that it has restored is older than any stop
     switched_s: float = -math.inf
     expires_at_s: float = math.inf
     settled: bool = False  # the robot confirmed `order`
@@ -117,6 +119,7 @@ class Desired:
             filtered=filled.filtered,
             law=filled.law,
             team=filled.team,
+            peers=filled.peers,
             members=filled.members,
             centralised=filled.centralised,
             survives_core=filled.survives_core,

@@ -40,6 +40,12 @@ class Groups:
             self._robots[name] = found
         return self._robots[name]
 
+    def holding(self, robots: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of the groups that hold all of `robots`, without the mark."""
+        wanted = set(robots)
+        names = (entry.key.removeprefix(GROUP) for entry in self._store.list(GROUP))
+        return tuple(name for name in names if wanted <= set(self.get(name) or ()))
+
     def expand(self, names: Sequence[str]) -> Sequence[str]:
         """Replace the names of groups by their robots.
 

@@ -1,13 +1,18 @@
 """The main controller (paper II.C.1): looks a request up, refuses or completes it, passes it to the request handler.
 
 Every request gets a status, a refused one too; a repeated one gets its newest status again and nothing else.
+
+A stop may come in three ways: as the message to all, dated as a request, and in the report of a robot that has carried
+it out, perhaps while no core was there. Those who keep plans of their own are told before it is carried out, so that a
+core that dies in between cannot know a stop that they do not.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from fullswarm.bus import Bus
 from fullswarm.core.behaviours import Library, Record
@@ -20,6 +25,7 @@ from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.request_order import Line, RequestOrder
 from fullswarm.core.request_status import StatusBoard
 from fullswarm.core.roster import Roster
+from fullswarm.core.teams import NO_TEAM, TeamOf, team_of
 from fullswarm.errors import RequestRefused, did_you_mean
 from fullswarm.keys import Keys
 from fullswarm.messages import (
@@ -27,14 +33,25 @@ from fullswarm.messages import (
     BehaviourRequest,
     CentralisedRequest,
     EStop,
+    Halt,
     Phase,
     RequestStatus,
     StopRequest,
     Value,
 )
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
+from fullswarm.runtime import Scheduler
 
 UNNAMED = "an unnamed operator"
+
+
+class Halted(NamedTuple):
+    """A stop or an e-stop, whichever way it came; no `robots`: all."""
+
+    id: str
+    robots: tuple[str, ...]
+    why: str
+    at_s: float
 
 
 class MainController:
@@ -52,14 +69,18 @@ class MainController:
         groups: Groups,
         authority: Authority,
         request_order: RequestOrder,
+        scheduler: Scheduler,
     ) -> None:
         self._groups, self._authority, self._request_order = groups, authority, request_order
         self.library, self._roster, self._board = library, roster, board
         self._handler, self._remapper = handler, remapper
+        self._scheduler = scheduler
         self._unnamed = (f"unnamed-{number}" for number in itertools.count(1))
+        self._on_stop: list[Callable[[Halted], None]] = []
         handler.watch_holders(remapper.narrow)
+        handler.watch_halts(self._halted)
         self._subscriptions = [
-            bus.subscribe(keys.behaviour_request, BehaviourRequest, self.submit),
+            bus.subscribe(keys.behaviour_request, BehaviourRequest, self._received),
             bus.subscribe(keys.stop, StopRequest, self._stopped),
             bus.subscribe(keys.estop, EStop, self._emergency),
         ]
@@ -69,23 +90,39 @@ class MainController:
         for subscription in self._subscriptions:
             subscription.close()
 
+    def watch_stops(self, callback: Callable[[Halted], None]) -> None:
+        """Have `callback` called for each stop, and for most of its copies, before it is carried out."""
+        self._on_stop.append(callback)
+
     def knows(self, request_id: str) -> bool:
         """Tell whether a request is held by some robot, or is remembered with its end."""
         return self._handler.holds(request_id) or self._board.get(request_id) is not None
 
-    def check(self, behaviour: str, parameters: Mapping[str, Value], robots: Sequence[str]) -> None:
+    def check(self, request: BehaviourRequest, robots: Sequence[str]) -> None:
         """Check what a mission will request later.
+
+        Parameters
+        ----------
+        robots : that `request` means
 
         Raises
         ------
         RequestRefused
-            No such behaviour, one that expires unless it is repeated, or parameters that do not fit it.
+            No such behaviour, one that expires unless it is repeated, or parameters or a team that do not fit it.
         """
-        record = self.library.get(behaviour)
+        record = self.library.get(request.behaviour)
         if record.expires_s > 0.0:
-            raise RequestRefused(f"'{behaviour}' expires unless it is repeated: it is for sticks")
+            raise RequestRefused(f"'{request.behaviour}' expires unless it is repeated: it is for sticks")
         _check_packages(record)
-        self.library.resolve(record, parameters, robots)
+        self.library.resolve(record, request.parameters, robots)
+        team_of(request, record, robots, self._groups)
+
+    def _received(self, request: BehaviourRequest) -> None:
+        if request.behaviour == STOP and not self.knows(request.id):
+            by = request.operator or request.source or UNNAMED
+            with contextlib.suppress(RequestRefused):  # `submit` answers that
+                self._notify(request.id, self._groups.expand(request.robots), f"stopped by {by}")
+        self.submit(request)
 
     def submit(self, request: BehaviourRequest) -> None:
         """Accept or refuse a request; one that is known gets its newest status again, and nothing else."""
@@ -115,11 +152,12 @@ class MainController:
         _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
             self._authority.admit(request.operator or request.source or UNNAMED, robots, take=request.take)
+        team = team_of(request, record, robots, self._groups)
         overtaken, robots = self._overtaken(request, robots)
         if not robots:
             self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
-        team, line, stamp_s = _team(request, record), _line(request), request.stamp_s
+        line, stamp_s = _line(request), request.stamp_s
         members = () if record.centralised or record.expires_s > 0.0 else robots
         orders = {
             robot: _order(request.id, record, parameters[robot], line, stamp_s, team, members) for robot in robots
@@ -169,12 +207,29 @@ class MainController:
     def _refuse(self, request: BehaviourRequest, why: Reason) -> None:
         self._board.publish(_status(request.id, request.behaviour, "refused", why, request.robots))
 
+    def _notify(self, stop_id: str, robots: Sequence[str], why: str, at_s: float | None = None) -> None:
+        halted = Halted(stop_id, tuple(robots), why, self._scheduler.now_s() if at_s is None else at_s)
+        for callback in self._on_stop:
+            callback(halted)
+
+    def _halted(self, robot: str, halt: Halt, at_s: float) -> None:
+        """Carry out a stop that a robot obeys and that no core has received, for this robot."""
+        stop_id = f"{halt.id}@{robot}"  # of its own: other robots may report the same stop
+        if self.knows(halt.id) or self.knows(stop_id):
+            return
+        by = halt.source or UNNAMED
+        self._notify(stop_id, (robot,), f"e-stop by {by}" if halt.estop else f"stopped by {by}", at_s)
+        if self._handler.ordered_s(robot) <= at_s:  # not if it was asked for something since
+            self._stand(stop_id, (robot,), given("e-stop", Code.ESTOP) if halt.estop else NONE)
+
     def _stopped(self, request: StopRequest) -> None:
+        self._notify(request.id, request.robots, f"stopped by {request.source or UNNAMED}")
         self._stand(request.id, request.robots, NONE)
 
     def _emergency(self, estop: EStop) -> None:
         """Order robots in e-stop to stand: releasing it must not start any."""
         if estop.engaged:
+            self._notify(estop.id, estop.robots, f"e-stop by {estop.source or UNNAMED}")
             text = "e-stop" + (f": {estop.reason}" if estop.reason else "")
             self._stand(estop.id, estop.robots, given(text, Code.ESTOP))
 
@@ -230,18 +285,6 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
 
 
-def _team(request: BehaviourRequest, record: Record) -> int:
-    """Return the number of the team that the request's robots are; 0: the law's neighbours are the whole swarm.
-
-    Each frame of a stick is a request of its own: its team is all robots that one operator
-    steers with one behaviour.
-    """
-    if record.team == "swarm":
-        return 0
-    parts = (record.name, request.source, *request.robots) if record.expires_s > 0.0 else (request.id,)
-    return zlib.crc32(" ".join(parts).encode()) or 1
-
-
 def _line(request: BehaviourRequest) -> Line:
     """Return the operator and the clock whose stamps order this request."""
     return request.operator or request.source, request.clock or request.source
@@ -253,7 +296,7 @@ def _order(
     parameters: dict[str, Value],
     line: Line = ("", ""),
     stamp_s: float = 0.0,
-    team: int = 0,
+    team: TeamOf = NO_TEAM,
     members: tuple[str, ...] = (),
 ) -> Order:
     # Robots need no parameters of a law that is computed on the base station.
@@ -263,7 +306,8 @@ def _order(
         behaviour=record.name,
         parameters=given,
         law=record.law,
-        team=team,
+        team=team.number,
+        peers=team.peers,
         members=members,
         filtered=record.filtered,
         centralised=record.centralised,

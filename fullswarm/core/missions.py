@@ -20,7 +20,7 @@ import structlog
 from fullswarm.bus import Bus
 from fullswarm.config.mission_file import plan_problems
 from fullswarm.core.leases import Authority
-from fullswarm.core.main_controller import UNNAMED, MainController
+from fullswarm.core.main_controller import UNNAMED, Halted, MainController
 from fullswarm.core.mission_facts import MissionFacts
 from fullswarm.core.mission_state import Mission, MissionState, Running, comparison, open_conditions
 from fullswarm.core.request_handler import RequestHandler
@@ -32,14 +32,12 @@ from fullswarm.keys import ROBOT_ID, Keys
 from fullswarm.messages import (
     STOP,
     BehaviourRequest,
-    EStop,
     MissionPlan,
     MissionProblem,
     MissionReply,
     MissionRequest,
     MissionStatus,
-    StopRequest,
-    Value,
+    MissionStep,
 )
 from fullswarm.perf.metrics import METRICS, SHAPE, SHAPE_DOC
 from fullswarm.reasons import Code
@@ -107,15 +105,15 @@ class Missions:
         self._kept_s: dict[str, float] = {}
         self._absent_s: dict[str, float] = {}  # robot → since when, while a step needs it
         self._replies: Recent[str, MissionReply] = Recent(256)
-        self._stops: Recent[tuple[str, bool], None] = Recent(256)
+        self._stops: Recent[str, None] = Recent(256)
+        self._started_s: dict[str, float] = {}  # when this core started or resumed a mission
         self._timer: Timer | None = None
         self._ticked_s = scheduler.now_s()
         self._restore()
         self._subscriptions = [
             bus.subscribe(keys.mission_request, MissionRequest, self._requested),
-            bus.subscribe(keys.stop, StopRequest, self._stopped),
-            bus.subscribe(keys.estop, EStop, self._latched),
         ]
+        controller.watch_stops(self._halted)
 
     def close(self) -> None:
         """Stop advancing missions; the next start of the core continues them."""
@@ -180,6 +178,7 @@ class Missions:
         number = 1 + max((each.state.number for each in self._missions.values()), default=0)
         mission = Mission.new(request.id, request.plan, _operator(request), number)
         self._missions[request.id], self._slots[request.id] = mission, slot
+        self._started_s[request.id] = self._scheduler.now_s()
         self._begin_ready(mission)
         self._changed(mission, plan=True)
         self._advance(mission, 0.0)
@@ -191,6 +190,7 @@ class Missions:
             raise RequestRefused(f"mission '{mission.plan.name}' is not paused: it is {mission.state.phase}")
         self._admit(request, self._robots(mission))
         mission.state.change("resume")
+        self._started_s[mission.state.mission] = self._scheduler.now_s()
         mission.state.operator = _operator(request)
         self._absent_s.clear()
         for each in mission.steps():
@@ -281,7 +281,7 @@ class Missions:
                     found["robots"] = f"robots of mission '{taken[0]}', which has not ended: abort it first"
                 if step.behaviour:
                     try:
-                        self._controller.check(step.behaviour, step.parameters, robots)
+                        self._controller.check(_request_of(step), robots)
                     except RequestRefused as error:
                         found["parameters" if error.code == Code.PARAMETERS else "behaviour"] = str(error)
                 wanted = comparison(step)
@@ -305,20 +305,15 @@ class Missions:
         return tuple(found)
 
     # ---------------------------------------------------------------- stops
-    def _stopped(self, stop: StopRequest) -> None:
-        self._pause_for((stop.id, True), stop.robots, f"stopped by {stop.source or UNNAMED}")
-
-    def _latched(self, order: EStop) -> None:
-        if order.engaged:
-            self._pause_for((order.id, False), order.robots, f"e-stop by {order.source or UNNAMED}")
-
-    def _pause_for(self, key: tuple[str, bool], robots: tuple[str, ...], why: str) -> None:
-        if key[0] and key in self._stops:
+    def _halted(self, stop: Halted) -> None:
+        if stop.id and stop.id in self._stops:
             return  # each stop is sent several times: a late copy must not pause what was resumed since
-        self._stops[key] = None
-        for mission in self._missions.values():
-            touched = not robots or not set(robots).isdisjoint(self._robots(mission))
-            if touched and mission.pause(why):
+        self._stops[stop.id] = None
+        for key, mission in self._missions.items():
+            touched = not stop.robots or not set(stop.robots).isdisjoint(self._robots(mission))
+            # What was restored counts as older than any stop.
+            older = self._started_s.get(key, -math.inf) <= stop.at_s
+            if touched and older and mission.pause(stop.why):
                 self._changed(mission)
                 self._advance(mission, 0.0)
 
@@ -463,21 +458,18 @@ class Missions:
             request_id = mission.request_id(each)
             if mission.wants(each):
                 if not mission.state.ended and not each.state.over and not self._controller.knows(request_id):
-                    self._request(mission, request_id, each.step.behaviour, each.state.robots, each.step.parameters)
+                    request = msgspec.structs.replace(_request_of(each.step), robots=each.state.robots)
+                    self._request(mission, request_id, request)
             elif held := self._handler.holders(request_id):
                 stale.append((request_id, held))
         for request_id, _ in stale:
             if held := self._handler.holders(request_id):  # the requests above may have replaced it
-                self._request(mission, f"{request_id}.stop", STOP, held, {})
+                self._request(mission, f"{request_id}.stop", BehaviourRequest(id="", behaviour=STOP, robots=held))
 
-    def _request(
-        self, mission: Mission, request_id: str, behaviour: str, robots: tuple[str, ...], parameters: dict[str, Value]
-    ) -> None:
-        request = BehaviourRequest(
+    def _request(self, mission: Mission, request_id: str, what: BehaviourRequest) -> None:
+        request = msgspec.structs.replace(
+            what,
             id=request_id,
-            behaviour=behaviour,
-            robots=robots,
-            parameters=parameters,
             source=f"{self._process}/missions",
             operator=mission.state.operator,
             stamp_s=self._scheduler.now_s(),
@@ -508,6 +500,7 @@ class Missions:
         oldest = min(ended, key=lambda state: state.number).mission
         del self._missions[oldest]
         self._published.pop(oldest, None)
+        self._started_s.pop(oldest, None)
         return self._slots.pop(oldest)
 
     def _restore(self) -> None:
@@ -566,6 +559,13 @@ def _essence(status: MissionStatus) -> object:
     """Return what of a status is sent at once when it changes; times and distances wait for the next second."""
     steps = [(step.phase, step.confirm, step.reason) for track in status.tracks for step in track.steps]
     return status.phase, status.reason, steps
+
+
+def _request_of(step: MissionStep) -> BehaviourRequest:
+    """Return what a step requests, for the robots that it names."""
+    return BehaviourRequest(
+        id="", behaviour=step.behaviour, robots=step.robots, parameters=step.parameters, team=step.team
+    )  # fmt: skip
 
 
 def _unknown_metric(metric: str, quantity: str) -> str:

@@ -84,8 +84,9 @@ class CoreNode:
         groups, roster = Groups(store), self.roster
         authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
         controller = MainController(
-            bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order
-        )
+            bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order,
+            scheduler,
+        )  # fmt: skip
         self.missions = Missions(
             bus, keys, scheduler, store, controller, self.handler, board, roster, authority, request_order, process
         )

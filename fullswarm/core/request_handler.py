@@ -21,7 +21,7 @@ from fullswarm.core.request_order import RequestOrder
 from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, Command, ControlAck, ParamEntry, RequestStatus, Result
+from fullswarm.messages import CentralisedCommands, Command, ControlAck, Halt, ParamEntry, RequestStatus, Result
 from fullswarm.reasons import NONE, RESULTS, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
@@ -30,6 +30,7 @@ TICK_S = 0.05
 WANTED = "wanted/"
 
 Release = Callable[[str, tuple[str, ...]], None]
+HaltHandler = Callable[[str, Halt, float], None]
 
 
 class RequestHandler:
@@ -74,6 +75,7 @@ class RequestHandler:
         self._counter = itertools.count(int(scheduler.now_s() * 1e6) + 1)
         self._closed = self._held_back = False
         self._on_change: list[Release] = []
+        self._on_halt: list[HaltHandler] = []
         self._adopted = adopted
         roster.watch(self._reported, self._fell_silent)
         self._subscriptions = [
@@ -126,6 +128,19 @@ class RequestHandler:
         """Have ``callback(request_id, robots)`` called when robots left a request; no robots: it has ended."""
         self._on_change.append(callback)
 
+    def watch_halts(self, callback: HaltHandler) -> None:
+        """Have ``callback(robot, halt, at_s)`` called for each report of a stop that a robot has carried out.
+
+        It comes before anything that the report makes this core request of the robot; `at_s` is on this core's clock,
+        late by the report's delay.
+        """
+        self._on_halt.append(callback)
+
+    def ordered_s(self, robot: str) -> float:
+        """Return when this core got `robot`'s newest order; minus infinity for none, and for one from before it."""
+        state = self._robots.get(robot)
+        return -math.inf if state is None else state.ordered_s
+
     def close(self) -> None:
         """Stop handling; the robots detect the silence by themselves."""
         self._closed = True
@@ -137,6 +152,7 @@ class RequestHandler:
     def _schedule(self, robot: str, order: Order, at_once: bool) -> bool:
         """Apply `order` now (True) or have it wait for the end of the interval."""
         state, now_s = self._state(robot), self._scheduler.now_s()
+        state.ordered_s = now_s
         if state.waiting is not None:
             self._leave(robot, state.waiting, order)
             state.waiting = None
@@ -236,6 +252,10 @@ class RequestHandler:
             self._give_up(state, given_up)
         elif state.order is None and not state.acked_sequence and health.behaviour and health.core != self._process:
             self._adopt(state, health.request_id, health.behaviour)
+        if health.halt is not None:
+            at_s = self._scheduler.now_s() - max(0.0, member.stamp_s - health.halt.stamp_s)
+            for callback in self._on_halt:
+                callback(member.robot, health.halt, at_s)
         self._advance(state)
         if before != (state.present, state.settled, state.order):
             self._mark_robot(state)

@@ -5,8 +5,9 @@ of the behaviour and are passed by name:
 
     def circle(view, *, speed_m_s=0.2): ...
 
-Of a module or a file counts what counts for an installed law: ``velocity`` or ``twist``, and ``Memory`` or ``Says`` if
-it has them. A record file beside it (``circle.toml`` beside ``circle.py``) gives parameters, defaults and ranges.
+Of a module, a file, or an object like a module counts what counts for an installed law: ``velocity`` or ``twist``, and
+``Memory`` or ``Says`` if it has them. A record file beside it (``circle.toml`` beside ``circle.py``), or the object's
+``record``, gives parameters, defaults and ranges.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -29,7 +30,20 @@ from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
 Law = Callable[..., Array]
-Source = Law | ModuleType | Path | str
+
+
+class LawObject(Protocol):
+    """An object like the module of a law: it has ``velocity`` or ``twist``, and what else such a module may have."""
+
+    __name__: str
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """What a record file says, without a summary and the name of the law."""
+        ...
+
+
+Source = Law | ModuleType | LawObject | Path | str
 FORMS = ("velocity", "twist")
 
 
@@ -69,15 +83,37 @@ def behaviour_of(
         if not path.is_file():
             raise ConfigError("no such file", where=str(path))
         source = _in_file(registry.load_file(path))
+    law: Any
     if isinstance(source, ModuleType):
-        name, law, declared = _name(source.__name__.rpartition(".")[2]), source, _record_beside(source)
+        name, law, declared = source.__name__.rpartition(".")[2], _noting(source, on_error), _record_beside(source)
+    elif not _has_law(source):
+        function: Any = source
+        name = getattr(function, "__name__", type(function).__name__)
+        law, declared = _law_of(function, _name(name), twist, on_error), {"parameters": _declared(function)}
     else:
-        name = _name(getattr(source, "__name__", type(source).__name__))
-        law, declared = _law_of(source, name, twist, on_error), {"parameters": _declared(source)}
+        name, law, declared = source.__name__, _noting(source, on_error), dict(source.record)
+    name = _name(name)
     record = {"summary": f"{name}, given by a program", **declared, "law": "", "filtered": filtered}
     known = record.setdefault("parameters", {})
     record["parameters"] = {**{key: parameter(key, each) for key, each in parameters.items()}, **known}
     return Given(name, law, record)
+
+
+def _noting(source: object, on_error: Callable[[Exception], None]) -> Any:
+    """Return a copy of a module, or of an object like one, whose control law reports what it raises."""
+
+    def noting(law: Law) -> Law:
+        def call(*given: Any) -> Array:
+            try:
+                return law(*given)
+            except Exception as error:  # outside code, whatever it raises
+                on_error(error)
+                raise
+
+        return call
+
+    laws = {form: noting(getattr(source, form)) for form in FORMS if callable(getattr(source, form, None))}
+    return SimpleNamespace(**{**vars(source), **laws})
 
 
 def _in_file(module: ModuleType) -> ModuleType | Law:
@@ -97,6 +133,10 @@ def _in_file(module: ModuleType) -> ModuleType | Law:
         f"has several functions or none ({names})", where=str(module.__file__),
         hint="name the one that is the control law velocity(view, params), or twist for speed and turn rate",
     )  # fmt: skip
+
+
+def _has_law(source: object) -> TypeGuard[LawObject]:
+    return any(callable(getattr(source, form, None)) for form in FORMS)
 
 
 def parameter(name: str, value: object) -> dict[str, Any]:

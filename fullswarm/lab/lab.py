@@ -24,6 +24,7 @@ import numpy as np
 
 from fullswarm import registry
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.view import RequestsDiffer
 from fullswarm.bus.base import OPERATOR
 from fullswarm.core.behaviours import PREFIX, make_record
 from fullswarm.errors import BehaviourFailed, ConfigError, RequestRefused, did_you_mean
@@ -167,6 +168,21 @@ class Lab:
         """How many bodies and obstacles each robot touches now, (n,)."""
         return self._lockstep.world.contacts.astype(np.int64)
 
+    @property
+    def contact_events(self) -> Index:
+        """How often each robot has begun to touch a body or an obstacle, (n,)."""
+        return self._truth.events.copy()
+
+    @property
+    def interventions(self) -> Array:
+        """How far the safety filter changed the desired velocity of each robot in the last control period, (n,) m/s."""
+        return np.array([agent.filter.deviation_m_s[row] for agent, row in self._rows.values()])
+
+    @property
+    def config(self) -> SwarmConfig:
+        """All settings."""
+        return self._lockstep.config
+
     def rows(self, robots: Iterable[str] | str | None = None) -> Index:
         """Return the rows of some robots in the arrays; None: all.
 
@@ -185,6 +201,7 @@ class Lab:
         robots: Iterable[str] | str | None = None,
         filtered: bool | None = None,
         twist: bool = False,
+        team: str = "",
         **parameters: Any,
     ) -> LabRequest:
         """Request a behaviour; it begins with the next step.
@@ -197,6 +214,8 @@ class Lab:
         filtered : whether a function, a module or a file runs behind the safety filter (default: it does). A named
             behaviour says it by its name: ``flocking_bc`` is filtered
         twist : a function returns speed and turn rate instead of a planar velocity
+        team : which robots its control law counts as neighbours: "request", "group", "@name" or "swarm"; default: as
+            its record says
         parameters : of the behaviour
 
         Raises
@@ -218,7 +237,7 @@ class Lab:
             name = behaviour
         else:
             name = self._give(behaviour, values, filtered is not False, twist)
-        pending = self._operator.request(name, chosen, values)
+        pending = self._operator.request(name, chosen, values, team=team)
         self._lockstep.runtime.mailbox.drain()
         request = LabRequest(pending, name, chosen, values, self._cancel)
         self._refuse(request)
@@ -291,7 +310,8 @@ class Lab:
 
     # ------------------------------------------------------------------ behaviours that the program gives
     def _note_error(self, error: Exception) -> None:
-        self._error = error
+        if not isinstance(error, RequestsDiffer):  # which the agent answers by calling the law again
+            self._error = error
 
     def _give(self, source: Source, values: Mapping[str, Any], filtered: bool, twist: bool) -> str:
         """Make a behaviour known and return its name; one that is known already is made again if it differs."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
-from fullswarm.messages import RequestStatus, Value
+from fullswarm.messages import RequestStatus, Result, Value
 from fullswarm.operator.client import FINAL_PHASES, PendingRequest
 
 
@@ -49,10 +48,9 @@ class LabRequest:
         return self.phase not in FINAL_PHASES
 
     @property
-    def result(self) -> Mapping[str, Any]:
-        """How the behaviour ended, by robot, for behaviours that end by themselves; empty: on none yet."""
-        found: Mapping[str, Any] = getattr(self.status, "results", None) or {}
-        return found
+    def result(self) -> dict[str, Result]:
+        """How the behaviour has ended itself, by robot: ``outcome``, "arrived" or "failed", and ``text``."""
+        return {each.robot: each for each in self.status.results} if self.status is not None else {}
 
     def cancel(self) -> None:
         """Stop the robots that still run this request. Those that run something newer go on."""

@@ -86,25 +86,36 @@ def from_arguments(
 
 
 def _placed(config: SwarmConfig, seed: int) -> tuple[RobotConfig, ...]:
-    """Return the robots at random free places, apart from each other, from walls and obstacles; else where they fit."""
-    world, rng = config.world_or_default, np.random.default_rng(seed)
+    """Return the robots at random free places; where there is no room for that, without: the world makes a grid."""
+    places = free_places(config, np.random.default_rng(seed), len(config.robot), apart_m=START_GAP_M)
+    if len(places) < len(config.robot):
+        return config.robot
+    return tuple(robot.model_copy(update={"pose": place}) for robot, place in zip(config.robot, places, strict=True))
+
+
+def free_places(
+    config: SwarmConfig, rng: np.random.Generator, count: int, apart_m: float
+) -> list[tuple[float, float, float]]:
+    """Return random poses for robots, `apart_m` between their rims, and `START_GAP_M` to walls and obstacles.
+
+    Fewer than `count` where there is no room for them.
+    """
+    world = config.world_or_default
     obstacles = with_trigonometry(static_obstacles(world))
     x_min, y_min, x_max, y_max = world.bounds_m
     largest_m = max(world.of_body(each).radius_m for each in config.robots)
-    apart_m = 2.0 * largest_m + START_GAP_M
+    apart_m += 2.0 * largest_m
     places: list[tuple[float, float, float]] = []
-    for _ in range(TRIES * len(config.robot)):
-        if len(places) == len(config.robot):
-            return tuple(
-                robot.model_copy(update={"pose": place}) for robot, place in zip(config.robot, places, strict=True)
-            )
+    for _ in range(TRIES * count):
+        if len(places) == count:
+            break
         x, y, heading = rng.uniform((x_min, y_min, -math.pi), (x_max, y_max, math.pi)).tolist()
         clear = all(math.hypot(x - other[0], y - other[1]) >= apart_m for other in places) and all(
             obstacle_gap(x, y, obstacles, k)[0] >= largest_m + START_GAP_M for k in range(len(obstacles))
         )
         if clear:
             places.append((x, y, heading))
-    return config.robot  # so tight that the world puts them on a grid
+    return places
 
 
 def _for_lockstep(config: SwarmConfig, seed: int) -> SwarmConfig:

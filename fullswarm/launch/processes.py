@@ -105,7 +105,7 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
         identity = Identity(robot, process_id(robot))
         board = OnBoard.from_environment(runtime, config.agent)
         node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
-        node.inbox.estops.remember(LatchFolder(latch_folder(config, entry)))
+        node.inbox.remember_latches(LatchFolder(latch_folder(config, entry)))
         if board:
             return [node, board.watch(node)]
         if not reload.wanted():

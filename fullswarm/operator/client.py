@@ -109,18 +109,21 @@ class Operator:
         *,
         resend: bool = True,
         take: bool = False,
+        team: str = "",
     ) -> PendingRequest:
         """Request `behaviour`; send again every 0.2 s until the core has answered that id once.
 
         No `robots` means the whole swarm. `on_status` receives every status of the request until a final one.
         With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
-        the robots are taken over from an operator that holds them.
+        the robots are taken over from an operator that holds them. `team`: which robots the control law counts as
+        neighbours, ``request``, ``group``, ``@name`` or ``swarm``; empty: as the behaviour's record says.
         """
         request = BehaviourRequest(
             id=self._new_id(),
             behaviour=behaviour,
             robots=tuple(robots),
             parameters=dict(parameters or {}),
+            team=team,
             source=self.source,
             operator=self.name,
             take=take,

@@ -9,7 +9,7 @@ import pytest
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.orders.tasks import Task, Tasks
 from fullswarm.drivers.base import Hazard
-from fullswarm.messages import ControlRequest, EStopReceipt, Heartbeat, RobotHealth, StopRequest
+from fullswarm.messages import ControlRequest, EStopReceipt, Halt, RobotHealth
 from tests.unit.agent_bench import TICK_S, Bench
 
 GOAL = {"goal": [15.0, 5.0], "gain": 1.0, "arrive_radius_m": 0.2}
@@ -115,25 +115,24 @@ def test_a_core_that_comes_back_cannot_undo_a_stop_it_did_not_hear(bench: Bench,
     assert drive(bench, "new", core="e", sequence=2)
 
 
-def test_a_stop_that_a_dead_core_missed_is_told_to_its_successor(bench: Bench) -> None:
-    told: list[StopRequest] = []
-    bench.bus.subscribe(bench.keys.stop, StopRequest, told.append)
-    bench.stop("heard")
-    bench.beating = False
-    bench.run(2.0)
-    bench.bus.publish(bench.keys.heartbeat("core"), Heartbeat(node="core", process="b", sequence=1))
-    bench.run(2.0)
-    assert [each.id for each in told] == ["heard"], "what a core has heard, its successor knows"
-    bench.stop("s")  # to an agent that was itself just started, and has nothing to remember
-    bench.bus.publish(bench.keys.heartbeat("core"), Heartbeat(node="core", process="d", sequence=1))
-    bench.run(0.1)
-    assert [(each.robots, each.id != "s") for each in told[2:]] == [(("r1",), True)]
+def test_the_newest_stop_is_reported_until_something_is_started(bench: Bench) -> None:
+    assert health(bench).halt is None
+    bench.stop("a")  # to an agent that runs nothing
+    at_s = bench.runtime.now_s()
     bench.run(0.5)
-    assert len(told) == 3
-    assert drive(bench, "q", core="d", sequence=1, survives_core=True)
-    bench.bus.publish(bench.keys.heartbeat("core"), Heartbeat(node="core", process="e", sequence=1))
-    bench.run(0.1)
-    assert len(told) == 3, "it was asked for something since"
+    assert health(bench).halt == Halt(id="a", source="test", stamp_s=at_s)
+    assert drive(bench, "q")
+    assert health(bench).halt is None
+    bench.stop("b")
+    bench.estop(True, "e")
+    assert not drive(bench, "r")
+    bench.estop(False, "f")
+    bench.run(0.5)
+    halt = health(bench).halt
+    assert halt is not None
+    assert (halt.id, halt.estop) == ("e", True), "a release starts nothing"
+    assert drive(bench, "s")
+    assert health(bench).halt is None
 
 
 def test_several_spent_requests_are_remembered(bench: Bench) -> None:

@@ -27,6 +27,7 @@ from tests.unit.test_agent_sensing import states
 # Two groups of three, side by side, all within the reach of all.
 STARTS = [(2.0, 2.0), (2.0, 5.0), (4.5, 3.5), (9.0, 2.0), (9.0, 5.0), (6.5, 3.5)]
 ONE, OTHER = ("r1", "r2", "r3"), ("r4", "r5", "r6")
+GROUPS = {"one": ONE, "other": OTHER, "pair": ("r1", "r4")}
 MET_M = 0.9
 """Three discs of 0.17 m that keep apart are within this of their middle."""
 
@@ -37,7 +38,7 @@ class Swarm:
     def __init__(self, network: str | None) -> None:
         robots = [{"id": f"r{row + 1}", "pose": (*place, 0.3 * row)} for row, place in enumerate(STARTS)]
         world = {"engine": "kinematic", "bounds_m": (0.0, 0.0, 11.0, 7.0)}
-        config = SwarmConfig.model_validate({"world": world, "robot": robots})
+        config = SwarmConfig.model_validate({"world": world, "robot": robots, "groups": GROUPS})
         self.lockstep = Lockstep(with_network(config, network) if network else config)
         self.bus = NamedBus(self.lockstep.bus, OPERATOR)
         self.operator = Operator(self.bus, Keys(), self.lockstep.runtime, "op")
@@ -48,11 +49,15 @@ class Swarm:
     def _look(self) -> None:
         self.touched += int(self.lockstep.world.contacts.sum())
 
-    def ask(self, behaviour: str, robots: tuple[str, ...], parameters: dict[str, Value] | None = None) -> None:
+    def ask(
+        self, behaviour: str, robots: tuple[str, ...], parameters: dict[str, Value] | None = None, team: str = ""
+    ) -> RequestStatus:
         answers: list[RequestStatus] = []
-        self.operator.request(behaviour, robots, parameters or {}, answers.append)
+        self.operator.request(behaviour, robots, parameters or {}, answers.append, team=team)
         self.lockstep.run(0.5)
-        assert answers[-1].running == robots
+        if answers[-1].phase != "refused":
+            assert answers[-1].running == tuple(robot for each in robots for robot in GROUPS.get(each[1:], (each,)))
+        return answers[-1]
 
     def store(self, name: str, record: dict[str, Any]) -> None:
         client = ParamClient(self.bus, Keys(), self.lockstep.runtime, "op")
@@ -117,6 +122,69 @@ def test_a_record_may_make_neighbours_of_the_whole_swarm(swarm: Swarm) -> None:
     assert not has_met(swarm.places(ONE), middle(ONE))
     assert swarm.places(ONE)[:, 0].mean() > middle(ONE)[0] + 1.5
     assert swarm.touched == 0
+
+
+@pytest.fixture(params=[None, "loss=0%"], ids=["one agent", "an agent each"])
+def tidy(request: pytest.FixtureRequest) -> Iterator[Swarm]:
+    made = Swarm(request.param)
+    yield made
+    made.operator.close()
+    made.lockstep.close()
+
+
+def test_a_request_may_make_neighbours_of_its_group_whatever_it_runs(tidy: Swarm) -> None:
+    tidy.ask("rendezvous_bc", ("r1", "r2"), team="group")  # `one` is the only group that holds both
+    tidy.ask("move_to_goal_bc", ("r6",), {"goal": [6.4, 3.5]})
+    tidy.lockstep.run(12.0)
+    gaps = np.linalg.norm(tidy.places(("r1", "r2")) - tidy.places(("r3",)), axis=1)
+    assert (gaps < MET_M).all()  # r3 runs nothing, and r6 is as near, but of another group
+    assert np.abs(tidy.places(("r3",)) - STARTS[2]).max() < 0.05
+    assert tidy.touched == 0
+
+
+def test_requests_for_one_group_are_one_team(tidy: Swarm) -> None:
+    tidy.ask("rendezvous_bc", ("@one",), team="group")
+    tidy.ask("rendezvous_bc", ("r4",), team="@one")
+    agents = tidy.lockstep.agents
+    teams = {robot: int(agent.tasks.team[row]) for agent in agents for row, robot in enumerate(agent.fleet.ids)}
+    assert len({teams[robot] for robot in (*ONE, "r4")}) == 1
+    assert teams["r1"] != 0 == teams["r5"]
+    tidy.lockstep.run(12.0)
+    assert has_met(tidy.places((*ONE, "r4")), middle(ONE))  # r4 comes; the others do not wait for it
+    tidy.ask("stop", (*ONE, "r4"))
+    assert not any(agent.tasks.team.any() for agent in agents)
+
+
+def test_a_request_may_say_another_team_than_its_record(tidy: Swarm) -> None:
+    tidy.ask("rendezvous_bc", ONE, team="swarm")
+    tidy.lockstep.run(12.0)
+    assert tidy.places(ONE)[:, 0].mean() > middle(ONE)[0] + 1.5
+    tidy.store("gather_bc", {"like": "rendezvous_bc", "team": "swarm"})
+    tidy.ask("gather_bc", ONE, team="request")
+    tidy.lockstep.run(8.0)
+    assert has_met(tidy.places(ONE), tidy.places(ONE).mean(axis=0))
+
+
+def test_a_team_that_is_not_clear_is_refused() -> None:
+    swarm = Swarm(None)
+    try:
+        for robots, team, why in (
+            (("r1",), "group", "several groups hold all its robots: @one, @pair"),
+            (("r1", "r5"), "group", "no group holds all its robots"),
+            (ONE, "everybody", "there is no team 'everybody' (request, group, swarm or @NAME)"),
+            (ONE, "@west", "unknown group '@west'"),
+        ):
+            status = swarm.ask("rendezvous_bc", robots, team=team)
+            assert status.phase == "refused"
+            assert why in status.reason
+        status = swarm.ask("drive", ONE, team="group")
+        assert "is for sticks" in status.reason
+        targets: dict[str, Value] = {"targets": [[2.0, 2.0], [3.0, 3.0], [4.0, 4.0]]}
+        status = swarm.ask("formation_assigned_bc", ONE, targets, team="swarm")
+        assert "always has the robots of its request as neighbours" in status.reason
+    finally:
+        swarm.operator.close()
+        swarm.lockstep.close()
 
 
 def test_the_filter_keeps_clear_of_another_team() -> None:
@@ -185,6 +253,11 @@ def test_the_table_tells_teams_apart() -> None:
     assert found(0) == {"a", "b", "c", "d"}
     start = table.around(here, 3.0).start
     assert start.tolist() == [0, 4]
+    peers = {7: frozenset({"a", "d"}), 8: frozenset({"b"})}
+    start, other = table.within(here, 3.0, np.array([7]), peers)
+    assert {table.names[row] for row in other[: start[-1]]} == {"a", "d"}
+    start, other = table.within(here, 3.0, np.array([5]), peers)
+    assert {table.names[row] for row in other[: start[-1]]} == {"a", "b"}
     table.receive(states("a", 2, 0.1, a=(1.0, 0.0)), 0.1)  # it has ended what it ran
     table.set_time(0.1)
     assert found(5) == {"b"}
@@ -202,13 +275,23 @@ def test_the_edge_list_keeps_its_order(compiled: bool) -> None:
     if compiled:
         pytest.importorskip("numba")
         estimates.keep_team.compile()
+        estimates.keep_listed.compile()
+    listed, place = rng.random((3, others)) < 0.5, rng.integers(-1, 3, own)
+    both = start.copy(), other.copy()
     estimates.keep_team.run(start, other, own_team, teams)
     assert [other[start[i] : start[i + 1]].tolist() for i in range(own)] == wanted
+    kept = [[j for j in both[1][a:b].tolist() if place[i] < 0 or listed[place[i], j]]
+            for i, (a, b) in enumerate(zip(both[0][:-1].tolist(), both[0][1:].tolist(), strict=True))]  # fmt: skip
+    estimates.keep_listed.run(*both, place, listed)
+    assert [both[1][both[0][i] : both[0][i + 1]].tolist() for i in range(own)] == kept
 
 
 def test_a_record_names_a_team_that_there_is() -> None:
     tables = load_records()
     assert {make_record(name, tables).team for name in tables} == {"request"}
     tables["near"] = {"like": "rendezvous", "team": "everybody"}
-    with pytest.raises(ConfigError, match="team: Input should be 'request' or 'swarm'"):
+    with pytest.raises(ConfigError, match="team: Input should be 'request', 'group' or 'swarm'"):
+        make_record("near", tables)
+    tables["near"] = {"like": "drive", "team": "group"}
+    with pytest.raises(ConfigError, match="not for an intent"):
         make_record("near", tables)

@@ -109,7 +109,7 @@ def test_a_latch_outlives_the_process(tmp_path: Path) -> None:
     folder = LatchFolder(tmp_path / "deep" / "er")
     for release in (False, True):
         bench = Bench([(5.0, 5.0, 0.0)])
-        bench.agent.inbox.estops.remember(folder)
+        bench.agent.inbox.remember_latches(folder)
         assert bench.agent.controller.estop[0] == release
         bench.enable("move_to_goal", FAR, request_id="q")
         bench.run(0.5)
@@ -125,10 +125,10 @@ def test_a_latch_outlives_the_process(tmp_path: Path) -> None:
 def test_a_latch_of_one_robot_is_not_anothers(tmp_path: Path) -> None:
     folder = LatchFolder(tmp_path)
     bench = Bench([(5.0, 5.0, 0.0), (8.0, 5.0, 0.0)])
-    bench.agent.inbox.estops.remember(folder)
+    bench.agent.inbox.remember_latches(folder)
     bench.estop(True, "e", ("r2",))
     again = Bench([(5.0, 5.0, 0.0), (8.0, 5.0, 0.0)])
-    again.agent.inbox.estops.remember(folder)
+    again.agent.inbox.remember_latches(folder)
     assert again.agent.controller.estop.tolist() == [False, True]
 
 
@@ -146,7 +146,7 @@ def test_what_is_in_the_file_does_not_matter(tmp_path: Path) -> None:
 def test_a_disk_that_fails_stops_nobody_from_stopping(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     bench = Bench([(5.0, 5.0, 0.0)])
-    bench.agent.inbox.estops.remember(LatchFolder(tmp_path / "file" / "below"))
+    bench.agent.inbox.remember_latches(LatchFolder(tmp_path / "file" / "below"))
     driving(bench)
     bench.estop(True, "e")
     bench.run(2.0)

@@ -126,7 +126,7 @@ class Rig:
             gate, self.runtime, self.config, SimFleet(world, self.runtime.now_s),
             Identity(robot, f"{robot}-{self.starts}"), world.pose.copy(), self.runtime.stats,
         )  # fmt: skip
-        agent.inbox.estops.remember(LatchFolder(self.folder / "latches"))
+        agent.inbox.remember_latches(LatchFolder(self.folder / "latches"))
         self.agents[robot] = agent
 
     def kill_agent(self, robot: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
 import sys
@@ -111,6 +112,23 @@ def test_cancel_stops_those_that_still_run_it_and_no_others(lab: Lab) -> None:
     np.testing.assert_allclose(lab.twists[:, 0], [0.0, 0.0, 0.2], atol=1e-6)
 
 
+def test_a_behaviour_that_ends_itself_has_a_result(lab: Lab) -> None:
+    def until_three(view: Any, *, text: Any = "there") -> Array:
+        view.finish((view.position[:, 0] > 1.3) & (view.id == "r2"), "arrived", text)
+        view.finish(view.id == "r3", "failed", "no map")
+        return east(view, None)
+
+    request = lab.request(until_three)
+    assert request.result == {}
+    lab.run(4.0)
+    assert {robot: (each.outcome, each.text) for robot, each in request.result.items()} == {
+        "r2": ("arrived", "there"),
+        "r3": ("failed", "no map"),
+    }
+    assert request.running
+    np.testing.assert_allclose(lab.twists[:, 0], [0.2, 0.0, 0.0], atol=1e-6)
+
+
 # ------------------------------------------------------------------ functions as behaviours
 def test_a_function_with_its_own_parameters_is_a_behaviour(lab: Lab) -> None:
     def drift(view: Any, *, speed_m_s: Any = 0.1, towards: Any = (1.0, 0.0)) -> Any:
@@ -202,6 +220,23 @@ def test_commanded_velocities_are_driven_until_overwritten(lab: Lab) -> None:
         lab.set_velocities(None, np.array([0.1, 0.0]))
     with pytest.raises(ConfigError, match="not finite"):
         lab.set_velocities("r1", [[math.nan, 0.0]])
+
+
+def test_commands_pass_the_filter_unless_it_is_off() -> None:
+    events = {}
+    for filtered, planar in itertools.product((True, False), repeat=2):
+        with Lab(starts=[[1.0, 3.0, 0.0], [5.0, 3.0, math.pi]], bounds=BOUNDS) as lab:
+            ahead = [[0.4, 0.0], [-0.4, 0.0]] if planar else [[0.4, 0.0], [0.4, 0.0]]
+            lab.set_velocities(None, ahead, filtered=filtered, planar=planar)
+            lab.run(6.0)
+            events[filtered, planar] = lab.metrics["collisions.events"] > 0.0, lab.interventions.max() > 0.01
+            lab.set_velocities(None, [[0.0, 0.0]] * 2, filtered=not filtered)
+            lab.run(0.5)
+            np.testing.assert_allclose(lab.twists, 0.0, atol=1e-6)
+    assert events == {
+        (True, True): (False, True), (True, False): (False, True),
+        (False, True): (True, False), (False, False): (True, False),
+    }  # fmt: skip
 
 
 @settings(max_examples=5, deadline=None)

@@ -130,9 +130,9 @@ class Whole:
     def _note_end(self, robot: str) -> None:
         self.bus.answers.append(ControlAck(request_id="", robot=robot, behaviour="", enabled=False, accepted=True))
 
-    def start_core(self) -> None:
+    def start_core(self, store: Store | None = None) -> None:
         self.cores += 1
-        self.store = Store(self.path)
+        self.store = store or Store(self.path)
         self.core = CoreNode(self.bus, self.runtime, self.config, self.store, f"core-{self.cores}")
 
     def kill_core(self) -> None:

@@ -144,9 +144,12 @@ class DesiredMotion:
     def _view(self, group: Group, position: Array) -> View:
         neighbours, pose = self._neighbours, self._state.pose
         reach_m = group.hearing_m or self._config.sensing_radius_m
-        find = neighbours.within if group.shared is None else neighbours.within_by_name
+        find = partial(
+            neighbours.within if group.shared is None else neighbours.within_by_name, position, reach_m,
+            self._tasks.team, self._tasks.peers,
+        )  # fmt: skip
         view = View(
-            position, pose[:, 2], self._state.radius, partial(find, position, reach_m, self._tasks.team),
+            position, pose[:, 2], self._state.radius, find,
             neighbours.predicted, neighbours.states, self._bounds, self._obstacle_map.known,
             self._controller.speed_limit, neighbours.aims, self._tasks.margin_m, self._standing.around,
             self.context, None, group.shared,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,6 +16,9 @@ from fullswarm.keys import ANY, WHOLE_SWARM_CELL, cells_within
 from fullswarm.messages import Message, RobotStates
 
 M = TypeVar("M", bound=Message)
+
+Peers = Mapping[int, frozenset[str]]
+NO_PEERS: Peers = MappingProxyType({})
 
 MANY_CELLS = 64
 
@@ -330,12 +334,15 @@ class Neighbours:
         """Hold the disc of a silent robot to (x, y) and a radius; NaN: it is nowhere near. A new state ends that."""
         self._confined[row] = x_m, y_m, radius_m, self.arrival_s[row]
 
-    def within(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+    def within(
+        self, position: Array, reach_m: float, team: Index | None = None, peers: Peers = NO_PEERS
+    ) -> tuple[Index, Index]:
         """Find the robots within `reach_m` of each own robot at the time of the last `set_time`, and of its team.
 
         Parameters
         ----------
         team : (n,) of the own robots; 0, or None for all of them: all robots count
+        peers : robots of some teams, by number, which count whatever they run
 
         Returns
         -------
@@ -345,17 +352,30 @@ class Neighbours:
         if self._stale:
             self._predict()
         start, other = self._search(position, self.predicted, reach_m)
+        if team is not None and peers:
+            team = self._keep_peers(start, other, team, peers)
         if team is not None and self._mixed(team):
             keep_team.run(start, other, team, self.teams)
         return start, other
 
-    def within_by_name(self, position: Array, reach_m: float, team: Index | None = None) -> tuple[Index, Index]:
+    def _keep_peers(self, start: Index, other: Index, team: Index, peers: Peers) -> Index:
+        """Drop the neighbours that are no peers of a robot whose team has some; return the teams of the others."""
+        numbers = list(peers)
+        listed = np.array([[name in peers[number] for name in self.names] for number in numbers], bool)
+        place = np.array([numbers.index(each) if each in peers else -1 for each in team.tolist()], np.int64)
+        if (place >= 0).any():
+            keep_listed.run(start, other, place, listed)
+        return np.where(place >= 0, 0, team)
+
+    def within_by_name(
+        self, position: Array, reach_m: float, team: Index | None = None, peers: Peers = NO_PEERS
+    ) -> tuple[Index, Index]:
         """Do what `within` does, with the neighbours of each robot in the order of their names.
 
         Else they come in the order in which they were first received, which differs from agent to agent, and so does
         the last bit of a sum over them.
         """
-        start, other = self.within(position, reach_m, team)
+        start, other = self.within(position, reach_m, team, peers)
         if len(self._rank) != self.count:
             self._rank = np.argsort(np.argsort(np.array(self.names, np.str_)))
         found = other[: start[-1]]
@@ -464,6 +484,8 @@ def _fits(states: RobotStates) -> bool:
             return False
     accel_m_s2 = states.accel_m_s2
     if accel_m_s2 and not count == len(accel_m_s2) == len(states.speed_limit_m_s) == len(states.turn_limit_rad_s):
+        return False
+    if len(states.stop_extra_m) != len(states.stop_extra_s):
         return False
     if len(states.aim_x_m) != len(states.aim_y_m) or (states.aim_x_m and len(states.aim_x_m) != count):
         return False
@@ -755,3 +777,26 @@ def keep_team(start: Index, other: Index, own_team: Index, teams: Index) -> None
                 other[kept] = row
                 kept += 1
     start[own_team.shape[0]] = kept
+
+
+@kernel
+def keep_listed(start: Index, other: Index, place: Index, listed: Flags) -> None:
+    """Drop from the pair list robots that are not in the list of a robot's team.
+
+    Parameters
+    ----------
+    start, other : as `all_pairs` fills them; both are rewritten in place
+    place : (n,) of the list of each own robot among `listed`; -1: it keeps all its neighbours
+    listed : (k, m) whether each list holds each robot received
+    """
+    kept = 0
+    for i in range(place.shape[0]):
+        first = start[i]
+        start[i] = kept
+        mine = place[i]
+        for pair in range(first, start[i + 1]):
+            row = other[pair]
+            if mine < 0 or listed[mine, row]:
+                other[kept] = row
+                kept += 1
+    start[place.shape[0]] = kept

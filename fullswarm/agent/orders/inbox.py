@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Literal
 
+import numpy as np
+
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
-from fullswarm.agent.orders.estops import EStops
+from fullswarm.agent.orders.estops import EStops, LatchFolder
 from fullswarm.agent.orders.tasks import Task, Tasks, simulated_only
 from fullswarm.agent.pose.conflicts import PoseConflicts
 from fullswarm.agent.state import AgentState
@@ -17,7 +19,7 @@ from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Heartbeat, Ping, Result, StopRequest
+from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Halt, Heartbeat, Ping, Result, StopRequest
 from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -42,6 +44,7 @@ class Inbox:
     ----------
     ended : why the last task of each robot was ended on board; false: it was not
     results : how it was ended by its own control law; None: it was not
+    halts : the stop or e-stop since which each robot has started nothing; None: it has started something
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class Inbox:
         ids = fleet.ids
         self.ended = [NONE] * len(ids)
         self.results: list[Result | None] = [None] * len(ids)
+        self.halts: list[Halt | None] = [None] * len(ids)
         self._row = {robot: row for row, robot in enumerate(ids)}
         self._cores = Cores(config.core_silence_s)
         self._epochs = [CoreEpoch(self._cores) for _ in ids]
@@ -82,22 +86,11 @@ class Inbox:
         return self._cores.age_s(now_s)
 
     def _on_heartbeat(self, beat: Heartbeat) -> None:
-        if self._cores.beat(beat.process, self._scheduler.now_s()):
-            self._publish_stops()
+        self._cores.beat(beat.process, self._scheduler.now_s())
 
     def _on_ping(self, ping: Ping) -> None:
         if ping.robot in self._row:
             self._bus.publish(self._keys.pong(ping.robot), ping)
-
-    def _publish_stops(self) -> None:
-        """Publish the stops that are in force for a core that has just started: it may want what they have ended."""
-        for row, epoch in enumerate(self._epochs):
-            if epoch.halted:
-                robot = self._fleet.ids[row]
-                # An id of its own: the core carries out each stop once, and other robots may publish the same one.
-                stop = StopRequest(id=f"{epoch.halted}@{robot}", robots=(robot,), source=robot)
-                self._stops[stop.id] = None  # it comes back here
-                self._bus.publish(self._keys.stop, stop)
 
     # ------------------------------------------------------------------ behaviours
     def _on_control(self, request: ControlRequest) -> None:
@@ -166,7 +159,7 @@ class Inbox:
             self._tasks.enable(row, task)
         except FullswarmError as error:
             return given(str(error))
-        epoch.accept()
+        self.halts[row] = None
         self._controller.law_failed[row] = False
         self.ended[row], self.results[row] = NONE, None
         if request.centralised:
@@ -234,7 +227,8 @@ class Inbox:
         if stop.id:
             self._stops[stop.id] = None
         for row in self._addressed(stop.robots):
-            self._halt(row, stop.id or "stop", reason(Code.STOPPED, by=stop.source or "an operator"))
+            self._halt(row, reason(Code.STOPPED, by=stop.source or "an operator"))
+            self._note_halt(row, stop.id, stop.source, estop=False)
         self._wake()
 
     def _on_estop(self, order: EStop) -> None:
@@ -246,15 +240,27 @@ class Inbox:
             # not be started by it. Releasing a robot that is not latched stops nothing.
             if order.engaged or self._state.estop[row]:
                 code = Code.ESTOP_ENGAGED if order.engaged else Code.ESTOP_RELEASED
-                self._halt(row, order.id or "estop", reason(code, by=order.source or "an operator"))
+                self._halt(row, reason(code, by=order.source or "an operator"))
+            if order.engaged:  # its release starts nothing, so the e-stop itself remains what the core must know
+                self._note_halt(row, order.id, order.source, estop=True)
         self.estops.carry_out(order, rows, self._scheduler.now_s())
 
-    def _halt(self, row: int, order_id: str, why: Reason) -> None:
+    def remember_latches(self, folder: LatchFolder) -> None:
+        """Keep latches in `folder`, and latch the robots that it names."""
+        self.estops.remember(folder)
+        for row in np.flatnonzero(self._state.estop).tolist():
+            self._note_halt(row, "", "", estop=True)
+
+    def _halt(self, row: int, why: Reason) -> None:
         """Stop a robot and void all its requests, also for a core that does not receive the stop."""
-        no_core = not self.core_alive(self._scheduler.now_s())
-        self._epochs[row].halt(order_id if no_core else "", why)
+        self._epochs[row].halt(why)
         self.void(row, why)
         self._drop(row)
+
+    def _note_halt(self, row: int, order_id: str, source: str, *, estop: bool) -> None:
+        now_s = self._scheduler.now_s()
+        # Without an id it cannot be known again: each one counts.
+        self.halts[row] = Halt(id=order_id or f"unnamed {now_s:.3f}", source=source, estop=estop, stamp_s=now_s)
 
     def watch_estops(self, now_s: float) -> None:
         """Confirm the e-stops of robots that have come to a standstill."""
@@ -282,11 +288,9 @@ class Cores:
         self._received_s: Recent[str, float] = Recent(REMEMBERED)
         self._newest_s = -math.inf
 
-    def beat(self, process: str, now_s: float) -> bool:
-        """Take a heartbeat; tell whether it is the first of its process."""
-        new = process not in self._received_s
+    def beat(self, process: str, now_s: float) -> None:
+        """Take a heartbeat."""
         self._received_s[process] = self._newest_s = now_s
-        return new
 
     def alive(self, process: str, now_s: float) -> bool:
         """Tell whether the process was received within the configured silence."""
@@ -307,7 +311,6 @@ class CoreEpoch:
     Attributes
     ----------
     voided : request id → why it may not start again
-    halted : id of a stop that no core received, since which nothing was accepted; empty: none
     """
 
     def __init__(self, cores: Cores) -> None:
@@ -316,7 +319,6 @@ class CoreEpoch:
         self._replaced: Recent[str, None] = Recent(REMEMBERED)
         self._seen: Recent[str, None] = Recent(REMEMBERED)
         self.voided: Recent[str, Reason] = Recent(REMEMBERED)
-        self.halted = ""
 
     def replaced(self, core: str, now_s: float) -> bool:
         """Tell whether `core` has been replaced by another one, so that its messages are late; else follow it.
@@ -337,15 +339,7 @@ class CoreEpoch:
         """Remember a request that was to start here."""
         self._seen[request_id] = None
 
-    def accept(self) -> None:
-        """Note that a request was started: no stop is in force any more."""
-        self.halted = ""
-
-    def halt(self, order_id: str, why: Reason) -> None:
-        """Void every request seen so far: a stop overrules also those that are wanted but not running.
-
-        `order_id` is empty when a core was there to receive the stop.
-        """
+    def halt(self, why: Reason) -> None:
+        """Void every request seen so far: a stop overrules also those that are wanted but not running."""
         for request_id in self._seen:
             self.voided[request_id] = why
-        self.halted = self.halted or order_id

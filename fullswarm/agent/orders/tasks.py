@@ -134,6 +134,7 @@ class Tasks:
     any_filtered : some task does
     survives_core : (n,) it goes on without the core
     team : (n,) which robots its control law counts as neighbours; 0: all that are sensed
+    peers : by number of a team, its robots, which count whatever they run
     expires_at_s : (n,) when it ends by itself; inf
     coordinated : (n,) it is lasting, has a goal, and the robot avoids its neighbours in advance
     goal_m, reach_m : (n, 2), (n,) where the robot is to go, NaN for a task without such a point, and within how much of
@@ -163,6 +164,7 @@ class Tasks:
     expires_at_s: Array = field(init=False)
     since_s: Array = field(init=False)
     index: Index = field(init=False)
+    peers: dict[int, frozenset[str]] = field(init=False, default_factory=dict)
     any_filtered: bool = field(init=False, default=False)
     any_apart: bool = field(init=False, default=False)
     _groups: list[Group] | None = field(init=False, default=None)
@@ -214,6 +216,8 @@ class Tasks:
             self._start(row, task)
         self.expires_at_s[row] = task.expires_at_s
         self.team[row] = request.team
+        if request.peers:
+            self.peers[request.team] = frozenset(request.peers)
         self.goal_m[row] = goal_of(request)
         self.reach_m[row] = _number(request.parameters.get("arrive_radius_m"), ARRIVE_M)
         if request.filtered:
@@ -321,6 +325,8 @@ class Tasks:
         """Return the robots with a control law on board, grouped by law, kind of parameters and perhaps request."""
         if self._groups is None:
             self.any_filtered = bool(self.filtered.any())
+            if self.peers:
+                self.peers = {team: robots for team, robots in self.peers.items() if team in self.team}
             members: dict[tuple[str, tuple[tuple[str, str], ...], str], list[int]] = {}
             for row, task in enumerate(self.of):
                 if task is not None and task.law != CENTRALISED and task.law not in self._held:

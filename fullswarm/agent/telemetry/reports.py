@@ -19,7 +19,7 @@ from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array, Index, kernel
 from fullswarm.keys import Keys, cell_of
-from fullswarm.messages import ControlRequest, HealthReport, Result, RobotHealth, RobotStates
+from fullswarm.messages import ControlRequest, Halt, HealthReport, Result, RobotHealth, RobotStates
 from fullswarm.perf.calculators import Calculators
 from fullswarm.reasons import NONE, Code, Reason, reason
 from fullswarm.runtime import LoopStats
@@ -65,6 +65,7 @@ class Reports:
     ----------
     law_error, ended : (n,) the last failure of each robot's control law, and why its last task was ended on board
     results : (n,) how its control law has ended it; None: it has not
+    halts : (n,) the stop since which it has started nothing; None: none
     settled_by : (n,) by which rule each has settled, 0: by none; see ``Settling``
     blocked : by robot, why its control law knows no way
     limits : (n, 5) what each can do: m/s, rad/s, m/s²; what a stop takes beyond that: m, s
@@ -76,13 +77,13 @@ class Reports:
         calculators: Calculators, fixes: Fixes, conflicts: PoseConflicts, law_error: Sequence[Reason],
         blocked: Mapping[int, Reason], ended: Sequence[Reason], limits: Array, waiting: Waiting, settled_by: Index,
         message_note: Callable[[int], Reason],
-        results: Sequence[Result | None],
+        results: Sequence[Result | None], halts: Sequence[Halt | None],
     ) -> None:  # fmt: skip
         self._identity, self._fleet, self._state, self._tasks = identity, fleet, state, tasks
         self._filter, self._calculators, self._fixes, self._conflicts = safety, calculators, fixes, conflicts
         self._law_error, self._blocked, self._ended = law_error, blocked, ended
         self._settled_by, self._message_note = settled_by, message_note
-        self._results = results
+        self._results, self._halts = results, halts
         self._waiting, self._now_s = waiting, -math.inf
         stated = np.minimum(limits, LARGEST_LIMITS)
         self._speed_limit_m_s, self._turn_limit_rad_s, self._accel_m_s2 = map(tuple, stated[:, :3].T.tolist())
@@ -230,6 +231,7 @@ class Reports:
                 message_note=messages.text,
                 message_code=messages.code,
                 result=self._results[row],
+                halt=self._halts[row],
             )
 
 

@@ -103,6 +103,10 @@ class Scene:
         self._contacts = self._text((0.0, 6.0), "", colour=CONTACT, size=9.5, right=True)
         self._background: Any = None
 
+    def follow(self, timeline: Timeline) -> None:
+        """Draw moments of a longer trajectory of the same robots and world from now on."""
+        self._timeline = timeline
+
     def update(self, time_s: float, since_s: float | None = None, trail_s: float = math.inf) -> Moment:
         """Put everything that moves to its place at a time.
 
