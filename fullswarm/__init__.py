@@ -22,6 +22,7 @@ Further files:
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): scenarios, trials, experiments, results
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one
+``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
 ``kernels.py``     Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep
                    trial

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 COLLECT_S = 1.0
 """Two periods of the health reports."""
+USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
+"""Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
 GROUPS_TIMEOUT_S = 3.0
 
@@ -87,7 +89,7 @@ def list_robots(target: Target, *, as_json: bool) -> int:
     if as_json:
         output.data_json(seen.as_dict()["robots"])
         return 0
-    table = output.plain_table("robot", "make", "model", "state", "battery", "firmware", "driver")
+    table = output.plain_table("robot", "make", "model", "state", "battery", "firmware", "driver", "can")
     for row in seen.robots:
         table.add_row(*map(escape, _robot_cells(row)))
     output.data_table(table)
@@ -150,11 +152,12 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
 
 def _robot_cells(row: RobotRow) -> tuple[str, ...]:
     health = row.health
+    can = " ".join(each for each in (row.profile.capabilities if row.profile else ()) if each not in USUAL) or "-"
     if health is None:
-        return row.robot, "-", "-", "no health report", "-", "-", "-"
+        return row.robot, "-", "-", "no health report", "-", "-", "-", can
     battery = "-" if health.battery < 0 else f"{health.battery:.0%}"
     state = "SILENT" if row.silent else health.lifecycle
-    return row.robot, health.make, health.model, state, battery, health.firmware or "-", health.driver
+    return row.robot, health.make, health.model, state, battery, health.firmware or "-", health.driver, can
 
 
 # ---------------------------------------------------------------- behaviours

@@ -7,6 +7,8 @@
 ``settings.py``   the settings of a laboratory from its arguments
 ``recording.py``  records the true poses, as a trajectory and as a table
 ``pictures.py``   pictures and animations that a notebook shows
+``tryout.py``     `fullswarm try`: a file as a behaviour, shown, with its metrics
+``window.py``     a laboratory in a window while it runs
 """
 
 from __future__ import annotations
