@@ -37,6 +37,7 @@ Further files:
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
 ``parameters.py``  Parameters of a request as a control law reads them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
+``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest
