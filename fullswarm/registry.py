@@ -65,6 +65,17 @@ LAWS = MappingProxyType(
             "drive",
             "paper_bc",
             "stop",
+            "dispersion",
+            "aggregation",
+            "leader_follower",
+            "cyclic_pursuit",
+            "perimeter",
+            "area_sweep",
+            "consensus",
+            "average_consensus",
+            "pursuit_evasion",
+            "flocking_adaptive",
+            "flocking_velocity",
         )
     }
 )
