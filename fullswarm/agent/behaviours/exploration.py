@@ -5,8 +5,8 @@ cell counts as seen when a robot was within `sight_m` of it, with no known obsta
 is seen, free and has an unseen neighbour. Each robot drives to the frontier with the shortest way; those near the
 target of a robot before it in the request count as farther away (Burgard, Moors, Stachniss, Schneider, Coordinated
 multi-robot exploration, IEEE T-RO 2005). Maps are broadcast in parts and joined, so that repeated and lost broadcasts
-make no difference. A robot ends when it knows of no frontier that it can reach. Passages that are narrower than the robot and
-two cells may be missed. Motion is that of :mod:`~fullswarm.agent.behaviours.navigate`.
+make no difference. A robot ends when it knows of no frontier that it can reach. Passages that are narrower than the
+robot and two cells may be missed. Motion is that of :mod:`~fullswarm.agent.behaviours.navigate`.
 """
 
 from __future__ import annotations
