@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-
 from fullswarm.config import load_swarm
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
