@@ -10,7 +10,7 @@ from fullswarm.config.mission_file import load_mission, parse_comparison, parse_
 from fullswarm.errors import ConfigError
 from fullswarm.messages import MissionPlan, MissionStep, MissionTrack, StepConditions
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "mission.toml"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "missions" / "survey.toml"
 
 
 def errors(text: str) -> list[str]:

@@ -36,6 +36,8 @@ LANE_SLACK_M = 0.05
 EVEN_M = 0.05
 FOLLOW_M = 0.8
 MOVING_M_S = 0.03
+FIRST_M = 0.2
+"""Those that wait leave so much more than the margin to the first one: it may have a wall at its other side."""
 AWAY_SHARE = 0.6
 """A robot that clears a mouth does so at this share of its desired speed."""
 
@@ -95,7 +97,7 @@ def direction(
 def survey(
     along: float, before: float, across: float, radius_m: float, sign: float, row: int, low: int, high: int,
     passages: Array, traffic: Traffic,
-) -> tuple[bool, bool, float, float, float, bool, bool, int]:  # fmt: skip
+) -> tuple[bool, bool, float, float, float, bool, bool, int, int]:  # fmt: skip
     """Return what the neighbours of a robot do at passage `row`; the frame is that of its own direction.
 
     Parameters
@@ -109,7 +111,7 @@ def survey(
         Some robot that comes towards it is inside; one is inside or near; how far the one that is ahead of it has come
         in, -1 if there is none; distances of the first one outside from their mouth and of the first one with its own
         direction from its own, m; one with its own direction is inside; the next one of these comes back; how many of
-        these are outside and nearer to the mouth.
+        these are outside and nearer to the mouth, and the row of the nearest.
     """
     axis_x = sign * passages[row, 2]
     axis_y = sign * passages[row, 3]
@@ -124,6 +126,8 @@ def survey(
     own_inside = False
     backing = False
     ahead = 0
+    first = 0
+    first_m = math.inf
     for pair in range(low, high):
         other = traffic.other[pair]
         other_x = traffic.places[other, 0]
@@ -160,7 +164,10 @@ def survey(
             own_head = min(own_head, its_mouth_m)
             if its_mouth_m < mouth_m or (its_mouth_m == mouth_m and aside < across):
                 ahead += 1
-    return opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead
+                if its_mouth_m < first_m:
+                    first = other
+                    first_m = its_mouth_m
+    return opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead, first
 
 
 @kernel
@@ -193,6 +200,21 @@ def wait(
     room_m = before - CLEAR_AHEAD_M if yields and in_band else mouth_m - ring_m
     share = min(1.0, max(0.0, room_m / SLOWING_M))
     return share * vx, share * vy
+
+
+@kernel
+def leave_way(vx: float, vy: float, dx: float, dy: float, apart_m: float, speed: float) -> tuple[float, float]:
+    """Return the velocity of a robot that waits, less what leads it nearer than `apart_m` to the first one at (dx, dy).
+
+    Where it is nearer already it drives off; `speed`: of the way that it would have alone.
+    """
+    away_m = max(math.hypot(dx, dy), EVEN_M)
+    most = speed * max(-AWAY_SHARE, min(1.0, (away_m - apart_m) / SLOWING_M))
+    closing = (vx * dx + vy * dy) / away_m
+    if closing <= most:
+        return vx, vy
+    share = (closing - most) / away_m
+    return vx - share * dx, vy - share * dy
 
 
 @kernel
@@ -233,7 +255,7 @@ def give_way(
     mouth_m = math.hypot(max(before, 0.0), across)
     if mouth_m > CLAIM_M + 1.0:
         return vx, vy
-    opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead = survey(
+    opposing_inside, opposing_near, opposing_depth, opposing_head, own_head, own_inside, backing, ahead, first = survey(
         along, before, across, radius_m, sign, row, low, high, passages, traffic
     )
     if width >= 4.0 * radius_m + 3.0 * margin_m + ROOM_M:
@@ -254,6 +276,9 @@ def give_way(
         yields = sign < 0.0 if even else opposing_head < own_head
     if not yields and ahead == 0:
         return vx, vy
-    return wait(
-        vx, vy, before, across, axis_x, axis_y, 2.0 * radius_m + margin_m + BESIDE_M, yields, ahead
-    )  # fmt: skip
+    speed = math.hypot(vx, vy)
+    vx, vy = wait(vx, vy, before, across, axis_x, axis_y, 2.0 * radius_m + margin_m + BESIDE_M, yields, ahead)
+    if ahead == 0:
+        return vx, vy
+    apart_m = radius_m + margin_m + traffic.states[first, 5] + FIRST_M
+    return leave_way(vx, vy, traffic.places[first, 0] - x, traffic.places[first, 1] - y, apart_m, speed)

@@ -28,6 +28,8 @@ export interface Robot {
   battery: number | null;
   radius_m: number | null;
   filter_note: string;
+  capabilities: string[];
+  memory: string;
 }
 
 export interface Parameter {
