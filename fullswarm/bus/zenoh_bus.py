@@ -44,7 +44,7 @@ RETRY_FIRST_S, RETRY_LAST_S, RETRY_FACTOR = 0.1, 0.5, 2
 CLOSE_S = 0.5
 """Longest wait for a session to end: with a frozen hub zenoh itself would take nine seconds."""
 LEAVE_S = 1.0
-"""Longest wait at the end of the process: a thread that returns from zenoh while the interpreter shuts down aborts it."""
+"""Longest wait at the end of the process, which aborts if a thread returns from zenoh into the shutdown."""
 
 _COMMON: dict[str, object] = {
     # No discovery: the default settings join any zenoh on the local network.
