@@ -6,7 +6,7 @@ from rps.utilities.barrier_certificates import *
 from rps.utilities.misc import *
 from rps.utilities.transformations import *
 
-STEPS = 900  # 30 s
+STEPS = 750  # 25 s
 GAIN = 2.0
 start = np.array(
     [[-1.4, -1.2, -1.0, -1.38, -1.15, -0.95], [-0.8, -0.78, -0.83, -0.6, -0.55, -0.62], [0.0, 0.5, 1.0, 1.0, 0.7, 0.3]]
@@ -16,7 +16,7 @@ r = robotarium.Robotarium(number_of_robots=N, show_figure=False, initial_conditi
 certificate = create_single_integrator_barrier_certificate_with_boundary()
 si_to_uni_dyn, uni_to_si_states = create_si_to_uni_mapping()
 
-across, along = np.meshgrid(np.arange(-1.575, 1.6, 0.05), np.arange(-0.975, 1.0, 0.05))
+across, along = np.meshgrid(np.arange(-1.5875, 1.6, 0.025), np.arange(-0.9875, 1.0, 0.025))
 grid = np.stack([across.ravel(), along.ravel()])
 
 for _ in range(STEPS):

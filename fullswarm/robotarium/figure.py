@@ -18,7 +18,7 @@ ABOVE = 2
 """Robots cover what a script draws with matplotlib's usual orders."""
 
 
-class TestbedFigure:
+class ArenaFigure:
     """A window with arena and robots; without a display a figure in memory.
 
     Parameters
@@ -32,8 +32,6 @@ class TestbedFigure:
     bodies : a circle per robot
     """
 
-    __test__ = False  # no test class
-
     def __init__(self, poses: Array, boundaries: tuple[float, float, float, float], radius_m: float) -> None:
         self.figure, self.axes = plt.subplots()
         x, y, width, height = boundaries
@@ -46,7 +44,7 @@ class TestbedFigure:
         self.figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=1.0)
         self.axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=EDGE))
         self.bodies = [Circle((0.0, 0.0), radius_m, facecolor=BODY, edgecolor=EDGE, zorder=ABOVE) for _ in poses.T]
-        self._headings: list[Any] = [self.axes.plot([], [], color=EDGE, zorder=ABOVE)[0] for _ in poses.T]
+        self._headings: list[Any] = [self.axes.plot([], [], color=EDGE, zorder=ABOVE + 1)[0] for _ in poses.T]
         for body in self.bodies:
             self.axes.add_patch(body)
         self._place(poses)

@@ -23,7 +23,7 @@ from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.lab import Lab
 from fullswarm.output import data
-from fullswarm.robotarium.figure import TestbedFigure
+from fullswarm.robotarium.figure import ArenaFigure
 from fullswarm.robotarium.utilities.arguments import columns, require
 from fullswarm.robotarium.utilities.misc import generate_initial_conditions
 
@@ -101,8 +101,8 @@ class Robotarium:
         *,
         filtered: bool = True,
     ) -> None:
-        most = isinstance(number_of_robots, int | np.integer) and 1 <= number_of_robots <= MOST_ROBOTS
-        require(most, "number_of_robots", number_of_robots, f"1 to {MOST_ROBOTS}")
+        right = isinstance(number_of_robots, int | np.integer) and 1 <= number_of_robots <= MOST_ROBOTS
+        require(right, "number_of_robots", number_of_robots, f"1 to {MOST_ROBOTS}")
         self.number_of_robots, self.filtered = int(number_of_robots), filtered
         self.show_figure, self.sim_in_real_time = show_figure, sim_in_real_time
         if np.size(initial_conditions):
@@ -121,7 +121,7 @@ class Robotarium:
         weakref.finalize(self, self.lab.close)
         self._stepped, self._read = True, False
         self._steps = self._outside = self._too_near = self._over_wheel_limit = 0
-        self._drawing = TestbedFigure(starts, BOUNDARIES, self.robot_radius) if show_figure else None
+        self._drawing = ArenaFigure(starts, BOUNDARIES, self.robot_radius) if show_figure else None
         self.figure: Any = self._drawing.figure if self._drawing else []
         self.axes: Any = self._drawing.axes if self._drawing else []
         self.chassis_patches: list[Any] = self._drawing.bodies if self._drawing else []

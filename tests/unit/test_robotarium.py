@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+import fullswarm.robotarium
 from fullswarm.clock import MonotonicClock
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, MissingExtra
 from fullswarm.robotarium import robotarium as ours_robotarium
 from fullswarm.robotarium.robotarium import Robotarium
 from fullswarm.robotarium.utilities import barrier_certificates, controllers, graph, misc, transformations
@@ -540,6 +541,13 @@ def test_the_end_of_a_script_prints_what_the_robotarium_would_refuse(capsys: pyt
     printed = capsys.readouterr().out
     assert "1 steps, 1 s on the testbed" in printed
     assert "1 steps with a wheel commanded more than 12.5 rad/s" in printed
+
+
+def test_a_missing_package_is_named_with_the_extra_that_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "osqp" else name)
+    with pytest.raises(MissingExtra) as caught:
+        importlib.reload(fullswarm.robotarium)
+    assert str(caught.value) == "scripts of the Robotarium need osqp (pip install 'fullswarm[lab]')"
 
 
 def test_the_alias_refuses_to_come_after_rps() -> None:

@@ -71,7 +71,7 @@ def _least_violation(wanted: Array, rows: Array, limits: Array) -> Array:
 
 def _solve(weights: Any, linear: Array, rows: Any, limits: Array) -> Array | None:
     solver = osqp.OSQP()
-    solver.setup(sparse.triu(weights, format="csc"), linear, rows, np.full(len(limits), -np.inf), limits, **SETTINGS)
+    solver.setup(weights, linear, rows, np.full(len(limits), -np.inf), limits, **SETTINGS)
     answer = solver.solve(raise_error=False)
     found: Array = answer.x
     return found if answer.info.status == "solved" and np.isfinite(found).all() else None
