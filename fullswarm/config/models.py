@@ -280,7 +280,7 @@ class RobotConfig(Section):
     emulate: Annotated[str, Field(min_length=1, max_length=64)] | None = (
         None  # the world gives it a body and a port; its real driver talks to that
     )
-    pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
+    pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad)
     capabilities: tuple[Ability, ...] = Field((), max_length=32)  # beside those of its make: "carry", "camera"
     host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
     ssh_user: str = "fullswarm-admin"
