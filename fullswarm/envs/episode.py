@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.envs.policies import PolicyLaw
 from fullswarm.envs.rewards import Reward, to_goal
 from fullswarm.envs.spaces import Observation, Spaces
+from fullswarm.envs.state import State
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.pictures import Scene, Timeline
 from fullswarm.kernels import Array, Flags
@@ -108,32 +109,6 @@ class Setup:
             robots=self.robots, starts=self.starts, bounds=self.bounds, obstacles=self.obstacles, engine=self.engine,
             seed=seed, settings=self.settings,
         )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class State:
-    """The n robots of an episode at the end of a step.
-
-    Attributes
-    ----------
-    time_s : since the episode began
-    pose, twist : (n, 3) true, m, m, rad; (n, 2) measured, m/s, rad/s
-    goal, distance_m : (n, 2) m, (n,) to it
-    arrived : (n,) within `Setup.goal_radius_m` of the goal
-    touched : (n,) has begun to touch something since the state before
-    command : (n, 2) the last action in SI; zeros for robots that no action drives
-    changed_m_s : (n,) how far the safety filter changed the velocity that was desired, in the last control period
-    """
-
-    time_s: float
-    pose: Array
-    twist: Array
-    goal: Array
-    distance_m: Array
-    arrived: Flags
-    touched: Flags
-    command: Array
-    changed_m_s: Array
 
 
 class _Remote:
