@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fullswarm.envs.spaces import Spaces as Spaces
     from fullswarm.envs.state import State as State
 
+__all__ = ["ID", "ParallelSwarmEnv", "Setup", "Spaces", "State", "SwarmEnv", "policy", "register", "to_goal"]
 _LAZY = {
     "ParallelSwarmEnv": "parallel",
     "Setup": "episode",

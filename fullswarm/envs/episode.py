@@ -25,6 +25,8 @@ from fullswarm.lab.settings import START_GAP_M, free_places
 
 WIDTH_PX = 480
 TRAIL_S = 10.0
+LONGEST_START_S = 10.0
+"""Until all robots have received their request: one control period, or more on a bad network."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +119,19 @@ class _Remote:
     Attributes
     ----------
     observation, action : (n, size), (n, 2)
+    has_observed : (n,) at least once
     """
 
     def __init__(self, names: Sequence[str], size: int) -> None:
         self._rows = {name: row for row, name in enumerate(names)}
         self.observation = np.zeros((len(names), size), np.float32)
         self.action = np.zeros((len(names), 2))
+        self.has_observed = np.zeros(len(names), bool)
 
     def observed(self, names: list[str], observation: Observation) -> None:
         """Keep what robots observe."""
-        self.observation[[self._rows[name] for name in names]] = observation
+        rows = [self._rows[name] for name in names]
+        self.observation[rows], self.has_observed[rows] = observation, True
 
     def decide(self, names: list[str], _observation: Observation) -> Array:
         """Return the actions that were set."""
@@ -168,7 +173,14 @@ class Episode:
         for row, robot in list(enumerate(lab.robots))[len(self.robots) :]:
             lab.request(setup.others, robots=robot, goal=self._goal[row])
         self._events = lab.contact_events
-        lab.step()  # the robots have observed for the first time, and stand
+        observed = self._remote.has_observed
+        lab.run(LONGEST_START_S, until=lambda _: bool(observed.all()))
+        if not observed.all():
+            lab.close()
+            raise ConfigError(
+                f"not all robots have begun within {LONGEST_START_S:g} s", where="Setup", hint="is its network too bad?"
+            )
+        # They have observed for the first time, and stand.
         self._began_s = lab.time_s
         self._scene: Scene | None = None
         self.state = self._now()
