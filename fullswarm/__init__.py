@@ -22,6 +22,7 @@ Further files:
 ``errors.py``      The error tree
 ``evaluate/``      Experiments (paper IV): scenarios, trials, experiments, results
 ``files.py``       Replaces files in one step: a reader finds the old content or the new one
+``fitness.py``     Decides whether a robot is fit for a request: capabilities, limits, make, charge
 ``geometry.py``    Angles, the unicycle map and frame changes
 ``kernels.py``     Kernels: small loops over arrays that run as plain Python on a robot and compiled in a lockstep
                    trial
@@ -36,6 +37,7 @@ Further files:
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
 ``parameters.py``  Parameters of a request as a control law reads them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
+``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest

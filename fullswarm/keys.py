@@ -14,6 +14,7 @@ key                                                     message                w
 ``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
+``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
@@ -27,6 +28,7 @@ key                                                     message                w
 ``<swarm>/mission/request``                             MissionRequest         operator → core
 ``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
 ``<swarm>/mission/status``                              MissionStatus          core → all
+``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -116,6 +118,10 @@ class Keys:
         """What behaviours broadcast to neighbours, by grid cell as the states."""
         return f"{self.swarm}/broadcast/{cell}/{host}"
 
+    def profile(self, cell: str = ANY, host: str = ANY) -> str:
+        """What robots are and can do, by grid cell as the states."""
+        return f"{self.swarm}/profile/{cell}/{host}"
+
     def reception(self, host: str = ANY) -> str:
         """Whose states a host receives."""
         return f"{self.swarm}/reception/{host}"
@@ -171,6 +177,10 @@ class Keys:
     def mission_status(self) -> str:
         """The state of each mission."""
         return f"{self.swarm}/mission/status"
+
+    def memory(self, host: str = ANY) -> str:
+        """What control laws remember."""
+        return f"{self.swarm}/memory/{host}"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

@@ -70,6 +70,11 @@ Team = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 """Number of a team: robots whose laws count each other as neighbours, of one request or group; 0: of no team."""
 Teams = Annotated[tuple[Team, ...], Meta(max_length=MOST)]
 
+ShortText = Annotated[str, Meta(max_length=64)]
+Capabilities = Annotated[tuple[ShortText, ...], Meta(max_length=64)]
+Roles = Annotated[dict[ShortText, Names], Meta(max_length=64)]
+TeamName = Annotated[str, Meta(max_length=65)]
+
 Phase = Literal["accepted", "scheduled", "running", "superseded", "refused", "ended"]
 
 
@@ -82,6 +87,18 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 # ---------------------------------------------------------------- operator <-> core
+class Needs(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What a robot must be and be able to do to take part; zero or empty: anything. Part of requests."""
+
+    capabilities: Capabilities = ()  # all of them
+    makes: Capabilities = ()  # one of them
+    speed_m_s: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0  # at least
+    turn_rad_s: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0
+    accel_m_s2: Acceleration = 0.0
+    radius_m: HalfSize = 0.0  # at most
+    battery: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0  # charge, at least
+
+
 class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest/4"):
     """An operator requests a behaviour (paper II.B). Repeated until answered; `id` makes it exactly-once."""
 
@@ -89,7 +106,9 @@ class BehaviourRequest(Message, frozen=True, kw_only=True, tag="BehaviourRequest
     behaviour: str
     robots: Names = ()  # empty: the whole swarm; "@name": a group of the core's database
     parameters: Parameters = {}
-    team: Annotated[str, Meta(max_length=65)] = ""  # "request", "group", "swarm" or "@name"; empty: as the record says
+    team: TeamName = ""  # "request", "group", "swarm" or "@name"; empty: as the record says
+    needs: Needs = Needs()  # beside those of the behaviour's record
+    roles: Roles = {}  # role → robots, "@group", "+capability"
     source: str = ""  # the requesting process: "cli@host:pid"
     operator: str = ""  # the person, for leases: "anna@lab1"
     take: bool = False  # also take the leases that another operator holds
@@ -106,7 +125,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     text: str = ""  # what its control law says of it
 
 
-class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/3"):
+class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/4"):
     """The status of a request; the newest one for an `id` is valid."""
 
     request_id: str
@@ -119,6 +138,8 @@ class RequestStatus(Message, frozen=True, kw_only=True, tag="RequestStatus/3"):
     running: Names = ()  # that have confirmed it
     missing: Names = ()  # addressed, but not present now; they get it when they join
     refused_by: Names = ()  # that refused it, e.g. with a latched e-stop
+    left_out: Names = ()  # meant, but unfit for it: the reason says why
+    roles: Annotated[dict[str, ShortText], Meta(max_length=MOST)] = {}  # robot → its role, if it has one
     results: Annotated[tuple[Result, ...], Meta(max_length=MOST)] = ()  # of robots whose behaviour has ended itself
     stamp_s: Stamp = 0.0
 
@@ -211,7 +232,9 @@ class MissionStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     behaviour: Label = ""  # empty: none, the track waits for the conditions
     robots: Names = ()  # empty: the whole swarm; "@name": a group
     parameters: Parameters = {}
-    team: Annotated[str, Meta(max_length=65)] = ""  # as in BehaviourRequest
+    team: TeamName = ""  # as in BehaviourRequest
+    needs: Needs = Needs()
+    roles: Roles = {}
     done: StepConditions = StepConditions()
     after: Names = ()  # "track/step" of other tracks that must be done before
     fail_after_s: Duration = 0.0  # 0: it may take any time
@@ -318,6 +341,9 @@ class ControlRequest(Message, frozen=True, kw_only=True, tag="ControlRequest/4")
     team: Team = 0  # the robots that the law counts as neighbours; 0: all that are sensed
     peers: Names = ()  # the robots that the law counts as neighbours whatever they run; empty: those of `team`
     members: Names = ()  # all robots of the request, in its order; empty for an intent, which is sent too often
+    roles: Annotated[tuple[ShortText, ...], Meta(max_length=MOST)] = ()  # of each of `members`; empty: there are none
+    needs: Needs | None = None  # the robot refuses the request if it is not fit
+    stays: bool = False  # a neighbour of its request after the behaviour has ended itself, until the next request
     centralised: bool = False  # no law on board: apply Command messages of `request_id`
     survives_core: bool = False  # continue when the core's heartbeat is silent
     expires_s: Validity = 0.0  # > 0: the request is an intent that expires this long after its arrival
@@ -341,7 +367,7 @@ class ControlAck(Message, frozen=True, kw_only=True, tag="ControlAck/2"):
     sequence: Ordinal = 0
 
 
-class CentralisedRequest(Message, frozen=True, kw_only=True):
+class CentralisedRequest(Message, frozen=True, kw_only=True, tag="CentralisedRequest/2"):
     """A request remapped to a centralised behaviour's node (paper II.C.1)."""
 
     request_id: str
@@ -350,6 +376,7 @@ class CentralisedRequest(Message, frozen=True, kw_only=True):
     enable: bool
     robots: Names = ()
     parameters: Parameters = {}
+    roles: Annotated[dict[str, ShortText], Meta(max_length=MOST)] = {}  # robot → its role, if it has one
     filtered: bool = False
     core: str = ""
     sequence: Ordinal = 0
@@ -507,7 +534,6 @@ SAYS_BYTES = 256
 SAYS_HZ = 10.0
 """How often one robot broadcasts for its behaviour, at most."""
 
-ShortText = Annotated[str, Meta(max_length=64)]
 Hash = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
@@ -557,6 +583,31 @@ class BehaviourBroadcast(Message, frozen=True, kw_only=True):
     tables: Annotated[tuple[TableUpdate, ...], Meta(max_length=MOST)] = ()
 
 
+MEMORY_NUMBERS = 64
+"""Of what one robot remembers, at most, in a message."""
+
+
+class RobotMemory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the control law of one robot remembers; part of BehaviourMemory."""
+
+    robot: str
+    behaviour: str
+    request_id: str
+    fields: Annotated[
+        dict[ShortText, Annotated[tuple[Finite | None, ...], Meta(max_length=MEMORY_NUMBERS)]],
+        Meta(max_length=MEMORY_NUMBERS),
+    ]  # flags are 0 and 1; None: not finite
+    left_out: Count = 0  # numbers beyond `MEMORY_NUMBERS`
+
+
+class BehaviourMemory(Message, frozen=True, kw_only=True):
+    """What control laws remember of the robots of one host, 1 Hz while any does, then once empty: for people."""
+
+    host: str
+    robots: Annotated[tuple[RobotMemory, ...], Meta(max_length=MOST)] = ()
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 
@@ -572,6 +623,29 @@ class Interventions(Message, frozen=True, kw_only=True):
 
 
 Disc = tuple[Count, Metres, Metres, HalfSize]
+
+
+class RobotProfile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What one robot is and what it can do; part of RobotProfiles."""
+
+    robot: str
+    make: str
+    model: str
+    capabilities: Capabilities = ()  # of its make and of the fleet file, see `Description.capabilities`
+    radius_m: Radius
+    speed_limit_m_s: Speed
+    turn_limit_rad_s: Turn
+    accel_m_s2: Acceleration
+    battery: Annotated[float, Meta(ge=-1.0, le=100.0)] = -1.0  # 0 to 1, a few hundredths old; -1: unknown
+
+
+class RobotProfiles(Message, frozen=True, kw_only=True):
+    """What the robots of one host are: on change, when robots appear, and every 5 s; at most once per second."""
+
+    host: str
+    process: str
+    robots: Annotated[tuple[RobotProfile, ...], Meta(max_length=MOST)]
+    stamp_s: Stamp = 0.0
 
 
 class SearchedDiscs(Message, frozen=True, kw_only=True):

@@ -71,6 +71,9 @@ class Code(enum.StrEnum):
     OTHER_CORE = "other_core"
     NOT_REPEATED = "lapsed"  # after_s
     SIMULATED_ONLY = "simulated_only"  # law
+    UNFIT = "unfit"  # what
+    TOO_SLOW = "too_slow"  # what
+    ROLES = "roles"  # a text of the core
     PARAMETERS = "parameters"  # problems; the hint after them lists all parameters
 
 
@@ -120,6 +123,8 @@ TEXTS: dict[Code, str] = {
     Code.OTHER_CORE: "another core commands this robot",
     Code.SIMULATED_ONLY: "the law '{law}' lets robots collide: it runs on simulated robots only; ask for another "
     "behaviour, for example move_to_goal_bc",
+    Code.UNFIT: "it cannot take part: {what}",
+    Code.TOO_SLOW: "it is too slow: {what}",
     Code.NOT_REPEATED: "the intent expired after {after_s} s without a repetition",
 }
 """The texts of this package; all others come with their codes from outside."""

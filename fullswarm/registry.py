@@ -65,6 +65,17 @@ LAWS = MappingProxyType(
             "drive",
             "paper_bc",
             "stop",
+            "dispersion",
+            "aggregation",
+            "leader_follower",
+            "cyclic_pursuit",
+            "perimeter",
+            "area_sweep",
+            "consensus",
+            "average_consensus",
+            "pursuit_evasion",
+            "flocking_adaptive",
+            "flocking_velocity",
         )
     }
 )
@@ -288,18 +299,18 @@ def _load(name: str, file: Path, *, needs_law: bool = True, register: bool = Fal
     try:
         # From the source itself: compiled files are told apart by whole seconds.
         exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)  # noqa: S102  (as any import does)
-    except Exception as error:  # outside code: whatever it raises, the law before stays in use
-        raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=_line_of(error, file)) from error
+    except (Exception, SystemExit) as error:  # outside code: whatever it raises, the law before stays in use
+        raise ConfigError(f"{type(error).__name__}: {_message(error)}", where=line_of(error, file)) from error
     if needs_law and not any(callable(getattr(module, form, None)) for form in ("velocity", "twist")):
         raise ConfigError("has no law", where=str(file), hint="define velocity(view, params) or twist(view, params)")
     return module
 
 
-def _message(error: Exception) -> str:
+def _message(error: BaseException) -> str:
     return str(error.msg if isinstance(error, SyntaxError) else error)
 
 
-def _line_of(error: Exception, file: Path) -> str:
+def line_of(error: BaseException, file: Path) -> str:
     """Return file and line of an error: of its syntax, or the innermost line of `file` that led to it."""
     if isinstance(error, SyntaxError):
         return f"{error.filename or file}:{error.lineno}"
@@ -373,4 +384,4 @@ def _import(module: str, where: str) -> Any:
         raise ConfigError(f"'{module}' does not import: {error}", where=where) from error
     except Exception as error:  # of an outside module, whatever it raises
         what = f"'{module}' does not import: {type(error).__name__}: {_message(error)}"
-        raise ConfigError(what, where=_line_of(error, Path(module.replace(".", "/")))) from error
+        raise ConfigError(what, where=line_of(error, Path(module.replace(".", "/")))) from error

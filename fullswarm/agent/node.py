@@ -22,6 +22,7 @@ from fullswarm.agent.motion.settling import Settling, Wanted
 from fullswarm.agent.neighbours.estimates import Assumed, CellSubscriptions, Neighbours
 from fullswarm.agent.neighbours.objects import ObjectTracker
 from fullswarm.agent.neighbours.obstacle_map import ObstacleMap, ObstacleSharing, map_of
+from fullswarm.agent.neighbours.profiles import Profiles, profiles_of
 from fullswarm.agent.neighbours.reception import ReceptionReporter
 from fullswarm.agent.neighbours.silent import SilentSearch
 from fullswarm.agent.orders.inbox import Inbox
@@ -36,6 +37,8 @@ from fullswarm.agent.state import AgentState, Identity
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
+from fullswarm.agent.telemetry.remembered import PERIOD_S as MEMORY_PERIOD_S
+from fullswarm.agent.telemetry.remembered import MemoryReporter
 from fullswarm.agent.telemetry.reports import Reports
 from fullswarm.agent.telemetry.waiting import Waiting
 from fullswarm.bus.base import Bus, CountingBus
@@ -144,8 +147,9 @@ class AgentNode:
         own_frame = any(each.own_frame for each in fleet.descriptions)
         self.pose_conflicts = PoseConflicts(own_frame, state, self.neighbours, self.desired.near)
         self.inbox = Inbox(
-            bus, keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.pose_conflicts, self.wake
-        )
+            bus, keys, scheduler, settings, fleet, state, self.tasks, self.controller, self.pose_conflicts, self.wake,
+            lambda row: self.profiles.present(row),
+        )  # fmt: skip
         self._drivers = DriverWatch(
             fleet, state, self.controller.drive_on, end_task=self.inbox.void, conflict_of=self.pose_conflicts.reason
         )
@@ -162,6 +166,13 @@ class AgentNode:
             FOLLOW_PERIOD_S * float(self.controller.speed_limit.max()),
         )  # fmt: skip
         self.desired.context.channel = self.exchange.channel
+        stated = np.column_stack([self.controller.speed_limit, self.controller.turn_limit, accel])
+        self.profiles = Profiles(
+            bus, keys, scheduler, identity, config.state_cell_m, state, self.neighbours,
+            profiles_of(fleet.ids, fleet.descriptions, stated, {each.id: each.capabilities for each in config.robot}),
+            settings.sensing_radius_m + FOLLOW_PERIOD_S * float(self.controller.speed_limit.max()),
+        )  # fmt: skip
+        self.desired.context.profiles = self.profiles
         self.calculators = Calculators(
             fleet.ids,
             config.bounds_m,
@@ -175,6 +186,7 @@ class AgentNode:
         self.interventions = InterventionReporter(
             bus, keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.neighbours.names
         )
+        self._remembered = MemoryReporter(bus, keys, scheduler, identity.host, fleet.ids, self.tasks)
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
@@ -203,6 +215,7 @@ class AgentNode:
             every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
             every(INTERVENTION_PERIOD_S, self.interventions.publish),
+            every(MEMORY_PERIOD_S, self._remembered.publish),
             every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 
@@ -347,6 +360,7 @@ class AgentNode:
         reach_m = max([self._config.sensing_radius_m, self.exchange.reach_m, *reaches_m]) + way_m
         self._state_subscriptions.follow(self._state.pose[:, :2], reach_m)
         self.exchange.follow()
+        self.profiles.follow(self._state.pose[:, :2])
         self.neighbours.forget(self._scheduler.now_s(), self._state_subscriptions.covers)
 
     def _sense_obstacles(self) -> None:
@@ -358,6 +372,7 @@ class AgentNode:
         self.pose_conflicts.update(now_s)
         self.reception.update()
         self.exchange.watch()
+        self.profiles.update(now_s)
         try:
             self.metrics.sample(now_s)
         except Exception as error:
@@ -446,6 +461,7 @@ class AgentNode:
         self._obstacle_sharing.close()
         self.reception.close()
         self.exchange.close()
+        self.profiles.close()
         self._object_subscription.close()
         self.silent_search.close()
         self.fixes.close()

@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from fullswarm.agent.messaging.received import Heard
 from fullswarm.agent.messaging.table import SharedTable
 from fullswarm.agent.motion.actuation import Actuation
+from fullswarm.agent.neighbours.profiles import ProfileTable
 from fullswarm.agent.state import AgentState
 from fullswarm.drivers.base import NO_OBSTACLES, FleetReading
 from fullswarm.errors import ConfigError
-from fullswarm.kernels import Array, Index, kernel
+from fullswarm.kernels import Array, Flags, Index, kernel
+from fullswarm.messages import RobotProfile
 from fullswarm.parameters import Params as Params  # a law's module imports both from here
 from fullswarm.reasons import Reason
 
@@ -55,6 +57,20 @@ class Channel(Protocol):
         ...
 
 
+class KnownProfiles(Protocol):
+    """What robots are and can do; see ``neighbours.profiles``."""
+
+    @property
+    def own(self) -> Sequence[RobotProfile]:
+        """(n,) of the own robots."""
+        ...
+
+    @property
+    def table(self) -> ProfileTable:
+        """Of the robots received."""
+        ...
+
+
 Words = NDArray[np.str_]
 Outcome = Literal["arrived", "failed"]
 
@@ -64,6 +80,7 @@ class Shared(NamedTuple):
 
     request_id: str
     members: tuple[str, ...]
+    roles: tuple[str, ...] = ()  # of each of the members; empty: the request gives none
 
 
 class Ending(NamedTuple):
@@ -98,6 +115,7 @@ class Context:
     index : (n,) place of each among the members of its request; -1: it is not among them
     contacts : returns how many bodies each robot touches, (n,)
     generator : returns the random number generator of a robot's task
+    profiles : what robots are and can do; None: unknown
     channel : returns what the robots of a call, by rows (None: all), broadcast and receive through; None: nothing does
     now_s, dt_s : time of this tick, and since the one before, s
     """
@@ -110,6 +128,7 @@ class Context:
     contacts: Callable[[], Index]
     generator: Callable[[int], np.random.Generator] = _seeded_by_row
     channel: Callable[[Index | None], Channel] | None = None
+    profiles: KnownProfiles | None = None
     now_s: float = 0.0
     dt_s: float = 0.02
     _own: Words | None = field(default=None, init=False)
@@ -433,6 +452,62 @@ class View:
         """How many bodies the robot touches, as it feels itself or a source outside sees it, (n,)."""
         found: Index = self._own(self.context.contacts())
         return found
+
+    @property
+    def role(self) -> Words:
+        """Role of the robot in its request, (n,); empty: it has none."""
+        return self._roles(self.index)
+
+    @property
+    def neighbour_role(self) -> Words:
+        """Role of the neighbour in the same request, (e,); empty: it has none, or runs another request."""
+        return self._roles(self.neighbour_index)
+
+    def _roles(self, places: Index) -> Words:
+        roles = self.shared().roles
+        if not roles:
+            return np.full(len(places), "", np.str_)
+        return np.array((*roles, ""), np.str_)[places]  # -1, no place, is the last one
+
+    # ------------------------------------------------------------------ what robots are and can do
+    def _profiles(self) -> Sequence[RobotProfile | None]:
+        known = self.context.profiles
+        if known is None:
+            return [None] * len(self.position)
+        return known.own if self._rows is None else [known.own[row] for row in self._rows.tolist()]
+
+    @property
+    def _table(self) -> ProfileTable:
+        known = self.context.profiles
+        return ProfileTable() if known is None else known.table
+
+    @property
+    def make(self) -> Words:
+        """Make of the robot, (n,): ``create``, ``sim``, ..."""
+        return np.array(["" if each is None else each.make for each in self._profiles()], np.str_)
+
+    def can(self, capability: str) -> Flags:
+        """Tell which robots (n,) have a capability: an actuator's name, "bumps", or one of the fleet file."""
+        return np.array([each is not None and capability in each.capabilities for each in self._profiles()], bool)
+
+    @property
+    def neighbour_make(self) -> Words:
+        """Make of the neighbour, (e,); empty: not received yet."""
+        return self._table.makes(self.other)
+
+    def neighbour_can(self, capability: str) -> Flags:
+        """Tell which neighbours (e,) are known to have a capability; see :meth:`can`."""
+        return self._table.can(self.other, capability)
+
+    @property
+    def neighbour_battery(self) -> Array:
+        """Charge of the neighbour, (e,) 0 to 1, some seconds old; -1: unknown."""
+        return self._table.battery(self.other)
+
+    @property
+    def neighbour_limits(self) -> Array:
+        """Greatest speed, turn rate and acceleration of the neighbour, (e, 3) m/s, rad/s, m/s²; NaN: unknown."""
+        return self._table.limits(self.other)
 
     @property
     def random(self) -> Draws:

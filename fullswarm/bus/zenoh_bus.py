@@ -43,6 +43,8 @@ LONGEST_NAME = 128
 RETRY_FIRST_S, RETRY_LAST_S, RETRY_FACTOR = 0.1, 0.5, 2
 CLOSE_S = 0.5
 """Longest wait for a session to end: with a frozen hub zenoh itself would take nine seconds."""
+LEAVE_S = 1.0
+"""Longest wait at the end of the process, which aborts if a thread returns from zenoh into the shutdown."""
 
 _COMMON: dict[str, object] = {
     # No discovery: the default settings join any zenoh on the local network.
@@ -114,7 +116,7 @@ class HubLink:
         self._is_up, self._closing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="fullswarm-bus", daemon=True)
         # Without it a message that arrives while the interpreter shuts down finds no interpreter.
-        atexit.register(self.close)
+        atexit.register(self._leave)
         self._thread.start()
 
     def _serve(self) -> None:
@@ -173,12 +175,17 @@ class HubLink:
 
     def close(self) -> None:
         """End the session; return within `CLOSE_S` even when the hub is frozen. Closing twice is fine."""
-        atexit.unregister(self.close)
         self._closing.set()
         with self._lock:
             self.up = False
             self._is_up.clear()
         self._thread.join(CLOSE_S)
+        if not self._thread.is_alive():
+            atexit.unregister(self._leave)
+
+    def _leave(self) -> None:
+        self.close()
+        self._thread.join(LEAVE_S)
 
 
 class Inbox:

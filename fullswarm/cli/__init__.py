@@ -8,6 +8,7 @@ file               commands
 ``mission.py``     `request FILE.toml`, `mission show|pause|resume|abort|confirm`
 ``estop.py``       `estop`
 ``status.py``      `status`, `watch`, `behaviours`, `robots` without a verb
+``tryout.py``      `try`
 ``params.py``      `params get|set|history|watch`
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fullswarm import __version__
-from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status
+from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
 from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
@@ -159,6 +159,9 @@ def demo(
     return run_live(
         config, DemoOptions(seconds, as_json, headless, console, stay, open_browser, _developed(reload, fleet))
     )
+
+
+app.command("try", rich_help_panel=START)(tryout.try_)
 
 
 @app.command(rich_help_panel=START)

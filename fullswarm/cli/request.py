@@ -11,7 +11,7 @@ from fullswarm import output
 from fullswarm.cli import completion
 from fullswarm.cli.mission import check_options, is_mission, start
 from fullswarm.cli.options import Json, RobotArguments, Robots, Take, Timeout, robot_ids, shell_command
-from fullswarm.cli.values import parse_parameters
+from fullswarm.cli.values import parse_needs, parse_parameters, parse_roles
 from fullswarm.errors import FullswarmError, RequestRefused, SafetyStop, Unreachable
 from fullswarm.reasons import Code, holds
 
@@ -50,6 +50,21 @@ Team = Annotated[
         "all (default: as the behaviour's record says).",
     ),
 ]
+NeedsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--needs",
+        metavar="KEY=VALUE",
+        help="What robots must be able to do: capabilities=gripper, speed_m_s=0.3, makes=create, battery=0.5. Others "
+        "are left out, or refused if they are named.",
+    ),
+]
+RolesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--role", metavar="ROLE=A,B", help="Give a role to robots, @groups or +capabilities: carrier=r1,+gripper."
+    ),
+]
 Stick = Annotated[float, typer.Option(min=-1, max=1, help="Share of the robot's full rate, -1 to 1.")]
 
 
@@ -75,6 +90,8 @@ def request(
         typer.Option("--until-end", help="Wait until the behaviour has ended on all robots; Ctrl-C leaves it running."),
     ] = False,
     team: Team = "",
+    needs: NeedsOption = None,
+    roles: RolesOption = None,
     take: Take = False,
     timeout: Timeout = 5.0,
     as_json: Json = False,
@@ -90,10 +107,11 @@ def request(
     from fullswarm.operator import session
 
     if check or is_mission(behaviour):
-        check_options(behaviour, given=bool(robots or settings or team))
+        check_options(behaviour, given=bool(robots or settings or team or needs or roles))
         follow = bool(wait) or until_end
         return start(target, Path(behaviour), check=check, wait=follow, take=take, timeout=timeout, as_json=as_json)
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
+    needed, given_roles = parse_needs(needs or ()), parse_roles(roles or ())
     newest: RequestStatus | None = None
     shown = ""
     with session.connect(target) as connection:
@@ -115,7 +133,9 @@ def request(
         if until_end:
             connection.on_interrupt = connection.finish
             connection.runtime.after(timeout, lambda: None if newest else connection.finish())
-        connection.operator.request(behaviour, ids, parameters, receive, take=take, team=team)
+        connection.operator.request(
+            behaviour, ids, parameters, receive, take=take, team=team, needs=needed, roles=given_roles
+        )
         connection.run(None if until_end else timeout)
         if newest is None:
             raise connection.no_core(timeout)
@@ -180,10 +200,15 @@ def status_lines(status: RequestStatus) -> list[str]:
     for title, names in (
         ("confirmed by", status.running),
         ("refused by", status.refused_by),
+        ("left out", status.left_out),
         ("missing, will get it when they join", status.missing),
     ):
         if names:
             lines.append(f"{title}: {', '.join(names)}")
+    lines += [
+        f"{role}: {', '.join(robot for robot, each in status.roles.items() if each == role)}"
+        for role in dict.fromkeys(status.roles.values())
+    ]
     lines += [f"{each.robot}: {each.outcome}" + (f", {each.text}" if each.text else "") for each in status.results]
     return lines
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 COLLECT_S = 1.0
 """Two periods of the health reports."""
+USUAL = ("bodies", "bumps", "obstacles", "pose", "reverse")
+"""Capabilities that the list of robots leaves out; `--json` has them."""
 REFRESH_S = 0.25
 GROUPS_TIMEOUT_S = 3.0
 
@@ -87,7 +89,7 @@ def list_robots(target: Target, *, as_json: bool) -> int:
     if as_json:
         output.data_json(seen.as_dict()["robots"])
         return 0
-    table = output.plain_table("robot", "make", "model", "state", "battery", "firmware", "driver")
+    table = output.plain_table("robot", "make", "model", "state", "battery", "firmware", "driver", "can")
     for row in seen.robots:
         table.add_row(*map(escape, _robot_cells(row)))
     output.data_table(table)
@@ -150,15 +152,16 @@ def _collect(target: Target, ids: tuple[str, ...] = ()) -> Snapshot:
 
 def _robot_cells(row: RobotRow) -> tuple[str, ...]:
     health = row.health
+    can = " ".join(each for each in (row.profile.capabilities if row.profile else ()) if each not in USUAL) or "-"
     if health is None:
-        return row.robot, "-", "-", "no health report", "-", "-", "-"
+        return row.robot, "-", "-", "no health report", "-", "-", "-", can
     battery = "-" if health.battery < 0 else f"{health.battery:.0%}"
     state = "SILENT" if row.silent else health.lifecycle
-    return row.robot, health.make, health.model, state, battery, health.firmware or "-", health.driver
+    return row.robot, health.make, health.model, state, battery, health.firmware or "-", health.driver, can
 
 
 # ---------------------------------------------------------------- behaviours
-NEW = "new"
+NEW, PICTURE = "new", "picture"
 
 
 @shell_command()
@@ -171,16 +174,35 @@ def behaviours(
     centralised: Annotated[
         bool, typer.Option("--centralised", help="With `new`: a law that the base station computes for all robots.")
     ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="With `picture`: a .png or .svg (default: NAME.png)."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="With `picture`: a parameter.")
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option("--count", min=1, max=1000, help="With `picture`: how many robots.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.1, max=1e5, help="With `picture`: simulated time.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="With `picture`: of the start places.")] = None,
     timeout: Timeout = 3.0,
     as_json: Json = False,
 ) -> int:
-    """List the behaviours that can be requested, or the parameters of one. `behaviours new NAME` writes one.
+    """List the behaviours that can be requested, or the parameters of one.
 
-    `new` writes the control law, its record and its test into the Python package around the current folder, or into a
-    new one.
+    `behaviours new NAME` writes a control law, its record and its test into the Python package around the current
+    folder, or into a new one. `behaviours picture NAME` runs a behaviour in lockstep and draws starts, trails and ends.
     """
     from rich.markup import escape
 
+    if name == PICTURE:
+        changes = {"robots": count, "seconds": seconds, "seed": seed}
+        return _picture(new_name, out, {key: each for key, each in changes.items() if each is not None}, settings or ())
+    if out is not None or settings or count is not None or seconds is not None or seed is not None:
+        raise ConfigError(f"-o, --set, --count, --seconds and --seed go with `{PICTURE}` only", where="behaviours")
     if name == NEW:
         from fullswarm.bringup.new_behaviour import run
 
@@ -207,6 +229,23 @@ def behaviours(
         output.data_table(_parameter_table(records[name]))
     else:
         output.progress("`fullswarm behaviours NAME` shows the parameters of one")
+    return 0
+
+
+def _picture(name: str | None, out: Path | None, changes: dict[str, Any], settings: Iterable[str]) -> int:
+    """Draw a behaviour; count the contacts, which a picture can hide."""
+    from fullswarm.cli.values import parse_parameters
+    from fullswarm.lab import gallery
+
+    if name is None:
+        raise ConfigError(
+            "it needs a behaviour", where=f"behaviours {PICTURE}", hint="fullswarm behaviours picture flocking_bc"
+        )
+    path = out or Path(f"{name}.png")
+    scene = gallery.scene_of(name, changes, parse_parameters(settings))
+    found = gallery.draw(name, scene, path)
+    touching = int(found.touching.any(axis=0).sum())
+    output.data(f"{path}: {scene.robots} robots, {scene.seconds:g} s, {touching} of them touched something")
     return 0
 
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, cast
 from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
-    from fullswarm.messages import Value
+    from fullswarm.messages import Needs, Value
 
 
-def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
-    """Return the parameters that ``--set key=value`` options give.
+def parse_parameters(options: Iterable[str], where: str = "--set") -> dict[str, Value]:
+    """Return the parameters that ``--set key=value`` options give; `where` is how an error names the option.
 
     Raises
     ------
@@ -27,11 +27,59 @@ def parse_parameters(options: Iterable[str]) -> dict[str, Value]:
         key, equals, raw = option.partition("=")
         key = key.strip()
         if not equals or not key:
-            raise ConfigError(f"'{option}' is not key=value", where="--set", hint="e.g. --set speed=0.3")
+            raise ConfigError(
+                f"'{option}' is not key=value", where=where, hint=f"e.g. {where} speed=0.3".replace("parameters ", "")
+            )
         if key in found:
-            raise ConfigError("is given twice", where=f"--set {key}")
-        found[key] = parse_value(raw, where=f"--set {key}")
+            raise ConfigError("is given twice", where=f"{where} {key}")
+        found[key] = parse_value(raw, where=f"{where} {key}")
     return found
+
+
+def parse_needs(options: Iterable[str]) -> Needs:
+    """Return what ``--needs key=value`` options need; lists are separated by commas.
+
+    Raises
+    ------
+    ConfigError
+        No such key, or a value that it cannot have.
+    """
+    import msgspec
+
+    from fullswarm.messages import Needs
+
+    found: dict[str, Any] = {}
+    for option in options:
+        key, _, raw = option.partition("=")
+        names = key.strip() in ("capabilities", "makes")
+        found[key.strip()] = _words(raw) if names else parse_stored(raw, where=f"--needs {key.strip()}")
+    try:
+        return msgspec.convert(found, Needs)
+    except msgspec.ValidationError as error:
+        hint = f"known: {', '.join(Needs.__struct_fields__)}"
+        raise ConfigError(str(error), where="--needs", hint=hint) from None
+
+
+def parse_roles(options: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the roles that ``--role role=a,@b,+c`` options give.
+
+    Raises
+    ------
+    ConfigError
+        No equals sign, or nothing after it.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for option in options:
+        role, _, raw = option.partition("=")
+        names = _words(raw)
+        if not role.strip() or not names:
+            raise ConfigError(f"'{option}' gives no role", where="--role", hint="e.g. --role carrier=r1,+gripper")
+        found[role.strip()] = (*found.get(role.strip(), ()), *names)
+    return found
+
+
+def _words(raw: str) -> tuple[str, ...]:
+    return tuple(word for each in raw.split(",") if (word := each.strip()))
 
 
 def parse_value(raw: str, where: str = "") -> Value:

@@ -12,6 +12,8 @@
     behaviour = "move_to_goal_bc"        # none: the robots stand, the track waits
     parameters = { goal = [8.0, 2.0] }
     team = "group"                       # whom its law counts as neighbours; default: as its record says
+    needs = { speed_m_s = 0.3 }          # robots that cannot are left out, or refused if they are named
+    roles = { leader = ["r1"] }          # robots, "@groups" or "+capabilities" of each role
     done = { arrived = "all" }           # when = "all" | "any" of: arrived, time_s, metric, confirm
     after = ["east/out"]                 # steps of other tracks that must be over before it begins
     fail_after_s = 60.0
@@ -39,7 +41,15 @@ from fullswarm.config.models import Section
 from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers, own_errors, parse_toml, validated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import ROBOT_ID
-from fullswarm.messages import MissionPlan, MissionProblem, MissionStep, MissionTrack, StepConditions, Value
+from fullswarm.messages import (
+    MissionPlan,
+    MissionProblem,
+    MissionStep,
+    MissionTrack,
+    Needs,
+    StepConditions,
+    Value,
+)
 
 MAIN = "main"
 """The track of a file that has only steps."""
@@ -105,11 +115,22 @@ class StepSection(Section):
     robots: tuple[str, ...] | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     team: str = Field("", max_length=65)
+    needs: dict[str, Any] = Field(default_factory=dict)
+    roles: dict[str, tuple[str, ...]] = Field(default_factory=dict, max_length=64)
     done: DoneSection = DoneSection()
     after: tuple[str, ...] = ()
     fail_after_s: float = Field(0.0, ge=0.0, le=1e9)
     on_failed: Literal["pause", "abort", "continue"] = "pause"
     keep_running: bool = False
+
+    @field_validator("needs")
+    @classmethod
+    def _known(cls, given: dict[str, Any]) -> dict[str, Any]:
+        try:
+            msgspec.convert(given, Needs)
+        except msgspec.ValidationError as error:
+            raise ValueError(str(error)) from None
+        return given
 
     @field_validator("parameters")
     @classmethod
@@ -237,6 +258,8 @@ def _step(number: int, step: StepSection, robots: tuple[str, ...]) -> MissionSte
         robots=robots if step.robots is None else step.robots,
         parameters=msgspec.convert(step.parameters, dict[str, Value]),
         team=step.team,
+        needs=msgspec.convert(step.needs, Needs),
+        roles=dict(step.roles),
         done=StepConditions(
             when=done.when,
             arrived=done.arrived or "",
@@ -316,8 +339,9 @@ def _condition_problems(step: MissionStep) -> Iterator[tuple[str, str]]:
             parse_comparison(done.metric)
         except ConfigError as error:
             yield "done.metric", str(error)
-    if step.team and not step.behaviour:
-        yield "team", "the step has no behaviour that it is for"
+    for key, given in (("team", step.team), ("needs", step.needs != Needs()), ("roles", step.roles)):
+        if given and not step.behaviour:
+            yield key, "the step has no behaviour that it is for"
     if step.parameters and not step.behaviour:
         yield "parameters", "the step has no behaviour that they are for"
     if step.keep_running and not step.behaviour:

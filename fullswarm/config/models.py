@@ -74,7 +74,12 @@ def _conditions(text: str) -> str:
     return text
 
 
+def _ability(text: str) -> str:
+    return _name(text, "capability")
+
+
 RobotId = Annotated[str, AfterValidator(_robot_id)]
+Ability = Annotated[str, AfterValidator(_ability)]
 GroupName = Annotated[str, AfterValidator(_group_name)]
 SwarmName = Annotated[str, AfterValidator(_swarm_name)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # m
@@ -275,7 +280,8 @@ class RobotConfig(Section):
     emulate: Annotated[str, Field(min_length=1, max_length=64)] | None = (
         None  # the world gives it a body and a port; its real driver talks to that
     )
-    pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad); simulated robots only
+    pose: tuple[Coordinate, Coordinate, float] | None = None  # start: x, y (m), heading (rad)
+    capabilities: tuple[Ability, ...] = Field((), max_length=32)  # beside those of its make: "carry", "camera"
     host: str = ""  # its companion computer, for `fullswarm deploy`; empty: <id>.local
     ssh_user: str = "fullswarm-admin"
     ssh_port: int = Field(22, ge=1, le=65535)

@@ -8,6 +8,7 @@ In: ``BehaviourRequest``, ``MissionRequest`` and ``StopRequest`` of the operator
 ``behaviours.py``      reads and checks the records of behaviours; completes a request's parameters by its record
 ``main_controller.py`` looks a request up, refuses or accepts it, passes it on
 ``groups.py``          ``@name`` stands for a group of robots wherever a request names robots
+``roles.py``           which robots take part in a request, and which role each has
 ``teams.py``           which robots the control laws of a request count as neighbours
 ``leases.py``          which operator drives which robots (decision 17)
 ``request_order.py``   which request or stop of an operator is the newest for each robot

@@ -10,7 +10,7 @@ import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from pydantic import Field, ValidationError, model_validator
@@ -20,8 +20,9 @@ from fullswarm.config import Section
 from fullswarm.config.models import EXPIRES_S
 from fullswarm.config.parameter import Parameter, Raw
 from fullswarm.errors import ConfigError, RequestRefused, did_you_mean
+from fullswarm.fitness import ANYTHING
 from fullswarm.keys import ROBOT_ID
-from fullswarm.messages import ParamEntry, Value
+from fullswarm.messages import Needs, ParamEntry, Value
 from fullswarm.reasons import Code
 from fullswarm.store import Store, Stored
 
@@ -40,6 +41,30 @@ FORMATION = ("targets", "shape", "centre", "spacing_m")
 """Parameters that a record with `formation` must declare; they become a target per robot."""
 
 
+class NeedsSection(Section):
+    """``needs``: what a robot must be able to do. A number may be the name of a parameter, whose value is needed."""
+
+    capabilities: tuple[str, ...] = Field((), max_length=64)
+    makes: tuple[str, ...] = Field((), max_length=64)
+    speed_m_s: Annotated[float, Field(ge=0.0, le=1e4)] | str = 0.0
+    turn_rad_s: Annotated[float, Field(ge=0.0, le=1e4)] | str = 0.0
+    accel_m_s2: Annotated[float, Field(ge=0.0, le=1e5)] | str = 0.0
+    radius_m: Annotated[float, Field(ge=0.0, le=1e5)] | str = 0.0
+    battery: Annotated[float, Field(ge=0.0, le=1.0)] | str = 0.0
+
+
+NO_NEEDS = NeedsSection()
+
+
+class RoleSection(Section):
+    """``roles.<name>``: who may have a role, and how many must or may."""
+
+    needs: tuple[str, ...] = Field((), max_length=64)  # capabilities
+    at_least: int = Field(0, ge=0, le=10_000)
+    at_most: int | None = Field(None, ge=1, le=10_000)
+    doc: str = ""
+
+
 class Record(Section):
     """A behaviour that can be requested by name."""
 
@@ -50,6 +75,9 @@ class Record(Section):
     filtered: bool = False  # behind the safety filter (`_bc`)
     survives_core: bool = False
     team: Literal["request", "group", "swarm"] = "request"  # which robots the law counts as neighbours
+    needs: NeedsSection = NeedsSection()  # what its robots must be able to do
+    roles: dict[str, RoleSection] = Field(default_factory=dict, max_length=64)  # that its law gives to robots
+    finished: Literal["leaves", "stays"] = "leaves"  # what a robot that has ended is to the others of its team
     expires_s: float = Field(0.0, ge=EXPIRES_S[0], le=EXPIRES_S[1])  # > 0: an intent, to be repeated
     formation: Literal["", "each", "assigned"] = ""  # a target per robot, or all targets to the centralised node
     parameters: dict[str, Parameter] = Field(default_factory=dict)
@@ -69,6 +97,14 @@ class Record(Section):
         missing = [name for name in FORMATION if name not in self.parameters] if self.formation else []
         if missing:
             raise ValueError(f"a formation needs the parameters {', '.join(missing)}")
+        for name, value in self.needs:
+            if isinstance(value, str) and value not in self.parameters and value not in self.static:
+                raise ValueError(f"needs.{name}: there is no parameter '{value}'")
+        for name in self.roles:
+            if not ROBOT_ID.match(name):
+                raise ValueError(f"'{name}' cannot name a role: use letters, digits, '-' and '_', 64 at most")
+        if self.roles and self.expires_s > 0.0:
+            raise ValueError("roles are not for an intent (expires_s)")
         if self.team == "group" and self.expires_s > 0.0:
             raise ValueError('team = "group" is not for an intent (expires_s), which is sent too often')
         if self.team != "request" and self.centralised:
@@ -260,6 +296,24 @@ class Library:
             if other != name and isinstance(raw, dict) and "like" in raw:
                 make_record(other, tables)
         return value  # type: ignore[return-value]  # make_record has just read it as a table
+
+    def needs(self, record: Record, parameters: Mapping[str, Value]) -> Needs:
+        """Return what a request with these parameters needs of its robots by the record."""
+        if record.needs == NO_NEEDS:  # a stick sends twenty requests a second
+            return ANYTHING
+        values: dict[str, Stored] = dict(record.static)
+        for name, parameter in record.parameters.items():
+            given = parameters.get(name)
+            values[name] = _default(parameter, self._store.get) if given is None else given
+        found: dict[str, Any] = {}
+        for name, needed in record.needs:
+            value = values.get(needed) if isinstance(needed, str) else needed
+            if isinstance(value, tuple | float | int):  # anything else is refused with the parameters
+                found[name] = value
+        try:
+            return msgspec.convert(found, Needs)
+        except msgspec.ValidationError:  # a number out of range, which is refused with the parameters
+            return ANYTHING
 
     def resolve(
         self, record: Record, parameters: Mapping[str, Value], robots: Sequence[str]

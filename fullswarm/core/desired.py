@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from fullswarm.messages import ControlAck, ControlRequest, Result, RobotHealth, Value
+from fullswarm.messages import ControlAck, ControlRequest, Needs, Result, RobotHealth, Value
 from fullswarm.reasons import NONE, Code, Reason, given, reason
 
 RESEND_S = 0.1
@@ -39,6 +39,9 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     team: int = 0
     peers: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
+    roles: tuple[str, ...] = ()
+    needs: Needs | None = None
+    stays: bool = False
     filtered: bool = False
     centralised: bool = False
     survives_core: bool = False
@@ -121,6 +124,9 @@ class Desired:
             team=filled.team,
             peers=filled.peers,
             members=filled.members,
+            roles=filled.roles,
+            needs=filled.needs,
+            stays=filled.stays,
             centralised=filled.centralised,
             survives_core=filled.survives_core,
             expires_s=filled.expires_s,

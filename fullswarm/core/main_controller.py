@@ -14,6 +14,8 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import msgspec
+
 from fullswarm.bus import Bus
 from fullswarm.core.behaviours import Library, Record
 from fullswarm.core.centralised import missing_packages
@@ -24,9 +26,11 @@ from fullswarm.core.remap import Remapper
 from fullswarm.core.request_handler import RequestHandler
 from fullswarm.core.request_order import Line, RequestOrder
 from fullswarm.core.request_status import StatusBoard
+from fullswarm.core.roles import roles_of, select
 from fullswarm.core.roster import Roster
 from fullswarm.core.teams import NO_TEAM, TeamOf, team_of
 from fullswarm.errors import RequestRefused, did_you_mean
+from fullswarm.fitness import ANYTHING, both
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     STOP,
@@ -37,7 +41,6 @@ from fullswarm.messages import (
     Phase,
     RequestStatus,
     StopRequest,
-    Value,
 )
 from fullswarm.reasons import NONE, Code, Reason, given, joined, reason
 from fullswarm.runtime import Scheduler
@@ -108,13 +111,17 @@ class MainController:
         Raises
         ------
         RequestRefused
-            No such behaviour, one that expires unless it is repeated, or parameters or a team that do not fit it.
+            No such behaviour, one that expires unless it is repeated, or parameters, robots,
+            roles or a team that do not fit it.
         """
         record = self.library.get(request.behaviour)
         if record.expires_s > 0.0:
             raise RequestRefused(f"'{request.behaviour}' expires unless it is repeated: it is for sticks")
         _check_packages(record)
-        self.library.resolve(record, request.parameters, robots)
+        needs = both(self.library.needs(record, request.parameters), request.needs)
+        fit, _ = select(request, robots, needs, self._roster.profile)
+        roles_of(request, record, fit, self._groups, self._roster.profile)
+        self.library.resolve(record, request.parameters, fit)
         team_of(request, record, robots, self._groups)
 
     def _received(self, request: BehaviourRequest) -> None:
@@ -148,6 +155,9 @@ class MainController:
             raise RequestRefused("the request has no id", hint="give each request an id of its own")
         record = self.library.get(request.behaviour)
         robots = self.addressed(request.robots, lenient=record.name == STOP)
+        needs = both(self.library.needs(record, request.parameters), request.needs)
+        robots, left_out = select(request, robots, needs, self._roster.profile)
+        roles = roles_of(request, record, robots, self._groups, self._roster.profile)
         parameters = self.library.resolve(record, request.parameters, robots)
         _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
@@ -157,11 +167,15 @@ class MainController:
         if not robots:
             self._board.publish(_status(request.id, record.name, "superseded", overtaken, request.robots))
             return
-        line, stamp_s = _line(request), request.stamp_s
-        members = () if record.centralised or record.expires_s > 0.0 else robots
-        orders = {
-            robot: _order(request.id, record, parameters[robot], line, stamp_s, team, members) for robot in robots
-        }
+        common = _order(request.id, record, _line(request), request.stamp_s, team)
+        if needs != ANYTHING:
+            common = msgspec.structs.replace(common, needs=needs)
+        if not record.centralised and record.expires_s == 0.0:  # what a law asks of its request as a whole
+            given_roles = tuple(roles.get(robot, "") for robot in robots) if roles else ()
+            common = msgspec.structs.replace(common, members=robots, roles=given_roles)
+        orders = dict.fromkeys(robots, common)
+        if not record.centralised:  # robots need no parameters of a law that is computed on the base station
+            orders = {robot: msgspec.structs.replace(common, parameters=parameters[robot]) for robot in robots}
         if record.centralised:
             self._remapper.start(
                 CentralisedRequest(
@@ -171,11 +185,13 @@ class MainController:
                     enable=True,
                     robots=robots,
                     parameters=parameters[robots[0]],
+                    roles={robot: roles[robot] for robot in robots if robot in roles},
                     filtered=record.filtered,
                 ),
                 lasting=record.expires_s == 0.0,
             )
-        self._handler.submit(orders, overtaken, at_once=record.name == STOP)
+        why = overtaken or joined(left_out)
+        self._handler.submit(orders, why, at_once=record.name == STOP, left_out=tuple(left_out), roles=roles)
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[Reason, tuple[str, ...]]:
         """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""
@@ -281,7 +297,7 @@ def adopted_order(library: Library, remapper: Remapper, request_id: str, behavio
         return None
     if record.centralised:
         remapper.spare(request_id)
-        return _order(request_id, record, {})
+        return _order(request_id, record)
     return Order(request_id=request_id, behaviour=behaviour, adopted=True)
 
 
@@ -293,25 +309,21 @@ def _line(request: BehaviourRequest) -> Line:
 def _order(
     request_id: str,
     record: Record,
-    parameters: dict[str, Value],
     line: Line = ("", ""),
     stamp_s: float = 0.0,
     team: TeamOf = NO_TEAM,
-    members: tuple[str, ...] = (),
 ) -> Order:
-    # Robots need no parameters of a law that is computed on the base station.
-    given = {} if record.centralised else parameters
+    """Return what the orders of all robots of a request have in common."""
     return Order(
         request_id=request_id,
         behaviour=record.name,
-        parameters=given,
         law=record.law,
         team=team.number,
         peers=team.peers,
-        members=members,
         filtered=record.filtered,
         centralised=record.centralised,
         survives_core=record.survives_core,
+        stays=record.finished == "stays",
         expires_s=record.expires_s,
         operator=line[0],
         clock=line[1],

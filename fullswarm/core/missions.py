@@ -564,7 +564,8 @@ def _essence(status: MissionStatus) -> object:
 def _request_of(step: MissionStep) -> BehaviourRequest:
     """Return what a step requests, for the robots that it names."""
     return BehaviourRequest(
-        id="", behaviour=step.behaviour, robots=step.robots, parameters=step.parameters, team=step.team
+        id="", behaviour=step.behaviour, robots=step.robots, parameters=step.parameters, team=step.team,
+        needs=step.needs, roles=step.roles,
     )  # fmt: skip
 
 

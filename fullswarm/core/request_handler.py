@@ -22,7 +22,7 @@ from fullswarm.core.request_status import Progress, StatusBoard
 from fullswarm.core.roster import Member, Roster
 from fullswarm.keys import Keys
 from fullswarm.messages import CentralisedCommands, Command, ControlAck, Halt, ParamEntry, RequestStatus, Result
-from fullswarm.reasons import NONE, RESULTS, Code, Reason, given, reason
+from fullswarm.reasons import NONE, NOTHING, RESULTS, Code, Reason, given, reason
 from fullswarm.runtime import Scheduler
 from fullswarm.store import Store
 
@@ -86,15 +86,25 @@ class RequestHandler:
         self._restore(request_order)
 
     # ------------------------------------------------------------ called by the main controller
-    def submit(self, orders: Mapping[str, Order], why: Reason = NONE, *, at_once: bool = False) -> None:
+    def submit(
+        self,
+        orders: Mapping[str, Order],
+        why: Reason = NONE,
+        *,
+        at_once: bool = False,
+        left_out: tuple[str, ...] = (),
+        roles: Mapping[str, str] = NOTHING,
+    ) -> None:
         """Order these robots to carry out one request.
 
-        `at_once` skips the schedule interval: a stop waits for nothing.
+        `at_once` skips the schedule interval: a stop waits for nothing. `left_out`, `roles`: for its status.
         """
         if not orders:
             return
         first = next(iter(orders.values()))
-        self._requests[first.request_id] = Progress(first.request_id, first.behaviour, tuple(orders), reason=why)
+        self._requests[first.request_id] = Progress(
+            first.request_id, first.behaviour, tuple(orders), why, left_out, roles
+        )
         # The robots first: the statuses of superseded requests follow at the end, without a timer.
         self._held_back = True
         applied = [robot for robot, order in orders.items() if self._schedule(robot, order, at_once)]

@@ -26,8 +26,10 @@ class Progress:
     request_id: str
     behaviour: str
     robots: tuple[str, ...]
-    ran: bool = False  # all robots present ran it at some time
     reason: Reason = NONE
+    left_out: tuple[str, ...] = ()  # robots that it means, but that are unfit for it
+    roles: Mapping[str, str] = field(default_factory=dict)  # robot → its role, if it has one
+    ran: bool = False  # all robots present ran it at some time
     left: dict[str, Reason] = field(default_factory=dict)  # robot → why it does not hold the request any more
     superseded: bool = False
     results: dict[str, Result] = field(default_factory=dict)  # robot → how its behaviour has ended itself
@@ -86,6 +88,8 @@ class Progress:
             running=tuple(running),
             missing=tuple(missing),
             refused_by=tuple(refused),
+            left_out=self.left_out,
+            roles=dict(self.roles),
             results=tuple(self.results.values()),
         )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import HealthReport, RobotHealth
+from fullswarm.messages import HealthReport, RobotHealth, RobotProfile, RobotProfiles
 from fullswarm.runtime import Scheduler
 
 SILENCE_S = 1.5
@@ -63,7 +63,11 @@ class Roster:
         self._members = {robot: Member(robot) for robot in configured}
         self._on_report: list[Callable[[Member, bool], None]] = []
         self._on_absence: list[Callable[[str], None]] = []
-        self._subscription = bus.subscribe(keys.health(), HealthReport, self._report)
+        self._profiles: dict[str, RobotProfile] = {}
+        self._subscriptions = [
+            bus.subscribe(keys.health(), HealthReport, self._report),
+            bus.subscribe(keys.profile(), RobotProfiles, self._describe, latest=True),
+        ]
         self._timer = scheduler.every(CHECK_S, self._check)
 
     def watch(self, on_report: Callable[[Member, bool], None], on_absence: Callable[[str], None]) -> None:
@@ -89,14 +93,24 @@ class Roster:
         member = self._members.get(robot)
         return member.health if member else None
 
+    def profile(self, robot: str) -> RobotProfile | None:
+        """Return what `robot` is and can do, as it last said; None: it never has."""
+        return self._profiles.get(robot)
+
+    def _describe(self, message: RobotProfiles) -> None:
+        for profile in message.robots:
+            if profile.robot in self._members or ROBOT_ID.match(profile.robot):
+                self._profiles[profile.robot] = profile
+
     def process(self, robot: str) -> str:
         """Return the process of `robot`'s agent; empty before the first report."""
         member = self._members.get(robot)
         return member.process if member else ""
 
     def close(self) -> None:
-        """End the subscription."""
-        self._subscription.close()
+        """End the subscriptions."""
+        for subscription in self._subscriptions:
+            subscription.close()
         self._timer.cancel()
 
     def _report(self, report: HealthReport) -> None:

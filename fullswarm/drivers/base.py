@@ -148,6 +148,21 @@ class Description:
     standstill: Standstill = EXACT
     pose_sigma_m: float = POSE_SIGMA_M  # standard deviation of a sensed position, per axis, while all is well
     actuators: tuple[Actuator, ...] = ()  # what it has beside its wheels; its driver then is an `Actuates`
+    abilities: tuple[str, ...] = ()  # what else it can do, one word each: "carry", "camera"
+
+    @property
+    def capabilities(self) -> tuple[str, ...]:
+        """What it can do, as requests and control laws name it, sorted.
+
+        Its `abilities`, the names of its actuators, and of "bodies", "bumps", "obstacles", "pose" what it senses;
+        "reverse": it can drive backwards.
+        """
+        senses = {
+            "bodies": self.bodies_range_m > 0.0, "bumps": self.senses_bumps, "obstacles": self.senses_obstacles,
+            "pose": self.senses_pose, "reverse": self.limits.can_reverse,
+        }  # fmt: skip
+        found = {*self.abilities, *(each.name for each in self.actuators)}
+        return tuple(sorted(found | {name for name, has in senses.items() if has}))
 
 
 @dataclass(frozen=True, slots=True)

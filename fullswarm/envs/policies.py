@@ -5,7 +5,7 @@
 In a package of its own the module of the control law consists of a few lines (its record: `PolicyLaw.record`):
 
     _law = policy(Path(__file__).with_name("net.onnx"), Spaces(neighbours=5))
-    twist, Memory = _law.twist, _law.Memory
+    velocity, Memory = _law.velocity, _law.Memory
 
 The policy sees and commands the robots at the same instants as in an environment: it is given what a robot observes
 once per `Spaces.period_s`, and its action is in force from the next control period on, until the one after it. So a
@@ -89,7 +89,7 @@ class PolicyLaw:
     def record(self) -> Mapping[str, Any]:
         """Neighbours are all robots in range; the goals are the request's."""
         goals = EACH if self._each else ONE
-        return {"team": "swarm", "static": {"hearing_m": self.spaces.sensing_m}, **goals}
+        return {"team": "swarm", "static": {"hearing_m": self.spaces.sensing_m, "coordination": False}, **goals}
 
     def _law(self, view: View, params: Params, memory: Any) -> Array:
         """Return the actions in force, (n, 2) in SI; ask for and take in new ones when they are due."""

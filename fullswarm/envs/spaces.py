@@ -34,7 +34,8 @@ class Spaces:
     - for each of the nearest `obstacles`, walls included: ``x``, ``y`` from the robot's centre to the nearest point of
       its surface, ``seen``
 
-    The action is ``speed``, ``turn`` or ``east``, ``north``.
+    The action is ``speed``, ``turn`` or ``east``, ``north``. The safety filter can direct a planar velocity around what
+    is in the way, and resolves deadlocks; a twist it slows down.
 
     Attributes
     ----------
@@ -42,7 +43,7 @@ class Spaces:
     sensing_m : how far robots and obstacles are observed; obstacles no farther than the robots sense them
     goal_m : longest distance to the goal that is told apart
     pose : the robot's place in the arena is observed; a policy that does not need it suits any arena
-    action : "twist" or "planar"
+    action : "planar" or "twist"
     speed_m_s, turn_rad_s : largest that can be commanded and observed
     period_s : time between two actions; a whole number of control periods
     scaled : all numbers are divided by the largest, so that they are between -1 and 1; else they are in m, m/s, rad/s
@@ -59,7 +60,7 @@ class Spaces:
     sensing_m: float = 3.0
     goal_m: float = 5.0
     pose: bool = True
-    action: Literal["twist", "planar"] = "twist"
+    action: Literal["twist", "planar"] = "planar"
     speed_m_s: float = 0.5
     turn_rad_s: float = 2.0
     period_s: float = 0.1

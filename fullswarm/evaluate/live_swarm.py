@@ -239,6 +239,7 @@ class LiveSwarm:
             onboard=onboard,
             per_robot=self.summaries.per_robot(),
             coverage=self.summaries.coverage(),
+            memories=self.summaries.memories(),
             deadlocks=int(onboard.get("deadlocks.deadlock_count", 0.0)),
             deadlock_s=round(onboard.get("deadlocks.sidestep_s", 0.0), 3),
         )

@@ -99,6 +99,7 @@ class LockstepSwarm:
             onboard=self._summaries.onboard(),
             per_robot=self._summaries.per_robot(),
             coverage=self._summaries.coverage(),
+            memories=self._summaries.memories(),
             deadlocks=sum(int(agent.deadlocks.deadlock_count.sum()) for agent in self._lockstep.agents),
             deadlock_s=round(self._deadlock_s, 3),
         )

@@ -18,7 +18,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import FullswarmError
 from fullswarm.keys import Keys
-from fullswarm.messages import CoverageMeasurement, Summary, Value
+from fullswarm.messages import BehaviourMemory, CoverageMeasurement, Summary, Value
 from fullswarm.perf.coverage import GridFrame, unpack_bits
 from fullswarm.perf.metrics import METRICS
 
@@ -30,6 +30,28 @@ SAMPLE_S = 0.2
 Numbers = Mapping[str, float]
 Coverage = tuple[GridFrame, NDArray[np.uint8]]
 """A grid, and its cells (rows, columns) of 0 and 1."""
+
+
+MOST_REMEMBERED = 1_000_000
+"""Numbers in a recording of memories at most; what comes later is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memories:
+    """What control laws remembered during a trial: one row per number and report.
+
+    Attributes
+    ----------
+    time_s : (k,) by the clock of the robot's host, since its first report
+    robot, behaviour, name : (k,) whose it is; a field with several numbers is ``name.0``, ``name.1``, ...
+    value : (k,) flags are 0 and 1
+    """
+
+    time_s: NDArray[np.float64]
+    robot: NDArray[np.str_]
+    behaviour: NDArray[np.str_]
+    name: NDArray[np.str_]
+    value: NDArray[np.float64]
 
 
 class TrialFailed(FullswarmError):
@@ -52,12 +74,14 @@ class Report:
     ----------
     onboard : the summaries' numbers, by names like ``work.total_m``
     per_robot : the same by robot
+    memories : what control laws remembered, each second; None: nothing
     deadlocks, deadlock_s : how often robots stepped aside, and for how long in all
     """
 
     onboard: Numbers
     per_robot: Mapping[str, Numbers]
     coverage: Coverage | None
+    memories: Memories | None
     deadlocks: int
     deadlock_s: float
 
@@ -145,13 +169,18 @@ class Summaries:
         self._newest: dict[str, Summary] = {}
         self._grids: dict[str, CoverageMeasurement] = {}
         self._before: frozenset[str] = frozenset()
+        self._memories: list[tuple[float, str, str, str, float]] = []
+        self._began_s: dict[str, float] = {}  # by host, on its clock
         self._subscriptions = [
             bus.subscribe(keys.summary(), Summary, self._on_summary),
             bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._on_grid),
+            bus.subscribe(keys.memory(), BehaviourMemory, self._on_memory),
         ]
 
     def begin(self) -> None:
-        """Ignore the conditions that are met already."""
+        """Ignore the conditions that are met already, and what was remembered before."""
+        self._memories.clear()
+        self._began_s.clear()
         self._before, self.reason = frozenset(metric for metric, each in self._newest.items() if each.finished), ""
 
     def close(self) -> None:
@@ -198,6 +227,26 @@ class Summaries:
             self.reason = summary.reason
             if self._on_finished is not None:
                 self._on_finished()
+
+    def memories(self) -> Memories | None:
+        """Return what control laws have remembered since `begin`; None: nothing."""
+        if not self._memories:
+            return None
+        time_s, robot, behaviour, name, value = zip(*self._memories, strict=True)
+        return Memories(
+            np.array(time_s), np.array(robot, np.str_), np.array(behaviour, np.str_), np.array(name, np.str_),
+            np.array(value),
+        )  # fmt: skip
+
+    def _on_memory(self, message: BehaviourMemory) -> None:
+        began_s = self._began_s.setdefault(message.host, message.stamp_s)
+        time_s = round(message.stamp_s - began_s, 3)
+        for each in message.robots if len(self._memories) < MOST_REMEMBERED else ():
+            for field, values in each.fields.items():
+                for place, value in enumerate(values):
+                    name = field if len(values) == 1 else f"{field}.{place}"
+                    number = math.nan if value is None else value
+                    self._memories.append((time_s, each.robot, each.behaviour, name, number))
 
     def _on_grid(self, grid: CoverageMeasurement) -> None:
         self._grids[grid.host] = grid

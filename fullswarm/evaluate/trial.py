@@ -157,6 +157,7 @@ def drive(
         watched=witness.source,
         approaches=nearest,
         coverage=report.coverage,
+        memories=report.memories,
     )
 
 

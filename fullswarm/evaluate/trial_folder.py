@@ -7,6 +7,7 @@
                       evidence.npz      how near bodies came, and by the `EvidenceMode` how they moved: `Evidence`
                       coverage.npz      `frame` (5,) origin x, y, cell in m, rows, columns; `covered` (rows, columns)
                                         0 or 1: what the swarm's own summarizer has joined
+                      memory.npz        what control laws remembered, see `Memories`; absent if none does
 
 A directory appears whole or not at all: it is written beside its place and moved there.
 """
@@ -42,7 +43,7 @@ from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Cell, Trial, scenario_of
 from fullswarm.evaluate.provenance import Provenance
 from fullswarm.evaluate.scenarios import Scenario
-from fullswarm.evaluate.swarm import Coverage, Numbers
+from fullswarm.evaluate.swarm import Coverage, Memories, Numbers
 from fullswarm.files import replacing
 from fullswarm.perf.coverage import GridFrame
 
@@ -50,6 +51,7 @@ FORMAT = "fullswarm.trial/1"
 TRIALS = "trials"
 TRIAL_FILE, RESULT_FILE, PROVENANCE_FILE = "trial.toml", "result.json", "provenance.json"
 TRAJECTORY_FILE, COVERAGE_FILE, EVIDENCE_FILE = "trajectory.npz", "coverage.npz", "evidence.npz"
+MEMORY_FILE = "memory.npz"
 GRAIN = 1e-5
 """Positions, headings and commands in `Evidence` are whole numbers of this (m, rad, m/s, rad/s)."""
 EVIDENCE_FORMAT = "fullswarm.evidence/1"
@@ -320,6 +322,8 @@ def fill(folder: Path, record: Record, about: Provenance, found: Measurement | s
     for file, kept in ((TRAJECTORY_FILE, found.trajectory), (EVIDENCE_FILE, found.evidence)):
         if kept is not None:
             save_arrays(kept, folder / file)
+    if found.memories is not None:
+        np.savez_compressed(folder / MEMORY_FILE, **asdict(found.memories))
     if found.coverage is not None:
         frame, covered = found.coverage
         numbers = np.array([frame.origin_x_m, frame.origin_y_m, frame.cell_m, frame.rows, frame.columns])
@@ -447,6 +451,18 @@ def read_coverage(folder: Path) -> Coverage:
         return GridFrame(x_m, y_m, cell_m, int(rows), int(columns)), file["covered"]
 
 
+def read_memories(folder: Path) -> Memories:
+    """Return what the control laws of a trial remembered.
+
+    Raises
+    ------
+    ConfigError
+        None remembered anything, or the file is damaged.
+    """
+    with _arrays(folder / MEMORY_FILE, "recording of memories") as file:
+        return Memories(**file)
+
+
 def read_evidence(folder: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of a trial's evidence, by their names in `Evidence`.
 
@@ -521,6 +537,7 @@ class Measurement:
     per_robot: Mapping[str, Numbers] = field(default_factory=dict)
     trajectory: Trajectory | None = None
     coverage: Coverage | None = None  # the swarm's own
+    memories: Memories | None = None
     evidence: Evidence | None = None
     watched: str = "world"
     approaches: Mapping[str, Approach] = field(default_factory=dict)

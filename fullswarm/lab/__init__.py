@@ -6,7 +6,10 @@
 ``commanded.py``  the behaviour of robots that a program commands: twists or velocities from an array
 ``settings.py``   the settings of a laboratory from its arguments
 ``recording.py``  records the true poses, as a trajectory and as a table
+``gallery.py``    draws behaviours, each in a scene of its own: `fullswarm behaviours picture`
 ``pictures.py``   pictures and animations that a notebook shows
+``tryout.py``     `fullswarm try`: a file as a behaviour, shown, with its metrics
+``window.py``     a laboratory in a window while it runs
 """
 
 from __future__ import annotations

@@ -45,6 +45,8 @@ class LawObject(Protocol):
 
 Source = Law | ModuleType | LawObject | Path | str
 FORMS = ("velocity", "twist")
+BESIDE = ("Memory", "Says", "MERGE")
+"""What a function may have as attributes."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,8 @@ def behaviour_of(
 
     Parameters
     ----------
-    parameters : of the request; those that nothing declares are declared by their values
-    on_error : receives what a function raises, which goes on to the agent
+    parameters : of the request; those of a control law that takes ``params`` need not be declared
+    on_error : receives what the control law raises, which goes on to the agent
     filtered : it runs behind the safety filter
     twist : a function returns speed and turn rate, not a planar velocity
 
@@ -78,60 +80,54 @@ def behaviour_of(
     ConfigError
         The file does not load, or nothing in it can be a control law.
     """
+    form = FORMS[twist]
+    function: Any = source
+    parts: Mapping[str, Any] = {each: getattr(source, each) for each in BESIDE if hasattr(source, each)}
+    declared: dict[str, Any] = {}
     if isinstance(source, str | Path):
-        path = Path(source)
-        if not path.is_file():
-            raise ConfigError("no such file", where=str(path))
-        source = _in_file(registry.load_file(path))
-    law: Any
+        source = _loaded(Path(source))
     if isinstance(source, ModuleType):
-        name, law, declared = source.__name__.rpartition(".")[2], _noting(source, on_error), _record_beside(source)
-    elif not _has_law(source):
-        function: Any = source
-        name = getattr(function, "__name__", type(function).__name__)
-        law, declared = _law_of(function, _name(name), twist, on_error), {"parameters": _declared(function)}
+        form, function = _law_in(source, form)
+        parts, declared = vars(source), _record_beside(source)
+        name = source.__name__.rpartition(".")[2] if function.__name__ in FORMS else function.__name__
+    elif _has_law(source):
+        form = next(each for each in FORMS if hasattr(source, each))
+        name, function, parts, declared = source.__name__, getattr(source, form), vars(source), dict(source.record)
     else:
-        name, law, declared = source.__name__, _noting(source, on_error), dict(source.record)
+        name = getattr(source, "__name__", type(source).__name__)
     name = _name(name)
+    taken, named = _arguments(function, name)
+    free = parameters if taken > 1 and "parameters" not in declared else {}
+    known = declared.get("parameters", _declared(named, name))
     record = {"summary": f"{name}, given by a program", **declared, "law": "", "filtered": filtered}
-    known = record.setdefault("parameters", {})
-    record["parameters"] = {**{key: parameter(key, each) for key, each in parameters.items()}, **known}
-    return Given(name, law, record)
+    record["parameters"] = {**{key: parameter(key, each) for key, each in free.items()}, **known}
+    law = _calling(function, name, taken, [each.name for each in named], on_error)
+    others = {key: each for key, each in parts.items() if key not in FORMS}
+    return Given(name, SimpleNamespace(**others, **{form: law}), record)
 
 
-def _noting(source: object, on_error: Callable[[Exception], None]) -> Any:
-    """Return a copy of a module, or of an object like one, whose control law reports what it raises."""
-
-    def noting(law: Law) -> Law:
-        def call(*given: Any) -> Array:
-            try:
-                return law(*given)
-            except Exception as error:  # outside code, whatever it raises
-                on_error(error)
-                raise
-
-        return call
-
-    laws = {form: noting(getattr(source, form)) for form in FORMS if callable(getattr(source, form, None))}
-    return SimpleNamespace(**{**vars(source), **laws})
+def _loaded(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError("no such file", where=str(path))
+    return registry.load_file(path)
 
 
-def _in_file(module: ModuleType) -> ModuleType | Law:
-    """Return a module that has a law, or the one function of a module that has none."""
-    if any(callable(getattr(module, form, None)) for form in FORMS):
-        return module
+def _law_in(module: ModuleType, form: str) -> tuple[str, Any]:
+    """Return the form and the function of a module's control law: by its name, or the one function that there is."""
+    for each in FORMS:
+        if callable(getattr(module, each, None)):
+            return each, getattr(module, each)
     own = [
         each
         for name, each in vars(module).items()
         if inspect.isfunction(each) and each.__module__ == module.__name__ and not name.startswith("_")
     ]
     if len(own) == 1:
-        found: Law = own[0]
-        return found
-    names = ", ".join(each.__name__ for each in own) or "none"
+        return form, own[0]
+    names = ", ".join(each.__name__ for each in own)
     raise ConfigError(
-        f"has several functions or none ({names})", where=str(module.__file__),
-        hint="name the one that is the control law velocity(view, params), or twist for speed and turn rate",
+        f"has no control law; which of its functions is it: {names}?" if own else "has no control law",
+        where=str(module.__file__), hint="define velocity(view), or twist(view) for speed and turn rate",
     )  # fmt: skip
 
 
@@ -175,33 +171,40 @@ def _name(word: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", word).strip("_")[:48] or "behaviour"
 
 
-def _declared(function: Law) -> dict[str, Any]:
-    found = {}
-    for each in inspect.signature(function).parameters.values():
-        if each.kind is inspect.Parameter.KEYWORD_ONLY:
-            if each.default is inspect.Parameter.empty:
-                raise ConfigError(
-                    f"the argument '{each.name}' has no default", where=getattr(function, "__name__", "behaviour"),
-                    hint=f"write {each.name}=0.0: its default declares its type",
-                )  # fmt: skip
-            found[each.name] = parameter(each.name, plain(each.default))
-    return found
+def _arguments(function: Any, name: str) -> tuple[int, list[inspect.Parameter]]:
+    """Return how many of view, params and memory a function takes, and its arguments by keyword.
 
-
-def _law_of(function: Law, name: str, twist: bool, on_error: Callable[[Exception], None]) -> Any:
-    """Return an object like the module of a law, whose function passes keyword arguments and checks what comes back."""
+    Raises
+    ------
+    ConfigError
+        It is none, or takes other arguments.
+    """
     if not callable(function):
         raise ConfigError(
             f"{function!r} is no behaviour",
             hint="its name, a function f(view, params), a module, or the path of a file",
         )
     arguments = inspect.signature(function).parameters.values()
-    named = [each.name for each in arguments if each.kind is inspect.Parameter.KEYWORD_ONLY]
     positional = [each for each in arguments if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
     taken = 3 if any(each.kind is each.VAR_POSITIONAL for each in arguments) else len(positional)
-    memory = getattr(function, "Memory", None)
     if not 1 <= taken <= 3:
         raise ConfigError(f"{name} takes {taken} arguments", hint="define it as f(view, params)")
+    return taken, [each for each in arguments if each.kind is inspect.Parameter.KEYWORD_ONLY]
+
+
+def _declared(named: list[inspect.Parameter], name: str) -> dict[str, Any]:
+    """Return the parameters that arguments by keyword declare by their defaults."""
+    for each in named:
+        if each.default is inspect.Parameter.empty:
+            raise ConfigError(
+                f"the argument '{each.name}' has no default", where=name,
+                hint=f"write {each.name}=0.0: its default declares its type",
+            )  # fmt: skip
+    return {each.name: parameter(each.name, plain(each.default)) for each in named}
+
+
+def _calling(function: Law, name: str, taken: int, named: list[str], on_error: Callable[[Exception], None]) -> Law:
+    """Return a control law that gives a function what it takes, checks what it returns, and reports what it raises."""
 
     def law(view: View, params: Params, *memory: Any) -> Array:
         given = (view, params, *memory)[:taken]
@@ -212,12 +215,7 @@ def _law_of(function: Law, name: str, twist: bool, on_error: Callable[[Exception
             on_error(error)
             raise
 
-    found = SimpleNamespace(**{FORMS[twist]: law})
-    if memory is not None:
-        found.Memory = memory
-    if (says := getattr(function, "Says", None)) is not None:
-        found.Says = says
-    return found
+    return law
 
 
 def checked(answer: object, count: int, name: str) -> Array:
@@ -235,6 +233,8 @@ def checked(answer: object, count: int, name: str) -> Array:
     if found.shape != (count, 2):
         shape = found.shape if isinstance(answer, np.ndarray | list | tuple) else type(answer).__name__
         raise ConfigError(f"{name} returned {shape}, not an array of shape ({count}, 2): one row per robot")
+    if not np.isfinite(found).all():
+        raise ConfigError(f"{name} returned NaN or infinity", hint="is it divided by zero, or without neighbours?")
     return found
 
 

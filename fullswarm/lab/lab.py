@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from fullswarm import registry
@@ -39,6 +40,7 @@ from fullswarm.lab.recording import Recording
 from fullswarm.lab.request import LabRequest
 from fullswarm.lab.settings import from_arguments, from_file
 from fullswarm.launch.lockstep import Lockstep
+from fullswarm.messages import Needs
 from fullswarm.operator.client import Operator
 from fullswarm.output import quiet
 from fullswarm.perf.truth import Truth
@@ -202,6 +204,8 @@ class Lab:
         filtered: bool | None = None,
         twist: bool = False,
         team: str = "",
+        needs: Mapping[str, Any] | None = None,
+        roles: Mapping[str, Iterable[str]] | None = None,
         **parameters: Any,
     ) -> LabRequest:
         """Request a behaviour; it begins with the next step.
@@ -216,6 +220,8 @@ class Lab:
         twist : a function returns speed and turn rate instead of a planar velocity
         team : which robots its control law counts as neighbours: "request", "group", "@name" or "swarm"; default: as
             its record says
+        needs : what robots must be able to do: ``{"capabilities": ["gripper"], "speed_m_s": 0.3}``
+        roles : role → robots, "@groups", "+capabilities"
         parameters : of the behaviour
 
         Raises
@@ -237,7 +243,7 @@ class Lab:
             name = behaviour
         else:
             name = self._give(behaviour, values, filtered is not False, twist)
-        pending = self._operator.request(name, chosen, values, team=team)
+        pending = self._operator.request(name, chosen, values, team=team, needs=_needs(needs or {}), roles=roles)
         self._lockstep.runtime.mailbox.drain()
         request = LabRequest(pending, name, chosen, values, self._cancel)
         self._refuse(request)
@@ -349,7 +355,7 @@ class Lab:
 
         Parameters
         ----------
-        until : checked after each control period; True ends the run
+        until : called after each control period; True ends the run
 
         Raises
         ------
@@ -364,8 +370,7 @@ class Lab:
         before_s = self._passed_s
         end_s = before_s + duration_s
         while self._passed_s < end_s - 1e-9:
-            due_s = end_s if until is None else min(end_s, self._passed_s + self._period_s)
-            self._passed_s = due_s
+            self._passed_s = due_s = min(end_s, self._passed_s + self._period_s)
             self._lockstep.run(max(0.0, self._began_s + due_s - self._lockstep.runtime.now_s()))
             self._raise_failures()
             if until is not None and until(self):
@@ -373,6 +378,8 @@ class Lab:
         return self._passed_s - before_s
 
     def _raise_failures(self) -> None:
+        if not any(agent.controller.law_failed.any() for agent in self._lockstep.agents):
+            return
         failed: dict[str, list[str]] = {}
         for name, (agent, row) in self._rows.items():
             if agent.controller.law_failed[row] and agent.tasks.of[row] is not None and agent.desired.law_error[row]:
@@ -489,6 +496,13 @@ class Lab:
     def _open(self) -> None:
         if self._closed:
             raise ConfigError("the laboratory is closed", where="Lab", hint="open another one")
+
+
+def _needs(given: Mapping[str, Any]) -> Needs:
+    try:
+        return msgspec.convert(dict(given), Needs)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(error), where="needs", hint=f"known: {', '.join(Needs.__struct_fields__)}") from None
 
 
 def _free(name: str) -> Iterable[str]:

@@ -12,7 +12,7 @@ from fullswarm.evaluate.pictures import Film, Scene, Timeline, write_film, write
 from fullswarm.evaluate.trial_folder import Trajectory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Picture:
     """The world from above: robots where they are, and their ways."""
 
@@ -36,12 +36,15 @@ class Picture:
         )  # fmt: skip
         return Path(path)
 
+    def __repr__(self) -> str:
+        return f"<Picture of {len(self.trajectory.ids)} robots>"
+
     def _repr_png_(self) -> bytes:
         """Return what a notebook shows."""
         return _bytes(self.save, ".png")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Animation:
     """What has happened as a film."""
 
@@ -52,6 +55,9 @@ class Animation:
         """Write a .gif or .mp4; return its path."""
         write_film(self.trajectory, Path(path), self.film)
         return Path(path)
+
+    def __repr__(self) -> str:
+        return f"<Animation of {len(self.trajectory.ids)} robots>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a GIF, which every viewer of notebooks plays."""

@@ -6,14 +6,14 @@ Each imports its own layer when it is called: an agent that is started again mus
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from fullswarm.bus.base import Bus
 from fullswarm.clock import wall_time_s
-from fullswarm.config import SwarmConfig
+from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet
 from fullswarm.keys import Keys
 from fullswarm.runtime import LoopStats, Scheduler
@@ -81,13 +81,16 @@ def agent(
     return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
 
 
-def start_poses(config: SwarmConfig) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return where the simulated robots stand at first, (n, 3); those the file does not place get a free place."""
+def start_poses(
+    config: SwarmConfig, robots: Sequence[RobotConfig] | None = None
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Return where `robots` of the file stand at first, (n, 3); None: all. The file's poses, else free places."""
     from fullswarm.simulation.starts import default_starts
 
-    world, robots = config.world_or_default, config.robot
+    world, robots = config.world_or_default, config.robot if robots is None else robots
     if all(each.pose for each in robots):
         return np.array([each.pose for each in robots], float).reshape(-1, 3)
     largest_m = max(world.of_body(each.id).radius_m for each in robots)
-    free = default_starts(world, len(robots), radius_m=largest_m)
+    others = [each.pose for each in config.robot if each.pose and each not in robots]
+    free = default_starts(world, len(robots), others, radius_m=largest_m)
     return np.array([each.pose or tuple(free[row]) for row, each in enumerate(robots)], float)

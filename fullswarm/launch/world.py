@@ -1,7 +1,8 @@
 """The world's process: steps the simulated world in real time and serves all robots in it.
 
 Simulated robots have a UDP port (`WorldServer`), emulated ones (``emulate = "create2"``) a port of their make: their
-agents open it with the make's own driver. Like any supervisory process with cameras, the world also sends emulated
+agents open it with the make's own driver. Real robots of the fleet file are bodies, too, where they report to be
+(``simulation/ghosts.py``). Like any supervisory process with cameras, the world also sends emulated
 robots their poses: `PoseFix` on the bus.
 """
 
@@ -12,18 +13,21 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from fullswarm import registry
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
+from fullswarm.drivers.fleet_file import in_frame
 from fullswarm.drivers.make import Emulator, emulated_as, emulation_part
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.launch.network import emulated_url, port_folder
-from fullswarm.messages import Heartbeat, PoseFix
+from fullswarm.messages import Heartbeat, PoseFix, RobotStates
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
 from fullswarm.simulation.bodies import EMULATED_RATE_HZ, Body, SteppedBodies
+from fullswarm.simulation.ghosts import Ghosts, with_ghosts
 from fullswarm.simulation.server import WorldServer
 from fullswarm.simulation.world import World
 
@@ -40,6 +44,7 @@ class WorldNode:
     Attributes
     ----------
     bodies, emulators : what emulated robots are made of, by robot
+    world : its robots are the simulated ones of the fleet; the real ones are its last movers
 
     Raises
     ------
@@ -60,8 +65,11 @@ class WorldNode:
             settings = settings.model_copy(update={"rate_hz": EMULATED_RATE_HZ, "substeps": 1})
         self._ratio = settings.rate_hz / config.world_or_default.rate_hz
         self._noise = settings.noise
-        ids = [each.id for each in config.robot]
-        self.world = World(settings, ids, nodes.start_poses(config))
+        real = tuple(each.id for each in config.robot if not each.simulated)
+        simulated = [each for each in config.robot if each.simulated]
+        settings = with_ghosts(settings, {robot: _radius_m(config, robot) for robot in real})
+        self.world = World(settings, [each.id for each in simulated], nodes.start_poses(config, simulated))
+        self._ghosts = Ghosts(self.world.movers, real) if real else None
         self._server = WorldServer(self.world, settings.address, insecure_network=insecure_network)
         self.bodies = SteppedBodies(self.world, [each.id for each in skins])
         self.emulators: dict[str, Emulator] = {}
@@ -82,6 +90,7 @@ class WorldNode:
             scheduler.every(1.0 / settings.rate_hz, self._run),
             scheduler.every(HEARTBEAT_S, self._beat, first_s=0.0),
         ]
+        self._subscription = bus.subscribe(self._keys.state(), RobotStates, self._on_states) if real else None
         if skins:
             self._timers.append(scheduler.every(1.0 / FIX_HZ, self._send_fixes))
 
@@ -109,7 +118,13 @@ class WorldNode:
         self._truth = Truth(world.ids, radius_m, nowhere, 0.0, bounds_m, cell_m)
         return SupervisorCalculator(self._bus, self._keys, self._scheduler, self._truth, self._process)
 
+    def _on_states(self, states: RobotStates) -> None:
+        if self._ghosts is not None:
+            self._ghosts.report(states, self._scheduler.now_s())
+
     def _step(self) -> None:
+        if self._ghosts is not None:
+            self._ghosts.move(self._scheduler.now_s())
         self.bodies.before_step()
         self._server.tick()
         self.bodies.after_step()
@@ -148,6 +163,8 @@ class WorldNode:
         """Switch off the emulated robots, give up all ports, let go of the physics."""
         for timer in self._timers:
             timer.cancel()
+        if self._subscription is not None:
+            self._subscription.close()
         self._end()
         if self._folder is not None:
             _tidy(self._folder)
@@ -157,6 +174,16 @@ class WorldNode:
             emulator.close()
         self._server.close()
         self.world.close()
+
+
+def _radius_m(config: SwarmConfig, robot: str) -> float:
+    """Return the radius of a real robot's body, as its make states it."""
+    entry = next(each for each in config.robot if each.id == robot)
+    try:
+        described = registry.driver_class(entry.url)(in_frame(entry.url, config.origin_deg)).description
+    except FullswarmError:  # its driver is installed where its agent runs only
+        return config.world_or_default.of_body(robot).radius_m
+    return float(described.radius_m)
 
 
 def _tidy(folder: Path) -> None:

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, RequestStatus, StopRequest, Value
+from fullswarm.messages import STOP, BehaviourRequest, EStop, EStopReceipt, Needs, RequestStatus, StopRequest, Value
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.runtime import Scheduler, Timer
 
+NOTHING_NEEDED = Needs()
 RESEND_S = 0.2
 STOP_SENDS = 5
 STOP_SPACING_S = 0.1
@@ -110,13 +111,21 @@ class Operator:
         resend: bool = True,
         take: bool = False,
         team: str = "",
+        needs: Needs = NOTHING_NEEDED,
+        roles: Mapping[str, Iterable[str]] | None = None,
     ) -> PendingRequest:
         """Request `behaviour`; send again every 0.2 s until the core has answered that id once.
 
         No `robots` means the whole swarm. `on_status` receives every status of the request until a final one.
         With ``resend=False`` it is sent once, for streams whose next message replaces this one. With ``take=True``
-        the robots are taken over from an operator that holds them. `team`: which robots the control law counts as
-        neighbours, ``request``, ``group``, ``@name`` or ``swarm``; empty: as the behaviour's record says.
+        the robots are taken over from an operator that holds them.
+
+        Parameters
+        ----------
+        team : which robots the control law counts as neighbours, ``request``, ``group``, ``@name`` or ``swarm``; empty:
+            as the behaviour's record says
+        needs : what robots must be able to do, beside what the record needs
+        roles : robots, ``@groups`` and ``+capabilities`` of each role
         """
         request = BehaviourRequest(
             id=self._new_id(),
@@ -124,6 +133,8 @@ class Operator:
             robots=tuple(robots),
             parameters=dict(parameters or {}),
             team=team,
+            needs=needs,
+            roles={role: tuple(names) for role, names in (roles or {}).items()},
             source=self.source,
             operator=self.name,
             take=take,

@@ -39,6 +39,8 @@ class MissionClient:
         As in :class:`~fullswarm.operator.client.Operator`.
     on_status
         Called with each status that is received.
+    watch
+        Receive the missions' states; else only the answers to what is asked.
 
     Attributes
     ----------
@@ -55,6 +57,7 @@ class MissionClient:
         name: str = "",
         clock: str = "",
         on_status: Callable[[MissionStatus], None] | None = None,
+        watch: bool = True,
     ) -> None:
         self._bus, self._keys, self._scheduler = bus, keys, scheduler
         self._source, self._name, self._clock, self._on_status = source, name or source, clock, on_status
@@ -62,7 +65,7 @@ class MissionClient:
         self._pending: dict[str, PendingMissionRequest] = {}
         self._subscriptions = [
             bus.subscribe(keys.mission_reply(), MissionReply, self._replied),
-            bus.subscribe(keys.mission_status, MissionStatus, self._received),
+            *([bus.subscribe(keys.mission_status, MissionStatus, self._received)] if watch else []),
         ]
 
     def ask(
@@ -90,6 +93,11 @@ class MissionClient:
         send()
         pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
         return pending
+
+    def forget(self, pending: PendingMissionRequest) -> None:
+        """Do not send a request again, and do not wait for its answer."""
+        self._pending.pop(pending.request.id, None)
+        self._settle(pending)
 
     def close(self) -> None:
         """Stop sending and unsubscribe. Missions go on."""

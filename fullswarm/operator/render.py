@@ -9,10 +9,12 @@ from rich.table import Table
 
 from fullswarm.messages import Summary
 from fullswarm.operator.robot_state import row_state
-from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, natural
+from fullswarm.operator.view import SILENT_S, RobotRow, Snapshot, memory_text, natural
 from fullswarm.units import UNITS
 
 _NAMES_SHOWN = 8
+_MEMORIES_SHOWN = 4
+"""Of no more robots than this it is shown what their control laws remember."""
 _NUMBERS = (("x m", 6), ("y m", 6), ("head °", 6), ("m/s", 5), ("age s", 5), ("hits", 4))
 _LEAST = frozenset({"head °", "age s"})
 """Columns left out for the holders of the robots."""
@@ -67,6 +69,8 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
         lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
+    if len(snapshot.robots) <= _MEMORIES_SHOWN:
+        lines += [f"{row.robot} remembers {text}" for row in snapshot.robots if (text := memory_text(row.memory))]
     if snapshot.request is not None:
         request = snapshot.request
         reason = f", {request.reason}" if request.reason else ""

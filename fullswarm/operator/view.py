@@ -10,7 +10,20 @@ import msgspec
 
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
-from fullswarm.messages import HealthReport, Heartbeat, Lease, Leases, RequestStatus, RobotHealth, RobotStates, Summary
+from fullswarm.messages import (
+    BehaviourMemory,
+    HealthReport,
+    Heartbeat,
+    Lease,
+    Leases,
+    RequestStatus,
+    RobotHealth,
+    RobotMemory,
+    RobotProfile,
+    RobotProfiles,
+    RobotStates,
+    Summary,
+)
 from fullswarm.runtime import Scheduler
 
 SILENT_S = 2.0
@@ -18,6 +31,9 @@ SILENT_S = 2.0
 
 LEASES_S = 3.0
 """The core reports them each second; older ones may have expired."""
+
+MEMORY_S = 3.0
+"""What a control law remembers is reported each second; older: it has ended."""
 
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
@@ -36,6 +52,8 @@ class RobotRow:
     radius_m: float = math.nan
     host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
+    profile: RobotProfile | None = None  # None: not received yet
+    memory: RobotMemory | None = None  # None: its control law remembers nothing
 
     @property
     def silent(self) -> bool:
@@ -114,6 +132,8 @@ class FleetView:
         self.states_received = 0
         self._health: dict[str, tuple[float, RobotHealth, HealthReport]] = {}
         self._states: dict[str, tuple[float, tuple[float, float, float, float, float]]] = {}
+        self._profiles: dict[str, RobotProfile] = {}
+        self._memories: dict[str, tuple[float, dict[str, RobotMemory]]] = {}  # by host
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
         self._summaries: dict[str, Summary] = {}
         self._request: RequestStatus | None = None
@@ -121,6 +141,8 @@ class FleetView:
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._on_health),
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
+            bus.subscribe(keys.profile(), RobotProfiles, self._on_profiles),
+            bus.subscribe(keys.memory(), BehaviourMemory, self._on_memory, latest=True),
             bus.subscribe(keys.heartbeat(), Heartbeat, self._on_heartbeat, latest=True),
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
@@ -173,7 +195,19 @@ class FleetView:
             radius_m=radius_m,
             host="" if report is None else report.host,
             version="" if report is None else report.version,
+            profile=self._profiles.get(robot),
+            memory=self._memory("" if report is None else report.host, robot, now_s),
         )
+
+    def _memory(self, host: str, robot: str, now_s: float) -> RobotMemory | None:
+        arrived_s, found = self._memories.get(host, (-math.inf, {}))
+        return found.get(robot) if now_s - arrived_s <= MEMORY_S else None
+
+    def _on_profiles(self, message: RobotProfiles) -> None:
+        self._profiles |= {each.robot: each for each in message.robots}
+
+    def _on_memory(self, message: BehaviourMemory) -> None:
+        self._memories[message.host] = self._scheduler.now_s(), {each.robot: each for each in message.robots}
 
     def _on_health(self, report: HealthReport) -> None:
         now_s = self._scheduler.now_s()
@@ -214,4 +248,20 @@ def _robot_as_dict(row: RobotRow) -> dict[str, object]:
         for name in ("age_s", "x_m", "y_m", "heading_rad", "speed_m_s")
     }
     health = {} if row.health is None else msgspec.to_builtins(row.health)
-    return {"robot": row.robot, "silent": row.silent, **numbers, **health}
+    more: dict[str, object] = {
+        "capabilities": [] if row.profile is None else list(row.profile.capabilities),
+        "memory": {} if row.memory is None else {name: list(values) for name, values in row.memory.fields.items()},
+    }
+    return {"robot": row.robot, "silent": row.silent, **numbers, **health, **more}
+
+
+def memory_text(memory: RobotMemory | None) -> str:
+    """Return what a robot's control law remembers in one line; empty: nothing."""
+    if memory is None:
+        return ""
+    fields = (
+        f"{name} {' '.join('-' if each is None else f'{each:.4g}' for each in values)}"
+        for name, values in memory.fields.items()
+    )
+    more = f", and {memory.left_out} more numbers" if memory.left_out else ""
+    return ", ".join(fields) + more

@@ -14,6 +14,7 @@ drives in it has the driver of ``drivers/sim/`` (or, emulated, the one of its ma
 ``approaches.py``       Follows how near bodies come to each other and to obstacles, and the least time to contact
 ``obstacles.py``        Boxes and walls as rows of numbers, and the distance of a point to one
 ``movers.py``           Bodies that no agent commands, on their way from waypoint to waypoint
+``ghosts.py``           Real robots as bodies of the world, where they report to be
 ``sight.py``            Which other bodies a robot sees, and what hides them
 ``starts.py``           Start poses: a spaced grid for robots without one, and a check of all
 

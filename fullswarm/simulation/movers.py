@@ -73,6 +73,7 @@ class Movers:
         self.radius_m = np.array([each.radius_m for each in self._settings])
         self.fastest_m_s = max((each.speed_m_s for each in self._settings), default=0.0)
         self.place = np.zeros((len(self._settings), 2))
+        self._put: dict[int, tuple[float, float]] = {}
         self.set_time(0.0)
 
     def __len__(self) -> int:
@@ -81,7 +82,11 @@ class Movers:
     def set_time(self, time_s: float) -> None:
         """Put all of them where they are at `time_s`."""
         for row, way in enumerate(self._ways):
-            self.place[row] = way.at(time_s)
+            self.place[row] = self._put[row] if row in self._put else way.at(time_s)
+
+    def put(self, row: int, x_m: float, y_m: float) -> None:
+        """Have mover `row` at a place from the next `set_time` on, instead of on its way."""
+        self._put[row] = x_m, y_m
 
     def bodies(self) -> Array:
         """Return centre x, y and radius of each, (m, 3) m."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from fullswarm import memory, registry
+from fullswarm.agent.messaging.declaration import Layout, layout_of
+from fullswarm.agent.messaging.received import Heard, Received
+from fullswarm.agent.messaging.table import Merge, ReplicatedTable, SharedTable
 from fullswarm.agent.view import Context, Params, Shared, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
@@ -26,6 +31,8 @@ RADIUS_M = 0.17
 TICKS = 4
 """How often a law with memory is called for one answer, the first time with new memory."""
 DT_S = 0.02
+MERGED = ((0.0, 1.0), (0.0, -2.0), (1.5, 0.0), (-1.0, 3.0))
+"""Values that merges are tried on."""
 
 
 def check_behaviour(
@@ -38,8 +45,10 @@ def check_behaviour(
 ) -> None:
     """Check a law on random swarms: some, no, all and coincident neighbours, a robot on its own goal.
 
-    A law with memory is asked four times in a row, with memory that is new for each check. Its broadcasts and shared
-    table cannot be checked in this way: test those on robots in lockstep.
+    A law with memory is asked four times in a row, with memory that is new for each check. One that broadcasts receives
+    random values of what it declares from its neighbours, and its shared table begins empty; what a robot broadcasts
+    and writes must follow from its own view, as its answer, and a merge must not depend on order or repetition. Whether
+    robots agree over a network is for a test in lockstep.
 
     Parameters
     ----------
@@ -62,6 +71,7 @@ def check_behaviour(
         No law of that name is registered.
     """
     law = _Law(module_or_name)
+    law.check_merges()
     rows = [{name: _varied(value, row) for name, value in parameters.items()} for row in range(robots)]
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -95,7 +105,7 @@ class _Scene:
     names: tuple[str, ...]  # of `states`
     permutable: bool = True  # no two neighbours are equally near, so that their order cannot matter
 
-    def context(self) -> Context:
+    def context(self, air: _Air | None = None) -> Context:
         """Return what they know beside positions; their random numbers begin anew."""
         count = len(self.ids)
         made = Context.of(np.zeros((count, 2)), np.zeros(count), self.names)
@@ -103,6 +113,8 @@ class _Scene:
         made.since_s = np.linspace(-5.0, 0.0, count)
         generators = {row: np.random.default_rng(row) for row in range(count)}
         made.generator = generators.__getitem__
+        if air is not None:
+            made.channel = lambda _: _Channel(air, self)
         return made
 
     def view(self, context: Context | None = None) -> View:
@@ -151,8 +163,81 @@ class _Scene:
         )
 
 
+@dataclass
+class _Air:
+    """What robots broadcast and write in a row of calls, by name."""
+
+    layout: Layout | None
+    merges: Mapping[str, Merge]
+    said: dict[str, Array] = field(default_factory=dict)
+    tables: dict[str, ReplicatedTable] = field(default_factory=dict)
+
+    def of(self, robot: str) -> tuple[list[float], list[Any]]:
+        """Return what a robot has broadcast last, and its table."""
+        said, table = self.said.get(robot), self.tables.get(robot)
+        return [] if said is None else said.tolist(), [] if table is None else table.items()
+
+
+class _Channel:
+    """What the robots of a scene broadcast and receive through; see ``View``."""
+
+    def __init__(self, air: _Air, scene: _Scene) -> None:
+        self._air, self._scene = air, scene
+
+    def say(self, fields: dict[str, Any]) -> None:
+        """Keep values."""
+        layout = self._layout("say")
+        values = np.empty((len(self._scene.own), layout.width))
+        layout.write(fields, values)
+        for row, each in zip(self._scene.own.tolist(), values, strict=True):
+            self._air.said[self._scene.ids[row]] = each
+
+    @property
+    def heard(self) -> Heard:
+        """Values that are random and the same for each sender, of the neighbours that run the request."""
+        scene, received = self._scene, Received(self._layout("heard"), 10.0)
+        table = np.array([_random_values(received.layout, name) for name in scene.names])
+        table = table.reshape(len(scene.names), received.layout.width)
+        received.put(np.arange(len(table)), table, 0.0)
+        kept = [row for row, sender in enumerate(scene.other.tolist()) if scene.names[sender] in scene.ids]
+        of = np.repeat(np.arange(len(scene.position)), np.diff(scene.start))[kept]
+        senders = scene.other[kept]
+        offset = scene.predicted[senders] - scene.position[of]
+        age_s = np.full(len(of), 0.1)
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        return Heard(len(scene.position), of, offset, distance, senders, received, age_s, scene.names, scene.ids)
+
+    @property
+    def table(self) -> SharedTable:
+        """A table per robot, which begins empty and receives nothing."""
+        return SharedTable(self._replica)
+
+    def _replica(self, row: int) -> ReplicatedTable:
+        robot = self._scene.ids[int(self._scene.own[row])]
+        return self._air.tables.setdefault(robot, ReplicatedTable(robot, self._air.merges))
+
+    def _layout(self, what: str) -> Layout:
+        if self._air.layout is None:
+            raise ConfigError(f"view.{what}: the law declares no class Says")
+        return self._air.layout
+
+
+def _random_values(layout: Layout, name: str) -> Array:
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    values = rng.uniform(-2.0, 2.0, layout.width)
+    for key, found in layout.fields.items():
+        if found.kind is not float:
+            values[layout.columns[key]] = rng.integers(0, 2, layout.widths[key])
+    return values
+
+
 class _Law:
-    """A law's function, called with checks."""
+    """A law's function, called with checks.
+
+    Attributes
+    ----------
+    air : what was broadcast and written in the last call
+    """
 
     def __init__(self, module_or_name: ModuleType | str) -> None:
         named = isinstance(module_or_name, str)
@@ -165,9 +250,33 @@ class _Law:
             )
         self._function: Callable[..., Array] = function
         self._memory: type | None = getattr(module, "Memory", None)
-        if hasattr(module, "Says"):
-            hint = "test it on robots in lockstep, as in examples/behaviours/tests"
-            raise ConfigError("it broadcasts, which needs a network", where=self._name, hint=hint)
+        self._merges: Mapping[str, Merge] = getattr(module, "MERGE", {})
+        try:
+            self._layout = layout_of(module)
+        except ConfigError as error:
+            raise AssertionError(f"{self._name}: {error.what} ({error.where}); {error.hint}") from error
+        self.air = _Air(self._layout, self._merges)
+
+    def check_merges(self) -> None:
+        """Check that each merge of the table gives the same in whatever order and however often values arrive."""
+        for key, merge in self._merges.items():
+            for a, b, c in itertools.product(MERGED, repeat=3):
+                try:
+                    fine = (
+                        merge(a, b) == merge(b, a)
+                        and merge(a, a) == a
+                        and merge(merge(a, b), c) == merge(a, merge(b, c))
+                    )
+                except Exception as error:  # outside code: whatever it raises is what this check is for
+                    raise AssertionError(
+                        f"{self._name}: the merge of '{key}' raises {type(error).__name__}: {error}; values of robots "
+                        "are numbers, or tuples of the same length"
+                    ) from error
+                self.demand(
+                    fine,
+                    f"the merge of '{key}' depends on order or repetition, for example of {a}, {b} and {c}; use min or "
+                    "max",
+                )
 
     def demand(self, fulfilled: bool, otherwise: str) -> None:
         """Raise ``AssertionError`` with the law's name and `otherwise` unless `fulfilled`."""
@@ -181,7 +290,8 @@ class _Law:
             with np.errstate(all="ignore"):
                 answer = self._answer(scene, view, params or Params(scene.rows))
         except ConfigError as error:
-            raise AssertionError(f"{self._name}: {error.what}; add it to the parameters of this check") from error
+            lacks = "; add it to the parameters of this check" if "needs a parameter" in error.what else ""
+            raise AssertionError(f"{self._name}: {error.what}{lacks}") from error
         except Exception as error:  # outside code: whatever it raises is what this check is for
             raise AssertionError(
                 f"{self._name}: raises {type(error).__name__}: {error} for {count} robots, {scene.what}; a law must "
@@ -202,7 +312,12 @@ class _Law:
 
     def _answer(self, scene: _Scene, view: View | None, params: Params) -> Array:
         """Return the law's answer, of the last of some calls in a row if it remembers."""
-        view = view or scene.view()
+        self.air = _Air(self._layout, self._merges)
+        context = scene.context(self.air)
+        if view is None:
+            view = scene.view(context)
+        else:
+            view.context.channel = context.channel
         if self._memory is None:
             return self._function(view, params)
         kept, context = memory.allocate(self._memory, len(scene.position)), view.context
@@ -211,6 +326,26 @@ class _Law:
             context.now_s = tick * DT_S
             answer = self._function(scene.view(context), params, kept)
         return answer
+
+
+def _demand_same(law: _Law, robot: str, air: _Air, why: str) -> None:
+    """Compare what a robot broadcast and wrote in two ways to ask."""
+    (said, table), (said_before, table_before) = law.air.of(robot), air.of(robot)
+    law.demand(_alike(said, said_before), f"{robot} broadcasts {said_before} and {said}: {why}")
+    law.demand(_alike(table, table_before), f"{robot} writes {table_before} and {table} into the table: {why}")
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Compare nested lists of texts and numbers."""
+    if isinstance(one, list | tuple):
+        return (
+            isinstance(other, list | tuple)
+            and len(one) == len(other)
+            and all(_alike(*each) for each in zip(one, other, strict=True))
+        )
+    if isinstance(one, str) or isinstance(other, str):
+        return bool(one == other)
+    return bool(np.isclose(one, other, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True))
 
 
 def _check_answer(law: _Law, scene: _Scene) -> Array:
@@ -233,8 +368,11 @@ def _check_answer(law: _Law, scene: _Scene) -> Array:
 
 def _check_single(law: _Law, scene: _Scene, answer: Array) -> None:
     """One call for n robots must equal n calls for one robot each."""
-    for row in range(len(scene.position)):
+    law.ask(scene)
+    together = law.air
+    for row, robot in enumerate(scene.ids):
         alone = law.ask(scene.only(row))[0]
+        _demand_same(law, robot, together, f"among others and by itself ({scene.what}); a law must not mix robots")
         law.demand(
             _same(alone, answer[row]),
             f"robot {row} gets {answer[row]} among others and {alone} by itself ({scene.what}); a law must not mix "
@@ -243,8 +381,13 @@ def _check_single(law: _Law, scene: _Scene, answer: Array) -> None:
 
 
 def _check_permuted(law: _Law, scene: _Scene, answer: Array, rng: np.random.Generator) -> None:
+    law.ask(scene)
+    before = law.air
+    shuffled = law.ask(scene.shuffled(rng))
+    for robot in scene.ids:
+        _demand_same(law, robot, before, f"the order of the neighbours changes it ({scene.what})")
     law.demand(
-        _same(law.ask(scene.shuffled(rng)), answer),
+        _same(shuffled, answer),
         f"the order of the neighbours changes the answer ({scene.what}); they come in any order, fold them with "
         "view.sum or a maximum",
     )

@@ -61,7 +61,7 @@ class LiveSwarm:
         self.node: WorldNode | None = None
         self.world: WatchedWorld | None = None
         self.server: WorldServer | None = None
-        if watch and any(robot.emulate for robot in self.config.robot):
+        if watch and any(robot.emulate or not robot.simulated for robot in self.config.robot):
             self.node = WorldNode(self.bus, self.runtime, self.config, "world-here")
         elif watch:
             self.world = WatchedWorld(self.config, self.clock)

@@ -118,6 +118,26 @@ def test_a_process_leaves_although_the_hub_is_frozen(endpoint: str) -> None:
     assert (node.returncode, out, errors) == (0, "left\n", "")
 
 
+def test_a_process_that_ends_while_zenoh_looks_for_a_hub_ends_in_order(endpoint: str) -> None:
+    """Even if the bus did not get the time to close: a machine under load, and a slow end of the interpreter."""
+    script = """
+import sys, time
+from fullswarm.bus import zenoh_bus
+from fullswarm.runtime import Mailbox
+
+class Slow:
+    def __del__(self, sleep=time.sleep):
+        sleep(1.0)
+
+slow, zenoh_bus.CLOSE_S = Slow(), 0.0
+zenoh_bus.ZenohBus(Mailbox(), hub=sys.argv[1]).close()
+print("ready", flush=True)
+"""
+    with process(script, endpoint) as child:
+        out, errors = child.communicate(timeout=EXIT_S)
+    assert (child.returncode, out, errors) == (0, "", "")
+
+
 class Talk:
     """A talker and a listener on buses of their own."""
 

@@ -20,9 +20,11 @@ RECORDS = {name: make_record(name, TABLES) for name in TABLES}
 DATABASE: dict[str, Any] = {"agent/safety_margin_m": 0.03, "world/bounds": [[0.0, 0.0], [20.0, 20.0]]}
 
 
-def test_the_file_holds_what_the_paper_names_each_with_its_filtered_twin() -> None:
+def test_the_file_holds_each_behaviour_with_its_filtered_twin() -> None:
     plain = {"move_to_goal", "navigate", "flocking", "rendezvous", "formation", "voronoi_coverage", "drive"}
     plain |= {"formation_assigned", "navigate_each"}
+    plain |= {"dispersion", "aggregation", "leader_follower", "cyclic_pursuit", "perimeter", "area_sweep"}
+    plain |= {"consensus", "average_consensus", "pursuit_evasion", "flocking_adaptive", "flocking_velocity"}
     plain |= {"voronoi_centralised", "teleop_centroid"} | {
         f"move_{way}" for way in ("forward", "backward", "left", "right")
     }

@@ -32,7 +32,7 @@ STARTS = [[1.0, 1.0, 0.0], [1.0, 3.0, 0.5], [3.0, 1.0, 3.0]]
 GOALS = [[6.0, 6.0], [6.0, 1.0], [1.0, 6.0]]
 FORMS = [
     {},
-    {"spaces": Spaces(action="planar", neighbours=1, obstacles=2, pose=False)},
+    {"spaces": Spaces(action="twist", neighbours=1, obstacles=2, pose=False)},
     {"spaces": Spaces(scaled=False, period_s=0.04)},
 ]
 """Settings with all kinds of spaces."""
@@ -119,8 +119,8 @@ def test_scaled_numbers_are_shares_of_the_largest() -> None:
         with closing(env):
             observations.append(env.reset(seed=1)[0]["r2"])
     np.testing.assert_allclose(observations[1], observations[0] / plain.largest, rtol=1e-6)
-    np.testing.assert_allclose(Spaces().velocities([[0.5, -3.0]]), [[0.25, -2.0]])
-    np.testing.assert_allclose(plain.velocities([[0.7, -1.0]]), [[0.5, -1.0]])
+    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]]), [[0.25, -2.0]])
+    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]]), [[0.5, -0.2]])
 
 
 STARTS_XY = [row[:2] for row in STARTS]
@@ -128,7 +128,7 @@ STARTS_XY = [row[:2] for row in STARTS]
 
 def test_a_twist_is_driven_and_a_planar_velocity_too(parallel: Any) -> None:
     ends: dict[str, State] = {}
-    for spaces in (Spaces(scaled=False), Spaces(action="planar", scaled=False)):
+    for spaces in (Spaces(action="twist", scaled=False), Spaces(action="planar", scaled=False)):
         env = parallel(spaces=spaces)
         env.reset()
         for _ in range(60):
@@ -196,7 +196,7 @@ def test_actions_pass_the_filter_unless_it_is_off(parallel: Any) -> None:
         for _ in range(80):
             if "r1" not in env.agents:
                 break
-            _, _, done, _, info = env.step({"r1": np.array([1.0, 0.0]), "r2": np.array([1.0, 0.0])})
+            _, _, done, _, info = env.step({"r1": np.array([1.0, 0.0]), "r2": np.array([-1.0, 0.0])})
             changed[filtered] = changed.get(filtered, 0.0) + info["r1"]["changed_m_s"]
         touched[filtered] = info["r1"]["touched"]
         assert done["r1"] is touched[filtered]
@@ -291,7 +291,7 @@ def test_a_policy_serves_many_robots_and_one(parallel: Any) -> None:
     ways = []
     for act, batched in ((batch, True), (steered, False)):
         with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
-            lab.request(policy(act, batched=batched), goal=[6, 6])
+            lab.request(policy(act, Spaces(action="twist"), batched=batched), goal=[6, 6])
             lab.run(20)
             ways.append(lab.poses)
             assert lab.metrics["collisions.events"] == 0.0
@@ -300,7 +300,7 @@ def test_a_policy_serves_many_robots_and_one(parallel: Any) -> None:
 
 
 def test_others_of_an_environment_may_run_a_policy() -> None:
-    env = SwarmEnv(robots=3, starts=STARTS, goals=GOALS, others=policy(steered, batched=False))
+    env = SwarmEnv(robots=3, starts=STARTS, goals=GOALS, others=policy(steered, Spaces(action="twist"), batched=False))
     env.reset()
     for _ in range(50):
         env.step(np.zeros(2))
@@ -370,7 +370,7 @@ from pathlib import Path
 from fullswarm.envs import Spaces, policy
 
 _law = policy(Path(__file__).with_name("net.onnx"), Spaces(neighbours=1))
-twist, Memory = _law.twist, _law.Memory
+velocity, Memory = _law.velocity, _law.Memory
 """
 RECORD = """
 [homing]

@@ -34,6 +34,31 @@ PARAMETERS: dict[str, dict[str, Any]] = {
         "goal": [3.0, 4.0], "gain": 1.0, "arrive_radius_m": 0.05, "safety_margin_m": 0.03, "barrier_gain_per_s": 2.0,
     },
     "stop": {},
+    "dispersion": {"spacing_m": 2.0, "gain": 0.5},
+    "aggregation": {"gap_m": 0.6, "speed_m_s": 0.4, "turns_per_s": 0.1, "leave_per_s": 0.1, "away_s": 15.0},
+    "leader_follower": {
+        "leader_goal": [3.0, 4.0], "shape": "wedge", "spacing_m": 0.8, "speed_m_s": 0.3, "gain": 1.0, "hearing_m": 30.0,
+    },
+    "cyclic_pursuit": {
+        "radius_m": 2.0, "speed_m_s": 0.3, "gain": 0.5, "direction": "clockwise", "hearing_m": 30.0,
+    },
+    "perimeter": {
+        "corners": [[2.0, 2.0], [8.0, 2.0], [5.0, 7.0]], "speed_m_s": 0.1, "gain": 0.5, "hearing_m": 30.0,
+    },
+    "consensus": {"rate": 1.0, "wait_s": 0.0, "gain": 1.0},
+    "average_consensus": {"quantity": "x", "wait_s": 15.0},
+    "pursuit_evasion": {
+        "evaders": 2, "speed_m_s": 0.4, "evader_m_s": 0.3, "capture_m": 0.6, "hearing_m": 30.0,
+    },
+    "flocking_adaptive": {
+        "repulsion_radius_m": 0.8, "alignment_radius_m": 2.0, "attraction_radius_m": 2.7, "edge_m": 1.5,
+        "separation": 1.5, "alignment": 1.0, "cohesion": 0.5, "cruise_m_s": 0.2,
+    },
+    "flocking_velocity": {
+        "destination": [3.0, 4.0], "spacing_m": 1.0, "speed_m_s": 0.3, "stiffness": 1.0, "matching": 0.6,
+        "navigation": 0.5,
+    },
+    "area_sweep": {"area": [[0.0, 0.0], [10.0, 8.0]], "lane_m": 0.8, "speed_m_s": 0.3},
 }  # fmt: skip
 
 
@@ -179,11 +204,71 @@ def test_a_broken_law_with_memory_is_told_what_is_wrong(spoil: Callable[[View, A
         check_behaviour(with_memory, {}, seeds=range(3))
 
 
-def test_a_law_that_broadcasts_is_not_passed_unchecked() -> None:
-    talking = module(pull)
-    talking.Says = Memory  # type: ignore[attr-defined]
-    with pytest.raises(ConfigError, match="needs a network"):
-        check_behaviour(talking, {})
+def talk(view: View, params: Params) -> Array:
+    """Broadcast and write what follows from the own view: a law without fault."""
+    heard = view.heard
+    middle = (view.position + heard.sum(heard.total)) / (1.0 + heard.count)
+    view.say(total=middle, seen=view.neighbours[:, 0])
+    for row, count in enumerate(view.neighbours[:, 0]):
+        view.table.put(row, "most", [count, float(view.index[row])])
+    return params.gain * (middle - view.position)
+
+
+def talking(law: Callable[[View, Params], Any], says: type = Memory, **merges: Callable[..., Any]) -> ModuleType:
+    made = module(law)
+    made.Says, made.MERGE = says, merges  # type: ignore[attr-defined]
+    return made
+
+
+def test_a_law_that_broadcasts_and_writes_is_checked() -> None:
+    check_behaviour(talking(talk, most=max), {"gain": 1.0}, seeds=range(3))
+
+
+@dataclass
+class Long:
+    much: Array = rows(40)
+
+
+def says_the_mean(view: View, params: Params) -> Array:
+    view.say(total=np.tile(view.position.mean(axis=0), (len(view.position), 1)), seen=0.0)
+    return pull(view, params)
+
+
+def says_a_part(view: View, params: Params) -> Array:
+    view.say(total=1.0)
+    return pull(view, params)
+
+
+def says_the_first(view: View, params: Params) -> Array:
+    heard = view.heard
+    first = np.zeros(len(view.position))
+    first[heard.of[::-1]] = heard.seen[::-1]
+    view.say(total=view.position, seen=first)
+    return pull(view, params)
+
+
+def writes_the_count(view: View, params: Params) -> Array:
+    for row in range(len(view.position)):
+        view.table.put(row, "robots", float(len(view.position)))
+    return pull(view, params)
+
+
+@pytest.mark.parametrize(
+    ("law", "sentence"),
+    [
+        (talking(says_the_mean), "r1 broadcasts .* among others and by itself"),
+        (talking(says_the_first), "order of the neighbours changes it"),
+        (talking(writes_the_count), "r1 writes .* into the table: among others and by itself"),
+        (talking(says_a_part), "declared are total, seen"),
+        (talking(talk, says=Long), "would broadcast 320 bytes"),
+        (talking(talk, most=lambda a, b: a), "merge of 'most' depends on order"),
+        (talking(talk, most=lambda a, b: a + b), "merge of 'most' depends on order"),
+        (talking(talk, most=lambda a, b: a.best), "merge of 'most' raises AttributeError"),
+    ],
+)
+def test_a_broken_law_that_broadcasts_is_told_what_is_wrong(law: ModuleType, sentence: str) -> None:
+    with pytest.raises(AssertionError, match=sentence):
+        check_behaviour(law, {"gain": 1.0}, seeds=range(3))
 
 
 def test_what_is_no_law() -> None:

@@ -8,8 +8,8 @@ import pytest
 from fullswarm.testing import check_behaviour
 
 PARAMETERS: dict[str, dict[str, Any]] = {
-    "leader_follower": {"leader_goal": [3.0, 4.0], "gap_m": 0.8, "speed_m_s": 0.3, "gain": 1.0},
-    "cyclic_pursuit": {"radius_m": 2.0, "speed_m_s": 0.3, "gain": 0.5},
+    "follow_the_leader": {"leader_goal": [3.0, 4.0], "gap_m": 0.8, "speed_m_s": 0.3, "gain": 1.0},
+    "pursue_next": {"radius_m": 2.0, "speed_m_s": 0.3, "gain": 0.5},
     "waypoints": {"waypoints": [[1.0, 1.0], [5.0, 5.0]], "reach_m": 0.1, "kp": 0.8, "ki": 0.05, "kd": 0.1},
     "forage": {
         "food": [[2.0, 2.0], [8.0, 8.0]], "nest": [5.0, 5.0], "loads": 3.0, "sight_m": 1.5, "reach_m": 0.6,

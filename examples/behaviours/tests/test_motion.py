@@ -20,7 +20,7 @@ NETWORKS = [None, "loss=20%,delay=50ms±30"]
 def test_followers_drive_behind_the_leader_in_the_order_of_the_request(network: str | None) -> None:
     swarm = Swarm([(3.0, 3.0, 0.0), (2.0, 4.0, 0.0), (1.0, 2.0, 0.0), (2.5, 1.5, 0.0)], network, sensing_radius_m=6.0)
     try:
-        swarm.request("leader_follower_bc", {"leader_goal": [15.0, 10.0], "gap_m": 0.8}, run_s=60.0)
+        swarm.request("follow_the_leader_bc", {"leader_goal": [15.0, 10.0], "gap_m": 0.8}, run_s=60.0)
         places, contacts = swarm.lockstep.world.pose[:, :2].copy(), swarm.lockstep.world.contacts.copy()
     finally:
         swarm.lockstep.close()
@@ -37,7 +37,7 @@ def test_pursuers_drive_around_one_circle_at_equal_distances(network: str | None
     starts = [(10.0, 12.0, 0.0), (7.0, 10.0, 1.0), (9.0, 7.0, 2.0), (13.0, 8.0, 3.0), (12.0, 11.5, -2.0)]
     swarm = Swarm(starts, network)
     try:
-        swarm.request("cyclic_pursuit_bc", {"radius_m": 2.0}, run_s=80.0)
+        swarm.request("pursue_next_bc", {"radius_m": 2.0}, run_s=80.0)
         places = swarm.lockstep.world.pose[:, :2].copy()
         swarm.lockstep.run(1.0)
         later = swarm.lockstep.world.pose[:, :2].copy()
@@ -99,7 +99,7 @@ def test_foragers_bring_their_loads_and_the_same_seed_gives_the_same_search() ->
     assert np.array_equal(early, again)
 
 
-@pytest.mark.parametrize("name", ["auction", "average", "cyclic_pursuit", "forage", "leader_follower", "waypoints"])
+@pytest.mark.parametrize("name", ["auction", "average", "pursue_next", "forage", "follow_the_leader", "waypoints"])
 def test_law_and_record_together_have_at_most_40_lines(name: str) -> None:
     files = [LAWS / f"{name}{end}" for end in (".py", ".toml")]
     assert sum(len(file.read_text("utf-8").splitlines()) for file in files) <= 40

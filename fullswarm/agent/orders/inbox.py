@@ -18,8 +18,20 @@ from fullswarm.bus.base import Bus
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import Fleet, Hazard
 from fullswarm.errors import FullswarmError
+from fullswarm.fitness import unfit
 from fullswarm.keys import Keys
-from fullswarm.messages import Command, ControlAck, ControlRequest, EStop, Halt, Heartbeat, Ping, Result, StopRequest
+from fullswarm.messages import (
+    Command,
+    ControlAck,
+    ControlRequest,
+    EStop,
+    Halt,
+    Heartbeat,
+    Ping,
+    Result,
+    RobotProfile,
+    StopRequest,
+)
 from fullswarm.reasons import NONE, Code, Reason, given, reason, voided
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -39,6 +51,7 @@ class Inbox:
     Parameters
     ----------
     wake : acts on the change now instead of at the next tick
+    profile : returns what a robot is and can do now
 
     Attributes
     ----------
@@ -50,10 +63,11 @@ class Inbox:
     def __init__(
         self, bus: Bus, keys: Keys, scheduler: Scheduler, config: AgentConfig, fleet: Fleet, state: AgentState,
         tasks: Tasks, controller: RobotController, conflicts: PoseConflicts, wake: Callable[[], None],
+        profile: Callable[[int], RobotProfile],
     ) -> None:  # fmt: skip
         self._bus, self._keys, self._scheduler, self._config = bus, keys, scheduler, config
         self._fleet, self._state, self._tasks, self._controller = fleet, state, tasks, controller
-        self._conflicts, self._wake = conflicts, wake
+        self._conflicts, self._wake, self._profile = conflicts, wake, profile
         ids = fleet.ids
         self.ended = [NONE] * len(ids)
         self.results: list[Result | None] = [None] * len(ids)
@@ -151,6 +165,8 @@ class Inbox:
             conflict = self._conflicts.reason(row)
             if conflict:
                 return conflict
+        if request.needs is not None and (lacks := unfit(request.needs, self._profile(row))):
+            return lacks
         task, before = Task(request, self._sent_s(row, request)), self._tasks.of[row]
         try:
             new_law = before is None or before.law != task.law
@@ -190,6 +206,8 @@ class Inbox:
         code = Code.ARRIVED if outcome == "arrived" else Code.FAILED
         request, said = task.request, text or "no more is said"
         self.void(row, reason(code, behaviour=request.behaviour, text=said))
+        if request.stays:
+            self._tasks.team[row] = request.team  # the others still count it, until its next request or stop
         self.results[row] = Result(request_id=request.request_id, robot=request.robot, outcome=outcome, text=text)
 
     def _drop(self, row: int) -> None:

@@ -355,7 +355,9 @@ class Tasks:
             params=Params(parameters),
             hearing_m=_number(parameters[0].get(HEARING), 0.0),
             exact=tuple(map(parameters[0].get, EXACT)),
-            shared=Shared(requests[0].request_id, requests[0].members) if law in self._apart else None,
+            shared=Shared(requests[0].request_id, requests[0].members, requests[0].roles)
+            if law in self._apart
+            else None,
             memory=kept,
         )
 

@@ -4,5 +4,6 @@
 ``metrics.py``        What robots measure of themselves
 ``waiting.py``        Which silent robots a robot that stands waits for
 ``interventions.py``  What the safety filter changes, in which direction, and because of what
+``remembered.py``     What control laws remember, for recordings and operators
 ``health_file.py``    The result of the health check of a new release, as a file
 """

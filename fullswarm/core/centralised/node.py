@@ -243,6 +243,7 @@ class CentralisedNode:
         view = View(
             scene.rows, job.request.robots, scene.positions, scene.headings, scene.twists, scene.radii,
             state.appeared(scene.rows), now_s - state.since_s, dt_s, self._bounds,
+            job.request.roles,
         )  # fmt: skip
         state.last_s = now_s
         return state.call(view, Params([job.request.parameters] * count))

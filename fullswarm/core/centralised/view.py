@@ -7,11 +7,13 @@ pairs say runs in both places. Every robot of the request is a neighbour of ever
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fullswarm.kernels import Array, Flags, Index
+from fullswarm.reasons import NOTHING
 
 Words = NDArray[np.str_]
 Pairs = tuple[Index, Index]
@@ -32,16 +34,18 @@ class View:
     elapsed_s : since the request was first computed, s
     dt_s : since the call before, s; one period at the first
     bounds_m : x_min, y_min, x_max, y_max of the arena
+    roles : robot → its role in the request, if it has one
     """
 
     def __init__(
         self, index: Index, members: tuple[str, ...], position: Array, heading: Array, twist: Array, radius: Array,
         appeared: Flags, elapsed_s: float, dt_s: float, bounds_m: tuple[float, float, float, float],
+        roles: Mapping[str, str] = NOTHING,
     ) -> None:  # fmt: skip
         self.index, self.members = index, members
         self.position, self.heading, self.twist, self.radius = position, heading, twist, radius
         self.appeared, self.dt_s, self.bounds_m = appeared, dt_s, bounds_m
-        self._elapsed_s = elapsed_s
+        self._elapsed_s, self._roles = elapsed_s, roles
 
     @property
     def time_s(self) -> Array:
@@ -52,6 +56,11 @@ class View:
     def id(self) -> Words:
         """Names of the robots, (n,)."""
         return np.array([self.members[place] for place in self.index.tolist()], np.str_)
+
+    @property
+    def role(self) -> Words:
+        """Role of each robot in the request, (n,); empty: it has none."""
+        return np.array([self._roles.get(self.members[place], "") for place in self.index.tolist()], np.str_)
 
     # ------------------------------------------------------------------ pairs
     @functools.cached_property
@@ -109,6 +118,12 @@ class View:
     def neighbour_index(self) -> Index:
         """Place of each pair's neighbour among `members`, (e,)."""
         found: Index = self.index[self.other]
+        return found
+
+    @property
+    def neighbour_role(self) -> Words:
+        """Role of each pair's neighbour, (e,)."""
+        found: Words = self.role[self.other]
         return found
 
     @property

@@ -12,6 +12,7 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``map.py``       trails, goals, obstacles, covered cells, robots that the filter holds back
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
+``missions.py``  tracks missions: the newest state of each
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
 
@@ -32,6 +33,7 @@ of ``index.html`` and a line in ``main.js``:
 ``selection.js``  the selected robots
 ``fleet.js``      the table of robots and the groups
 ``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters
+``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers

@@ -9,12 +9,14 @@ from typing import Any
 
 from fullswarm.messages import RobotHealth, Summary
 from fullswarm.operator.robot_state import advise, row_state
-from fullswarm.operator.view import RobotRow, Snapshot
+from fullswarm.operator.view import RobotRow, Snapshot, memory_text
 
 CORE = "core"
 CHART_S, CHART_RATE_HZ = 600.0, 2.0
 CHART_NAMES = ("work_m", "coverage", "collisions")
 _CHARTED = (("work", "total_m"), ("coverage", "fraction"), ("collisions", "events"))
+LONGEST_MEMORY = 200
+"""Characters of what a control law remembers."""
 UNKNOWN = RobotHealth(robot="", driver="", make="", model="", firmware="", lifecycle="")
 """A robot of which only the position is received."""
 
@@ -89,6 +91,8 @@ def _robot(row: RobotRow) -> dict[str, Any]:
         "pose_note": health.pose_note,
         "deviation_m_s": _finite(health.deviation_m_s),
         "filter_note": health.filter_note,
+        "capabilities": [] if row.profile is None else row.profile.capabilities,
+        "memory": memory_text(row.memory)[:LONGEST_MEMORY],
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -84,11 +84,21 @@ class Lease(Frame, frozen=True, kw_only=True):
     take: bool = False
 
 
+class Mission(Frame, frozen=True, kw_only=True):
+    """Control a mission; `track` and `step` for confirm."""
+
+    op: Literal["pause", "resume", "abort", "confirm"]
+    mission: Annotated[str, Meta(min_length=1, max_length=64)]
+    track: Annotated[str, Meta(max_length=64)] = ""
+    step: Annotated[str, Meta(max_length=64)] = ""
+    take: bool = False
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Ping
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

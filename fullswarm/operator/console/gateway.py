@@ -18,6 +18,7 @@ from fullswarm.messages import (
     EStopReceipt,
     Interventions,
     Leases,
+    MissionStatus,
     RequestStatus,
     SeenObstacles,
     StopRequest,
@@ -26,6 +27,7 @@ from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
 from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldBack, Obstacles, Trails
+from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
 from fullswarm.operator.console.world import World
@@ -88,7 +90,7 @@ class Gateway:
         self._trails, self._charts, self._goals = Trails(), Charts(), Goals()
         self._coverage, self._obstacles, self._held_back = Coverage(), Obstacles(), HeldBack()
         self._estops, self._stops = EStopTracker(scheduler, self.view.present, self._name_of), StopTracker()
-        self._leases = Leases(leases=())
+        self._leases, self._missions = Leases(leases=()), MissionBoard()
         self._subscriptions = [
             bus.subscribe(keys.behaviour_request, BehaviourRequest, self._on_request),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
@@ -96,6 +98,7 @@ class Gateway:
             bus.subscribe(keys.estop, EStop, self._on_estop),
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
             bus.subscribe(keys.leases, Leases, self._on_leases),
+            bus.subscribe(keys.mission_status, MissionStatus, self._on_mission),
             bus.subscribe(keys.intervention(), Interventions, self._on_intervention, latest=True),
             bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True),
             bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._on_coverage, latest=True),
@@ -188,6 +191,7 @@ class Gateway:
             "obstacles": self._obstacles.shown,
             "filter": lambda: self._held_back.shown(now_s),
             "coverage": self._coverage.shown,
+            "missions": lambda: self._missions.shown(now_s),
             "estop": self._estops.shown,
         }
 
@@ -269,6 +273,10 @@ class Gateway:
         with self._drawing("stop"):
             if self._stops.order is not None and (frame := self._stops.changed_frame(self.view.snapshot(), now_s)):
                 self._send(frame)
+        if self._missions.changed:
+            self._missions.changed = False
+            with self._drawing("missions"):
+                self._send(self._missions.shown(now_s))
         if "world" in changed:
             with self._drawing("world"):
                 self._send({"t": "world", **self._world.shown()})
@@ -300,6 +308,7 @@ class Gateway:
 
     def _send_map(self) -> None:
         self._forget_sessions(self._scheduler.now_s())
+        self._missions.expire(self._scheduler.now_s())
         if self._obstacles.changed:
             self._obstacles.changed = False
             with self._drawing("obstacles"):
@@ -372,6 +381,12 @@ class Gateway:
         with self._drawing("leases"):
             if self._changes.leased(leases.leases, self._scheduler.now_s()):
                 self._send_each(self._leases_frame)
+
+    def _on_mission(self, status: MissionStatus) -> None:
+        now_s = self._scheduler.now_s()
+        with self._drawing("missions"):
+            if text := self._missions.add(status, now_s):
+                self._log_entries.add(now_s, "mission", text, by=status.operator)
 
     def _on_intervention(self, message: Interventions) -> None:
         with self._drawing("filter"):

@@ -17,7 +17,7 @@ from fullswarm.reasons import Code
 
 LOG_LENGTH = 200
 
-LogKind = Literal["request", "refused", "stop", "estop", "lease", "link", "fault"]
+LogKind = Literal["request", "refused", "stop", "estop", "mission", "lease", "link", "fault"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -209,7 +209,9 @@ class Pages:
 
 
 # ---------------------------------------------------------------- frames that wait
-NEWEST_WINS = frozenset({"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "world", "stop"})
+NEWEST_WINS = frozenset(
+    {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop"}
+)
 """Frames that are complete: a page that was busy needs only the last one."""
 LONGEST = 1024
 """Number of other frames that may wait; a page that is further behind is too slow."""

@@ -11,7 +11,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.clock import clock_id
 from fullswarm.errors import did_you_mean
 from fullswarm.keys import Keys
-from fullswarm.messages import RequestStatus
+from fullswarm.messages import MissionReply, RequestStatus
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
@@ -19,12 +19,15 @@ from fullswarm.operator.console.log import for_page
 from fullswarm.operator.console.world import World
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.leases import LeaseHolder
+from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.teleop import Teleop
 from fullswarm.runtime import Scheduler, Timer
 
 DEAD_MAN_S = 0.25
 """After this long without a frame the stick counts as released."""
 WATCH_S = 0.05
+MISSION_S = 5.0
+"""A request that the core has not answered by then is given up: it must not resume a mission later."""
 CLEAR_S = 5.0
 """A forgotten page must not release a robot that comes back tomorrow; an e-stop is repeated without end."""
 
@@ -67,6 +70,9 @@ class OperatorSession:
         self._context = context
         self._operator = Operator(context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id())
         self._leases = LeaseHolder(context.bus, context.keys, context.scheduler, name, on_lost=self._lost)
+        self._missions = MissionClient(
+            context.bus, context.keys, context.scheduler, source, name=name, clock=clock_id(), watch=False
+        )
         self._teleop = self._new_teleop()
         self._driver: Listener | None = None
         self._drove_s = -math.inf
@@ -87,6 +93,7 @@ class OperatorSession:
         """Release the robots, send nothing more."""
         self._release()
         self._leases.close()
+        self._missions.close()
         self._operator.close()
 
     def send(self, kind: str, frame: dict[str, Any]) -> None:
@@ -115,6 +122,8 @@ class OperatorSession:
                 reason = self._lease(command)
             case frames.Request():
                 return self._request(command)
+            case frames.Mission():
+                return self._mission(command)
             case _:
                 return self._halt(command)
         return Answer(ref=ref, ok=not reason, reason=reason)
@@ -132,6 +141,24 @@ class OperatorSession:
         pending = self._operator.request(
             command.behaviour, command.robots, command.parameters, receive, take=command.take
         )
+        return Answer(ref=command.ref, request_id=pending.request.id)
+
+    def _mission(self, command: frames.Mission) -> Answer:
+        """Pass it to the core, whose reply follows as a frame of its own."""
+
+        def receive(reply: MissionReply) -> None:
+            told = {"request_id": reply.id, "ok": reply.ok, "reason": reply.reason, "code": reply.code}
+            self.send("mission", {"t": "mission", "op": command.op, "mission": command.mission, **told})
+
+        def give_up() -> None:
+            if pending.reply is None:
+                self._missions.forget(pending)
+                receive(MissionReply(id=pending.request.id, ok=False, reason="the core does not answer"))
+
+        pending = self._missions.ask(
+            command.op, receive, mission=command.mission, track=command.track, step=command.step, take=command.take
+        )
+        self._context.scheduler.after(MISSION_S, give_up)
         return Answer(ref=command.ref, request_id=pending.request.id)
 
     def _halt(self, command: frames.Stop | frames.Estop | frames.Clear) -> Answer:

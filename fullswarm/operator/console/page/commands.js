@@ -4,7 +4,7 @@ import { Emitter } from "./dom.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
 /** @import { Answer } from "./link.js" */
-/** @import { Point, RequestStatus } from "./types.d.ts" */
+/** @import { Mission, MissionReply, Point, RequestStatus } from "./types.d.ts" */
 
 /**
  * @typedef {{behaviour: string, reason?: string, robots?: string[]}} Refused
@@ -29,6 +29,7 @@ export class Commands extends Emitter {
     this.store = store;
     this.goalBehaviour = "move_to_goal_bc";
     store.on("request", (status) => this.#onStatus(status));
+    store.on("mission", (reply) => this.#onReply(reply));
   }
 
   #mine = /** @type {Map<string, () => void>} */ (new Map()); // request id → how to repeat it
@@ -128,6 +129,20 @@ export class Commands extends Emitter {
     return answer;
   }
 
+  /**
+   * Control a mission.
+   * @param {Mission} mission
+   * @param {"pause" | "resume" | "abort" | "confirm"} op
+   * @param {{track?: string, step?: string, take?: boolean}} [more]
+   */
+  async mission(mission, op, more = {}) {
+    const answer = await this.link.ask({ t: "mission", op, mission: mission.mission, ...more });
+    const again = () => this.mission(mission, op, { ...more, take: true });
+    if (answer.request_id) this.#remember(answer.request_id, again);
+    if (!answer.ok) this.#refuse(`${op} of ${mission.name}`, answer, again);
+    return answer;
+  }
+
   /** @param {{t: string, robots: string[], reason?: string}} message */
   async #urgent(message) {
     const { ok, lost, reason } = await this.link.ask(message);
@@ -145,6 +160,15 @@ export class Commands extends Emitter {
     this.#mine.set(id, again);
     const [oldest] = this.#mine.keys();
     if (this.#mine.size > 50) this.#mine.delete(oldest);
+  }
+
+  /** @param {MissionReply} reply */
+  #onReply({ ok, op, mission, request_id, reason, code }) {
+    if (ok) return;
+    const known = this.store.missions.find((each) => each.mission === mission);
+    const robots = (known?.tracks ?? []).flatMap(({ steps }) => steps.flatMap((step) => step.robots));
+    const about = Object.fromEntries(this.store.heldByOthers(robots));
+    this.#refuse(`${op} of ${known?.name ?? mission}`, { reason, code, about }, this.#mine.get(request_id));
   }
 
   /** @param {RequestStatus} status */

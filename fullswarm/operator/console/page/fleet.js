@@ -144,6 +144,7 @@ export class FleetTable {
     row.element.classList.toggle("attention", alert);
     setText(row.state, head);
     setText(row.behaviour, info.behaviour || "no behaviour");
+    row.behaviour.title = info.memory ? `remembers ${info.memory}` : "";
     setText(row.advice, rest);
     row.advice.title = rest;
     row.state.title = info.state ?? "";
@@ -152,7 +153,7 @@ export class FleetTable {
     this.#age(row, info);
     setText(row.driver, driverText(info));
     setText(row.version, info.version ?? "");
-    row.driver.title = [info.driver, info.make, info.model, info.firmware, info.host].filter(Boolean).join("\n");
+    row.driver.title = [info.driver, info.make, info.model, info.firmware, info.host, info.capabilities?.join(", ")].filter(Boolean).join("\n");
     row.swatch.style.backgroundColor = info.behaviour ? this.store.looks.of(info.behaviour).colour : IDLE.colour;
     this.#lease(row, id);
   }

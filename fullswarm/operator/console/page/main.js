@@ -4,7 +4,8 @@
  *
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
- * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), charts.js, log.js, legend.js, banners.js
+ * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), missions.js, charts.js, log.js, legend.js,
+ *           banners.js
  * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
  *           viewport.js, geometry.js, palette.js, theme.js
  */
@@ -20,6 +21,7 @@ import { Legend } from "./legend.js";
 import { identity, Link } from "./link.js";
 import { LogView } from "./log.js";
 import { SwarmMap } from "./map.js";
+import { Missions } from "./missions.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { Selection } from "./selection.js";
@@ -52,6 +54,7 @@ new FleetTable({ store, selection, commands, link });
 new Legend(store);
 new Charts(store, theme);
 new LogView(store);
+new Missions({ store, commands });
 tabs();
 
 link.on("message", (message) => store.apply(message));

@@ -167,6 +167,7 @@ export class Pointer {
 
 /** @param {Placed} placed */
 function hoverText({ id, info }) {
-  const parts = [id, info.state, info.behaviour, info.filter_note, info.advice];
+  const memory = info.memory && `remembers ${info.memory}`;
+  const parts = [id, info.state, info.behaviour, memory, info.filter_note, info.advice];
   return parts.filter(Boolean).join("\n");
 }

@@ -5,17 +5,18 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, NodeState, Point, RequestStatus, Robot, States, Stop, World } from "./types.d.ts" */
+/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
- * obstacles, log, request, estop, stop, leases, lost.
+ * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
- *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"], lost: Lost}>}
+ *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
+ *   missions: Mission[], mission: MissionReply, lost: Lost}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -43,6 +44,7 @@ export class Store extends Emitter {
     this.obstacles = /** @type {number[][]} */ ([]);
     this.log = /** @type {Entry[]} */ ([]);
     this.leases = /** @type {Map<string, Lease>} */ (new Map());
+    this.missions = /** @type {Mission[]} */ ([]);
     this.estop = /** @type {Estop | null} */ (null);
     this.stop = /** @type {Stop | null} */ (null);
     this.pending = /** @type {Map<string, Point[]> | null} */ (null); // trails, until the first states give the time
@@ -127,11 +129,13 @@ export class Store extends Emitter {
     estop: (message) => this.#set("estop", message),
     stop: (message) => this.#set("stop", message),
     leases: ({ leases }) => this.#set("leases", new Map(leases.map((lease) => [lease.robot, lease]))),
+    missions: ({ missions }) => this.#set("missions", missions),
+    mission: (message) => this.emit("mission", message),
     lost: (message) => this.emit("lost", message),
   });
 
   /**
-   * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases"} T
+   * @template {"filter" | "goals" | "coverage" | "obstacles" | "estop" | "stop" | "leases" | "missions"} T
    * @param {T} name
    * @param {Store[T]} value
    */

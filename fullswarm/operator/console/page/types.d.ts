@@ -28,6 +28,8 @@ export interface Robot {
   battery: number | null;
   radius_m: number | null;
   filter_note: string;
+  capabilities: string[];
+  memory: string;
 }
 
 export interface Parameter {
@@ -163,6 +165,37 @@ export interface Stop {
   done: boolean;
 }
 
+export interface Step {
+  name: string;
+  behaviour: string;
+  phase: string;
+  robots: string[];
+  elapsed_s: number;
+  waits_for: string[];
+  confirm: string;
+  reason: string;
+}
+
+export interface Mission {
+  mission: string;
+  name: string;
+  phase: string;
+  operator: string;
+  reason: string;
+  silent: boolean;
+  tracks: { name: string; steps: Step[] }[];
+}
+
+export interface MissionReply {
+  t: "mission";
+  op: string;
+  mission: string;
+  request_id: string;
+  ok: boolean;
+  reason: string;
+  code: string;
+}
+
 export interface Lost {
   t: "lost";
   robots: string[];
@@ -192,6 +225,8 @@ export type Message =
   | Estop
   | Stop
   | { t: "leases"; leases: Lease[] }
+  | { t: "missions"; missions: Mission[] }
+  | MissionReply
   | Lost;
 
 declare global {
