@@ -1,8 +1,8 @@
-"""Finds the robots at standstill that are not on their way, and objects at standstill: a planner must lead around them.
+"""Finds robots at standstill that are not on their way, and objects at standstill: a planner must lead around them.
 
 A robot counts when it has not moved for some seconds and either says that it is driving nowhere, or says nothing, or is
 silent. One that waits for its turn states where it is driving to, and is no obstacle. It stops counting when it moves
-or states an aim. An object may be a robot that fell silent: what is left of its disc elsewhere does not tell where it is.
+or states an aim. An object may be a robot that fell silent: what is left of its disc elsewhere does not say where.
 """
 
 from __future__ import annotations
