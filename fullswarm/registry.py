@@ -76,6 +76,10 @@ LAWS = MappingProxyType(
             "pursuit_evasion",
             "flocking_adaptive",
             "flocking_velocity",
+            "task_auction",
+            "pattern",
+            "patrol",
+            "exploration",
         )
     }
 )

@@ -6,9 +6,12 @@ import json
 import math
 import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from fullswarm.errors import ConfigError
+
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".gif", ".bmp", ".webp")
 
 if TYPE_CHECKING:
     from fullswarm.messages import Needs, Value
@@ -83,13 +86,17 @@ def _words(raw: str) -> tuple[str, ...]:
 
 
 def parse_value(raw: str, where: str = "") -> Value:
-    """Read ``1.5``, ``true``, ``[1, 2]``, ``5,5`` (a point), ``"text"`` or a bare word.
+    """Read ``1.5``, ``true``, ``[1, 2]``, ``5,5`` (a point), ``"text"``, a bare word, or ``@heart.png``: dark points.
 
     Raises
     ------
     ConfigError
         Not finite, empty, a table, or a list of something else than numbers and points.
     """
+    if raw.startswith("@") and raw.lower().endswith(PICTURE_ENDINGS):
+        from fullswarm.evaluate.pictures.ink import dark_points
+
+        return cast("Value", dark_points(Path(raw[1:]).expanduser()))
     value = parse_stored(raw, where)
     if isinstance(value, list):
         if not value or not all(_is_number(item) or _is_point(item) for item in value):

@@ -26,6 +26,7 @@ import numpy as np
 from fullswarm import registry
 from fullswarm.agent.view import Params, View
 from fullswarm.errors import ConfigError
+from fullswarm.evaluate.pictures.ink import dark_points
 from fullswarm.kernels import Array
 from fullswarm.messages import Value
 
@@ -252,7 +253,9 @@ def _record_beside(module: ModuleType) -> dict[str, Any]:
 
 
 def plain(value: object) -> Any:
-    """Return a value that a message can carry: arrays and tuples as lists, NumPy's numbers as Python's."""
+    """Return a value that a message can carry: arrays and tuples as lists, the path of a picture as its dark points."""
+    if isinstance(value, Path):
+        return dark_points(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, list | tuple):

@@ -12,7 +12,7 @@ import numpy as np
 
 from fullswarm.core.behaviours import all_records, make_record
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.pictures import write_still
+from fullswarm.evaluate.pictures.scene import check_still, write_still
 from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.lab.lab import Lab
 
@@ -22,6 +22,11 @@ HEAP_M = 0.55
 """Between the robots of a heap."""
 SQUARE = (0.0, 0.0, 10.0, 10.0)
 ROOMS = ((4.0, 2.0, 0.3, 4.0), (4.0, 7.5, 0.3, 5.0), (8.0, 6.0, 4.0, 0.3), (7.2, 2.2, 1.4, 1.0))
+PLACES = [[1.0, 1.0], [1.0, 9.0], [5.5, 5.0], [5.0, 0.8], [9.0, 4.5], [9.2, 9.2], [6.0, 9.0]]
+HEART = [
+    [16.0 * math.sin(t) ** 3, 13.0 * math.cos(t) - 5.0 * math.cos(2 * t) - 2.0 * math.cos(3 * t) - math.cos(4 * t)]
+    for t in np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False).tolist()
+]
 CORNERS = [[2.0, 2.0], [8.0, 2.0], [8.0, 6.0], [5.0, 8.0], [2.0, 6.0]]
 
 
@@ -50,12 +55,13 @@ class Scene:
 SCENES: dict[str, Scene] = {
     "aggregation": Scene(10, 300.0, trail_s=60.0),
     "area_sweep": Scene(4, 150.0),
-    "average_consensus": Scene(8, 20.0, settings={"agent.sensing_radius_m": 5.0}),
-    "consensus": Scene(8, 30.0, settings={"agent.sensing_radius_m": 5.0}),
+    "average_consensus": Scene(8, 20.0),
+    "consensus": Scene(8, 30.0),
     "cyclic_pursuit": Scene(6, 150.0, trail_s=110.0),
     "dispersion": Scene(12, 40.0, heap=(4.0, 4.0)),
     "drive": Scene(1, 6.0, parameters={"linear": 0.6, "angular": 0.25}),
-    "flocking": Scene(8, 40.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(5.0, 5.0)),
+    "exploration": Scene(3, 120.0, heap=(1.5, 8.0), obstacles=ROOMS),
+    "flocking": Scene(8, 40.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(4.0, 9.0)),
     "flocking_adaptive": Scene(8, 60.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(5.0, 5.0)),
     "flocking_velocity": Scene(
         10, 60.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(3.0, 3.0), parameters={"destination": [12.0, 8.0]}
@@ -72,10 +78,13 @@ SCENES: dict[str, Scene] = {
         parameters={"targets": [[9.0, 9.0], [9.0, 1.0], [5.0, 1.0], [6.0, 4.5]]},
     ),
     "paper_bc": Scene(6, 30.0, parameters={"goal": [5.0, 5.0], "arrive_radius_m": 1.0}),
+    "patrol": Scene(3, 100.0, obstacles=ROOMS, heap=(1.5, 8.0), parameters={"places": PLACES}),
+    "pattern": Scene(14, 40.0, parameters={"picture": HEART, "centre": [5.0, 5.0], "width_m": 6.0}),
     "perimeter": Scene(8, 40.0, parameters={"corners": CORNERS}),
     "pursuit_evasion": Scene(4, 40.0),
     "rendezvous": Scene(8, 25.0),
     "stop": Scene(4, 3.0),
+    "task_auction": Scene(4, 60.0, parameters={"tasks": PLACES}),
     "teleop_centroid": Scene(5, 8.0, heap=(3.0, 3.0), parameters={"vx": 0.8, "vy": 0.5}),
     "voronoi_centralised": Scene(9, 40.0, heap=(2.0, 2.0)),
     "voronoi_coverage": Scene(9, 40.0, heap=(2.0, 2.0)),
@@ -87,7 +96,7 @@ for _way in ("forward", "backward", "left", "right"):
 
 def scene_of(behaviour: str, changes: Mapping[str, Any], parameters: Mapping[str, Any]) -> Scene:
     """Return the scene of a behaviour with other values in place of its own; the usual world if it has none."""
-    found = SCENES.get(behaviour.removesuffix(FILTERED), Scene())
+    found = SCENES.get(behaviour) or SCENES.get(behaviour.removesuffix(FILTERED)) or Scene()
     return replace(found, **changes, parameters={**found.parameters, **parameters})
 
 
@@ -120,6 +129,7 @@ def run(behaviour: str, scene: Scene) -> Trajectory:
 
 def draw(behaviour: str, scene: Scene, path: Path, width_px: int = WIDTH_PX) -> Trajectory:
     """Run a behaviour and write its picture, a .png or .svg; return where all robots were."""
+    check_still(path)  # before minutes of work
     found = run(behaviour, scene)
     from_s = max(0.0, scene.seconds - scene.trail_s) if scene.trail_s else None
     write_still(found, path, caption=behaviour, width_px=width_px, from_s=from_s)

@@ -75,9 +75,9 @@ def test_more_robots_than_fit_into_a_broadcast_are_refused() -> None:
 @pytest.mark.parametrize("behaviour", ["average_consensus_bc", "consensus_bc"])
 def test_a_network_that_loses_a_third_still_agrees(behaviour: str) -> None:
     starts = [[2.0 * k + 1.0, 2.0 + 3.0 * (k % 2), 0.0] for k in range(6)]
-    settings = {"network.conditions": "loss=30%,delay=30ms±20", "agent.sensing_radius_m": 4.0}
+    settings = {"network.conditions": "loss=30%,delay=30ms±20"}
     with Lab(starts=starts, bounds=(0, 0, 14, 8), settings=settings) as lab:
-        request = lab.request(behaviour, wait_s=12.0)
+        request = lab.request(behaviour, wait_s=12.0, says_m=4.0)
         lab.run(16.0)
         if behaviour == "average_consensus_bc":
             assert request.status is not None

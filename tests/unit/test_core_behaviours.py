@@ -25,6 +25,7 @@ def test_the_file_holds_each_behaviour_with_its_filtered_twin() -> None:
     plain |= {"formation_assigned", "navigate_each"}
     plain |= {"dispersion", "aggregation", "leader_follower", "cyclic_pursuit", "perimeter", "area_sweep"}
     plain |= {"consensus", "average_consensus", "pursuit_evasion", "flocking_adaptive", "flocking_velocity"}
+    plain |= {"task_auction", "pattern", "patrol", "exploration"}
     plain |= {"voronoi_centralised", "teleop_centroid"} | {
         f"move_{way}" for way in ("forward", "backward", "left", "right")
     }

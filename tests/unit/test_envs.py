@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -23,6 +24,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import fullswarm.envs
 from fullswarm import Lab, registry
+from fullswarm.core.behaviours import load_records
 from fullswarm.envs import ParallelSwarmEnv, Spaces, State, SwarmEnv, policy
 from fullswarm.errors import BehaviourFailed, ConfigError
 from fullswarm.testing import check_behaviour
@@ -259,6 +261,21 @@ def test_wrong_spaces_are_named(wrong: dict[str, Any]) -> None:
         Spaces(**wrong)
 
 
+def test_on_a_bad_network_an_episode_begins_when_all_robots_do() -> None:
+    env = ParallelSwarmEnv(
+        robots=3, starts=STARTS, goals=GOALS, settings={"network.conditions": "loss=40%,delay=100ms"}
+    )
+    observations, infos = env.reset(seed=1)
+    assert all(np.abs(each[:2]).max() > 0.1 for each in observations.values())
+    assert {each["time_s"] for each in infos.values()} == {0.0}
+    for _ in range(20):
+        env.step(dict.fromkeys(env.agents, np.array([1.0, 0.0])))
+    assert (env.episode.state.pose[:, 0] - np.array(STARTS)[:, 0] > 0.5).all()
+    env.close()
+    with pytest.raises(ConfigError, match="not all robots have begun within 10 s"):
+        ParallelSwarmEnv(robots=2, settings={"network.conditions": "loss=100%"}).reset()
+
+
 # ------------------------------------------------------------------ policies as behaviours
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("filtered", [True, False])
@@ -397,6 +414,29 @@ def test_a_package_of_its_own_has_a_policy_as_its_law(outside: ModuleType) -> No
         lab.request(outside, goal=[6, 6])
         lab.run(3)
         assert np.abs(lab.poses - STARTS).max() > 0.1
+
+
+def test_the_examples_of_the_documentation_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    linear_model(tmp_path / "net.onnx", Spaces().size)
+    page = (Path(__file__).parents[2] / "docs" / "how-to-use-from-python.md").read_text(encoding="utf-8")
+    *blocks, package = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    model = SimpleNamespace(predict=lambda observations: (observations[:, :2], None))
+    names: dict[str, Any] = {"np": np, "model": model, "spaces": Spaces()}
+    for block in blocks:
+        exec(block, names)
+    names["lab"].stop()
+    names["lab"].request(names["circle"], robots=["r4"])
+    names["lab"].run(1.0)
+    linear_model(tmp_path / "net.onnx", Spaces(neighbours=1).size)
+    (tmp_path / "homing.py").write_text(package)
+    (record,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "homing.toml").write_text(record)
+    assert set(load_records(tmp_path / "homing.toml")) == {"homing", "homing_bc"}
+    names["lab"].request(registry.load_file(tmp_path / "homing.py"), goal=[2, 2])
+    names["lab"].run(1.0)
+    assert names["lab"].metrics["collisions.events"] == 0
+    names["lab"].close()
 
 
 def test_a_robot_runs_a_policy_without_gymnasium_and_pictures() -> None:

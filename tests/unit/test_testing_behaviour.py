@@ -45,6 +45,18 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "perimeter": {
         "corners": [[2.0, 2.0], [8.0, 2.0], [5.0, 7.0]], "speed_m_s": 0.1, "gain": 0.5, "hearing_m": 30.0,
     },
+    "task_auction": {
+        "tasks": [[1.0, 1.0], [5.0, 5.0], [8.0, 2.0]], "service_s": 0.0, "silent_s": 6.0, "speed_m_s": 0.4,
+    },
+    "pattern": {
+        "picture": [[0.0, 0.0], [1.0, 0.0], [0.5, 1.0], [0.0, 1.0], [0.3, 0.2], [0.8, 0.7]], "centre": [5.0, 5.0],
+        "width_m": 5.0, "gain": 0.5, "silent_s": 6.0,
+    },
+    "patrol": {
+        "places": [[1.0, 1.0], [5.0, 5.0], [8.0, 2.0]], "speed_m_s": 0.4, "arrive_radius_m": 0.3, "gain": 2.0,
+        "map": "shared",
+    },
+    "exploration": {"sight_m": 2.0, "speed_m_s": 0.4, "arrive_radius_m": 0.05, "gain": 2.0, "map": "shared"},
     "consensus": {"rate": 1.0, "wait_s": 0.0, "gain": 1.0},
     "average_consensus": {"quantity": "x", "wait_s": 15.0},
     "pursuit_evasion": {
@@ -62,9 +74,13 @@ PARAMETERS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+SLOW = {"exploration": 1, "navigate": 6, "navigate_each": 6, "patrol": 3}
+"""Swarms that are enough for laws that plan ways."""
+
+
 @pytest.mark.parametrize("law", registry.LAWS)
 def test_our_own_laws_pass(law: str) -> None:
-    check_behaviour(law, PARAMETERS[law])
+    check_behaviour(law, PARAMETERS[law], seeds=range(SLOW.get(law, 20)))
 
 
 def test_a_law_is_taken_by_module_and_for_any_number_of_robots() -> None:

@@ -18,6 +18,7 @@ Files:
 ``cyclic_pursuit.py``     Cyclic pursuit: all on one circle at equal distances
 ``dispersion.py``         Dispersion: springs that only push
 ``drive.py``              Teleoperation in the robot's own frame: a stick for speed, one for turning
+``exploration.py``        Exploration: frontiers of a grid that all robots join
 ``flocking.py``           Flocking: separation, alignment and cohesion, each within its radius (paper III.A.2,
                           Reynolds' boids)
 ``flocking_adaptive.py``  Flocking with a pull that grows towards the edge of the range, so that no robot is lost
@@ -31,9 +32,12 @@ Files:
 ``navigate_each.py``      Navigate, each robot to its own target
 ``paper_bc.py``           Move to goal behind the paper's own filter, which lets unicycles collide: for comparison, on
                           simulated robots only
+``patrol.py``             Patrol: the places that have waited longest
+``pattern.py``            Pattern: the dark parts of a picture, one place per robot
 ``perimeter.py``          Perimeter: equal distances along a closed line
 ``pursuit_evasion.py``    Pursuit and evasion: along the borders of Voronoi cells
 ``rendezvous.py``         Rendezvous: meet at a common point (paper III.A.3)
 ``stop.py``               Stop: zero velocity
+``task_auction.py``       Task allocation by auction: bids in the shared table, tasks of lost robots offered again
 ``voronoi_coverage.py``   Voronoi static coverage: Lloyd's law on exact bounded cells (paper III.A.5)
 """

@@ -2,6 +2,7 @@
 
 ``replay.py``    `fullswarm experiment replay`: find a trial, then draw it or make a video
 ``scene.py``     the world from above at a moment, its colours, and a trial as one picture
+``ink.py``       the dark parts of a picture as points
 ``film.py``      a trial as a video: GIF through pillow, MP4 (H.264) through ffmpeg
 ``timeline.py``  a trajectory at any time: poses between its samples, contacts, events so far
 """
