@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import math
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -240,3 +243,13 @@ def test_a_program_that_does_not_close_it_ends(hub: str) -> None:
     script = f"from fullswarm import Swarm; swarm = Swarm({hub!r}); print(len(swarm.robots))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30.0, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
+
+
+def test_the_examples_of_the_documentation_run(swarm: Swarm, hub: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to-use-from-python.md").read_text(encoding="utf-8")
+    section = page.partition("## A live swarm\n")[2].partition("\n## ")[0]
+    first, second = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    monkeypatch.setenv("FULLSWARM_HUB", hub)
+    exec(first, {})
+    assert all(math.dist(places(swarm)[robot], (5.0, 5.0)) < 1.0 for robot in ("r1", "r2"))
+    compile(second, "asyncio", "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)

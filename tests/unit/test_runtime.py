@@ -262,7 +262,11 @@ def test_a_thread_of_its_own_carries_out_calls_until_it_is_closed() -> None:
 def test_a_handler_that_fails_ends_its_thread_and_says_so() -> None:
     ended = threading.Event()
     thread = RuntimeThread(MonotonicClock(), "served", ended.set)
-    thread.runtime.mailbox.put(lambda _: 1 / 0, None)
+
+    def fail(_: object) -> None:
+        raise ValueError("on purpose")
+
+    thread.runtime.mailbox.put(fail, None)
     assert ended.wait(5.0)
     with pytest.raises(RuntimeError, match="ended"):
         thread.call(lambda: None)
