@@ -134,6 +134,8 @@ class Profiles:
         self._subscriptions = CellSubscriptions(bus, keys.profile, RobotProfiles, cell_m, self._on_profiles)
         self._sent_s = self._looked_s = -math.inf
         self._asked, self._cells, self._robots = True, tuple[str, ...](), 0
+        self._charge = np.full(len(own), -1.0)
+        self._everywhere = (WHOLE_SWARM_CELL,) * len(own)
 
     def present(self, row: int) -> RobotProfile:
         """Return the profile of own robot `row` with its charge as it is now."""
@@ -152,25 +154,30 @@ class Profiles:
         if reading is None or now_s - self._looked_s < LEAST_S:
             return
         self._looked_s = now_s
-        charges = reading.battery.tolist()
-        changed = any(
-            abs(charge - each.battery) >= BATTERY_STEP for charge, each in zip(charges, self.own, strict=True)
-        )
-        cells = tuple(self._cell(x_m, y_m) for x_m, y_m in self._state.pose[:, :2].tolist())
+        changed = bool((np.abs(reading.battery - self._charge) >= BATTERY_STEP).any())
+        cells = self._cells_now()
         due = now_s - self._sent_s >= PERIOD_S
         if not (due or changed or self._asked or cells != self._cells or self._neighbours.count > self._robots):
             return
         self._sent_s, self._asked, self._cells, self._robots = now_s, False, cells, self._neighbours.count
-        self.own = tuple(_charged(each, round(charge, 2)) for each, charge in zip(self.own, charges, strict=True))
+        self._charge = reading.battery.copy()
+        self.own = tuple(
+            _charged(each, round(charge, 2)) for each, charge in zip(self.own, self._charge.tolist(), strict=True)
+        )
         for cell in dict.fromkeys(cells):
             robots = tuple(each for each, place in zip(self.own, cells, strict=True) if place == cell)
             host, process = self._identity.host, self._identity.process
             message = RobotProfiles(host=host, process=process, robots=robots, stamp_s=now_s)
             self._bus.publish(self._keys.profile(cell, host), message)
 
-    def _cell(self, x_m: float, y_m: float) -> str:
-        known = math.isfinite(x_m) and math.isfinite(y_m)
-        return cell_of(x_m, y_m, self._cell_m) if known else WHOLE_SWARM_CELL
+    def _cells_now(self) -> tuple[str, ...]:
+        """Return the grid cell of each own robot; one without a pose is in that of the whole swarm."""
+        if self._cell_m <= 0.0:
+            return self._everywhere
+        return tuple(
+            cell_of(x_m, y_m, self._cell_m) if math.isfinite(x_m) and math.isfinite(y_m) else WHOLE_SWARM_CELL
+            for x_m, y_m in self._state.pose[:, :2].tolist()
+        )
 
     def _on_profiles(self, message: RobotProfiles) -> None:
         if self._processes.get(message.host) != message.process:
