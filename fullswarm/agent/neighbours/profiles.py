@@ -1,6 +1,6 @@
 """Publishes what the own robots are and can do, and keeps what the others say of themselves.
 
-Unlike states, profiles seldom change: they are sent on change, when a robot appears, and every `PERIOD_S`.
+Unlike states, profiles seldom change: they are sent on change, when asked, when a robot appears, and every `PERIOD_S`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Description
 from fullswarm.kernels import Array, Flags, Index
 from fullswarm.keys import WHOLE_SWARM_CELL, Keys, cell_of
-from fullswarm.messages import RobotProfile, RobotProfiles
+from fullswarm.messages import ProfileQuery, RobotProfile, RobotProfiles
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
@@ -132,6 +132,7 @@ class Profiles:
         self._waiting: dict[str, RobotProfile] = {}  # of robots whose states have not been received yet
         self._processes: Recent[str, str] = Recent(REMEMBERED)  # host → its process
         self._subscriptions = CellSubscriptions(bus, keys.profile, RobotProfiles, cell_m, self._on_profiles)
+        self._query = bus.subscribe(keys.profile_query, ProfileQuery, self._on_query)
         self._sent_s = self._looked_s = -math.inf
         self._asked, self._cells, self._robots = True, tuple[str, ...](), 0
         self._charge = np.full(len(own), -1.0)
@@ -190,6 +191,9 @@ class Profiles:
             elif len(self._waiting) < REMEMBERED:
                 self._waiting[profile.robot] = profile
 
+    def _on_query(self, _: ProfileQuery) -> None:
+        self._asked, self._looked_s = True, self._sent_s
+
     def _settle(self) -> None:
         """Find rows for profiles that came before the first state of their robots."""
         for robot in [robot for robot in self._waiting if self._neighbours.row_of(robot) >= 0]:
@@ -198,3 +202,4 @@ class Profiles:
     def close(self) -> None:
         """Drop the subscriptions."""
         self._subscriptions.close()
+        self._query.close()
