@@ -394,9 +394,13 @@ RECORD = """
 summary = "Drive to a goal as learned"
 law = "homing"
 team = "swarm"
-static = { hearing_m = 3.0 }
+static = { hearing_m = 3.0, coordination = false }
 [homing.parameters]
 goal = { type = "point", unit = "m", required = true, doc = "where to" }
+
+[homing_bc]
+like = "homing"
+filtered = true
 """
 
 
@@ -414,6 +418,25 @@ def test_a_package_of_its_own_has_a_policy_as_its_law(outside: ModuleType) -> No
         lab.request(outside, goal=[6, 6])
         lab.run(3)
         assert np.abs(lab.poses - STARTS).max() > 0.1
+
+
+def test_an_installed_policy_is_requested_by_its_name(
+    outside: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pyproject.toml").write_text('[project.entry-points."fullswarm.behaviours"]\nhoming = "homing"\n')
+    monkeypatch.setenv(registry.DEVELOP, str(tmp_path))  # counts as installed
+    monkeypatch.syspath_prepend(str(tmp_path))
+    ways = []
+    for behaviour in ("homing_bc", outside):
+        registry.law_module.cache_clear()
+        with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
+            lab.request(behaviour, goal=[6, 6])
+            lab.run(3)
+            ways.append(lab.poses)
+    np.testing.assert_array_equal(ways[0], ways[1])
+    assert np.abs(ways[0] - STARTS).max() > 0.1
+    sys.modules.pop("homing", None)
+    registry.law_module.cache_clear()
 
 
 def test_the_examples_of_the_documentation_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
