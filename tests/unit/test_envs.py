@@ -121,8 +121,8 @@ def test_scaled_numbers_are_shares_of_the_largest() -> None:
         with closing(env):
             observations.append(env.reset(seed=1)[0]["r2"])
     np.testing.assert_allclose(observations[1], observations[0] / plain.largest, rtol=1e-6)
-    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]]), [[0.25, -2.0]])
-    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]]), [[0.5, -0.2]])
+    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]], 1), [[0.25, -2.0]])
+    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]], 1), [[0.5, -0.2]])
 
 
 STARTS_XY = [row[:2] for row in STARTS]
@@ -328,7 +328,12 @@ def test_others_of_an_environment_may_run_a_policy() -> None:
 
 
 def test_a_policy_that_answers_wrongly_stops_its_robots() -> None:
-    for answer, says in ((np.zeros(3), r"\(3,\), expected \(k, 2\)"), (np.full((3, 2), np.nan), "not finite")):
+    for answer, says in (
+        (np.zeros(3), r"shape \(3,\), expected \(3, 2\)"),
+        (np.zeros((1, 2)), r"shape \(1, 2\), expected \(3, 2\)"),
+        (np.full((3, 2), np.nan), "not finite"),
+        (None, "expected"),
+    ):
         with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
             lab.request(policy(lambda _: answer), goal=[6, 6])  # noqa: B023  (called within the loop)
             with pytest.raises(BehaviourFailed, match=says):
@@ -415,7 +420,7 @@ def outside(tmp_path: Path) -> ModuleType:
 def test_a_package_of_its_own_has_a_policy_as_its_law(outside: ModuleType) -> None:
     check_behaviour(outside, {"goal": [5.0, 5.0]}, seeds=range(2))
     with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
-        lab.request(outside, goal=[6, 6])
+        assert lab.request(outside, goal=[6, 6]).behaviour == "homing"
         lab.run(3)
         assert np.abs(lab.poses - STARTS).max() > 0.1
 
