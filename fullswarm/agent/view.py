@@ -483,7 +483,7 @@ class View:
 
     @property
     def make(self) -> Words:
-        """Make of the robot, (n,): ``create``, ``sim``, ..."""
+        """Make of the robot, (n,), as its driver states it: ``iRobot``, ``sim``, ..."""
         return np.array(["" if each is None else each.make for each in self._profiles()], np.str_)
 
     def can(self, capability: str) -> Flags:

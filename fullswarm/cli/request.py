@@ -55,7 +55,7 @@ NeedsOption = Annotated[
     typer.Option(
         "--needs",
         metavar="KEY=VALUE",
-        help="What robots must be able to do: capabilities=gripper, speed_m_s=0.3, makes=create, battery=0.5. Others "
+        help="What robots must be able to do: capabilities=gripper, speed_m_s=0.3, makes=iRobot, battery=0.5. Others "
         "are left out, or refused if they are named.",
     ),
 ]

@@ -9,15 +9,29 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fullswarm.cli.status import demands
+from fullswarm.cli.values import parse_needs, parse_roles
 from fullswarm.config import SwarmConfig
+from fullswarm.config.mission_file import parse_mission
 from fullswarm.core.behaviours import load_records, make_record
 from fullswarm.errors import ConfigError
 from fullswarm.fitness import both, unfit
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import with_network
-from fullswarm.messages import ControlRequest, Needs, RequestStatus, RobotProfile, RobotProfiles, Value
+from fullswarm.messages import (
+    ControlRequest,
+    MissionReply,
+    MissionRequest,
+    Needs,
+    ProfileQuery,
+    RequestStatus,
+    RobotProfile,
+    RobotProfiles,
+    Value,
+)
 from fullswarm.operator.client import NOTHING_NEEDED, Operator
+from fullswarm.operator.view import FleetView
 from fullswarm.reasons import Code
 from tests.unit.agent_bench import Bench
 from tests.unit.laws import install
@@ -288,3 +302,89 @@ def test_a_robot_that_has_finished_leaves_its_team_or_stays_in_it(
     swarm.lockstep.run(0.2)
     assert team[0] == 0
     assert "r1" not in sensed["r2"]
+
+
+# ------------------------------------------------------------------ operators and missions
+def test_operators_learn_at_once_what_robots_are_and_who_cannot_take_part(swarm: Swarm) -> None:
+    swarm.lockstep.run(1.3)  # some time after the profiles were sent
+    view = FleetView(swarm.lockstep.bus, Keys(), swarm.lockstep.runtime)
+    swarm.lockstep.run(1.0)
+    seen = view.snapshot()
+    assert {row.robot: "carry" in row.profile.capabilities for row in seen.robots if row.profile} == {
+        "r1": True, "r2": True, "slow": False, "wide": False,
+    }  # fmt: skip
+    record = {
+        "parameters": {"cruise_m_s": {"default": 0.3}}, "needs": {"speed_m_s": "cruise_m_s", "capabilities": ["lamp"]},
+        "roles": {"carrier": {"needs": ["carry"], "at_least": 1}},
+    }  # fmt: skip
+    assert demands(record, seen) == [
+        "needs: speed_m_s cruise_m_s, capabilities lamp",
+        "role carrier: needs carry, at_least 1",
+        "slow: it is too slow: its speed is 0.2 m/s, and 0.3 m/s is needed",
+    ]
+    assert demands({}, seen) == []
+    swarm.lockstep.run(3.0)
+    queries: list[ProfileQuery] = []
+    swarm.lockstep.bus.subscribe(Keys().profile_query, ProfileQuery, queries.append)
+    swarm.lockstep.run(5.0)
+    assert queries == []  # all is known
+    view.close()
+
+
+MISSION = """
+[[steps]]
+name = "out"
+behaviour = "rendezvous_bc"
+robots = ["r1", "r2"]
+team = "@quick"
+needs = { capabilities = ["carry"], speed_m_s = 0.3 }
+roles = { boss = ["r1"], rest = ["+camera"] }
+done = { time_s = 1.0 }
+"""
+
+
+def test_a_step_of_a_mission_says_team_needs_and_roles(swarm: Swarm) -> None:
+    replies: list[MissionReply] = []
+    got: list[ControlRequest] = []
+    bus = swarm.lockstep.bus
+    bus.subscribe(Keys().mission_reply(), MissionReply, replies.append)
+    bus.subscribe(Keys().control_requests(), ControlRequest, got.append)
+
+    def send(op: str, text: str, id_: str) -> MissionReply:
+        plan = parse_mission(text, "m.toml", "m").plan
+        bus.publish(Keys().mission_request, MissionRequest(id=id_, op=op, plan=plan))  # type: ignore[arg-type]
+        swarm.lockstep.run(0.5)
+        return replies[-1]
+
+    for number, (text, why) in enumerate(
+        (
+            (MISSION.replace("0.3", "0.9"), "it is too slow: its speed is 0.5 m/s, and 0.9 m/s is needed"),
+            (MISSION.replace('["r1"]', '["slow"]'), "'slow' is to be boss, but is no robot of the request"),
+            (MISSION.replace("@quick", "@west"), "unknown group '@west'"),
+        )
+    ):
+        reply = send("check", text, f"m{number}")
+        assert [why in each.text for each in reply.problems] == [True], reply
+    assert send("start", MISSION, "go").ok
+    asked = {each.robot: each for each in got if each.enable}
+    assert asked.keys() == {"r1", "r2"}
+    assert asked["r1"].roles == ("boss", "rest")
+    assert asked["r2"].peers == ("r1", "r2")
+    assert asked["r2"].needs == Needs(capabilities=("carry",), speed_m_s=0.3)
+    for wrong, why in (("{ speed = 0.3 }", "speed"), ('{ speed_m_s = "fast" }', "speed_m_s")):
+        with pytest.raises(ConfigError, match=rf"m\.toml:7.*needs.*{why}"):
+            parse_mission(MISSION.replace('{ capabilities = ["carry"], speed_m_s = 0.3 }', wrong), "m.toml", "m")
+
+
+def test_the_command_line_reads_needs_and_roles() -> None:
+    needs = parse_needs(["capabilities=gripper, camera", "speed_m_s=0.3", "makes=iRobot"])
+    assert needs == Needs(capabilities=("gripper", "camera"), speed_m_s=0.3, makes=("iRobot",))
+    assert parse_roles(["carrier=r1, @west", "scout=+camera", "carrier=r3"]) == {
+        "carrier": ("r1", "@west", "r3"), "scout": ("+camera",),
+    }  # fmt: skip
+    for wrong in ("speed=1", "speed_m_s=fast", "speed_m_s=-1"):
+        with pytest.raises(ConfigError, match="--needs"):
+            parse_needs([wrong])
+    for wrong in ("carrier", "=r1", "carrier="):
+        with pytest.raises(ConfigError, match="--role"):
+            parse_roles([wrong])
