@@ -315,11 +315,11 @@ def test_operators_learn_at_once_what_robots_are_and_who_cannot_take_part(swarm:
     }  # fmt: skip
     record = {
         "parameters": {"cruise_m_s": {"default": 0.3}}, "needs": {"speed_m_s": "cruise_m_s", "capabilities": ["lamp"]},
-        "roles": {"carrier": {"needs": ["carry"], "at_least": 1}},
+        "roles": {"carrier": {"needs": ["carry"], "at_least": 1, "doc": "lifts"}},
     }  # fmt: skip
     assert demands(record, seen) == [
-        "needs: speed_m_s cruise_m_s, capabilities lamp",
-        "role carrier: needs carry, at_least 1",
+        "needs: speed_m_s as the parameter cruise_m_s, capabilities lamp",
+        "role carrier: lifts (needs carry, at_least 1)",
         "slow: it is too slow: its speed is 0.2 m/s, and 0.3 m/s is needed",
     ]
     assert demands({}, seen) == []
