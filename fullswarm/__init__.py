@@ -50,7 +50,11 @@ Further files:
 from __future__ import annotations
 
 __version__ = "0.1.0"
-_LAZY = {"Lab": "fullswarm.lab"}
+_LAZY = {
+    "AsyncSwarm": "fullswarm.operator.swarm",
+    "Lab": "fullswarm.lab",
+    "Swarm": "fullswarm.operator.swarm",
+}
 """Exported names by the module that has them: imported when first used, because a robot needs none of them.
 
 Type checkers read ``__init__.pyi``.
