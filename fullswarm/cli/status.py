@@ -266,7 +266,8 @@ def demands(record: dict[str, Any], seen: Snapshot) -> list[str]:
     raw = record.get("needs") or {}
     lines = ["needs: " + ", ".join(f"{name} {_plain(value)}" for name, value in raw.items())] if raw else []
     for role, terms in (record.get("roles") or {}).items():
-        lines.append(f"role {role}: " + ", ".join(f"{key} {_plain(value)}" for key, value in terms.items()))
+        limits = ", ".join(f"{key} {_plain(value)}" for key, value in terms.items() if key != "doc")
+        lines.append(f"role {role}: {terms.get('doc', '')}" + (f" ({limits})" if limits else ""))
     try:
         values = {name: given.get(value) if isinstance(value, str) else value for name, value in raw.items()}
         needs = msgspec.convert({name: value for name, value in values.items() if value is not None}, Needs)
@@ -279,6 +280,8 @@ def demands(record: dict[str, Any], seen: Snapshot) -> list[str]:
 
 
 def _plain(value: object) -> str:
+    if isinstance(value, str):
+        return f"as the parameter {value}"
     return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.messages import MOST, HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
 from fullswarm.runtime import Scheduler
 
 SILENCE_S = 1.5
@@ -110,7 +110,7 @@ class Roster:
 
     def _describe(self, message: RobotProfiles) -> None:
         for profile in message.robots:
-            if profile.robot in self._members or ROBOT_ID.match(profile.robot):
+            if profile.robot in self._members or (len(self._profiles) < MOST and ROBOT_ID.match(profile.robot)):
                 self._profiles[profile.robot] = profile
 
     def process(self, robot: str) -> str:

@@ -15,7 +15,8 @@ def refusal(status: RequestStatus) -> FullswarmError:
         kind = SafetyStop if latched else FullswarmError
         return kind(status.reason, where=status.behaviour)
     # The core's reason mostly ends with what to do; two hints would be one too many.
-    hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` lists the behaviours"
+    known = status.reason.endswith(")") or status.code in (Code.UNFIT, Code.TOO_SLOW, Code.ROLES, Code.SEVERAL)
+    hint = "" if known else "`fullswarm behaviours` lists the behaviours"
     return RequestRefused(status.reason or "refused without a reason", where=status.behaviour, hint=hint)
 
 

@@ -28,6 +28,7 @@ from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, TimedOut, Unreachable
+from fullswarm.fitness import needs_of
 from fullswarm.keys import Keys
 from fullswarm.messages import EStopReceipt, RequestStatus, Result, Value
 from fullswarm.operator.client import Operator, PendingRequest
@@ -497,9 +498,10 @@ def _plain(robots: Iterable[str]) -> tuple[str, ...]:
 
 
 def _more(
-    parameters: Mapping[str, Value], team: str, roles: Mapping[str, Iterable[str]] | None
+    parameters: Mapping[str, Value], team: str, needs: Mapping[str, Any] | None,
+    roles: Mapping[str, Iterable[str]] | None,
 ) -> dict[str, Any]:  # fmt: skip
-    return {"parameters": dict(parameters), "team": team, "roles": roles}
+    return {"parameters": dict(parameters), "team": team, "needs": needs_of(needs or {}), "roles": roles}
 
 
 def _wait(future: Future[T]) -> T:
@@ -640,6 +642,7 @@ class Swarm:
         robots: Names = None,
         take: bool = False,
         team: str = "",
+        needs: Mapping[str, Any] | None = None,
         roles: Mapping[str, Iterable[str]] | None = None,
         **parameters: Any,
     ) -> SwarmRequest:
@@ -650,7 +653,7 @@ class Swarm:
         behaviour : its name; ``_bc`` at its end: behind the safety filter
         robots : names and ``@groups``; None: all
         take : take the robots over from an operator that holds them
-        team, roles : as in :meth:`Lab.request <fullswarm.Lab.request>`
+        team, needs, roles : as in :meth:`Lab.request <fullswarm.Lab.request>`
         parameters : of the behaviour
 
         Raises
@@ -660,7 +663,7 @@ class Swarm:
         Unreachable
             The core does not answer within 5 s. The request is withdrawn then.
         """
-        more = _more(parameters, team, roles)
+        more = _more(parameters, team, needs, roles)
         return SwarmRequest(self._client, _wait(self._client.request(behaviour, _names(robots), take, **more)))
 
     def stop(self, robots: Names = None) -> None:
@@ -802,11 +805,12 @@ class AsyncSwarm:
         robots: Names = None,
         take: bool = False,
         team: str = "",
+        needs: Mapping[str, Any] | None = None,
         roles: Mapping[str, Iterable[str]] | None = None,
         **parameters: Any,
     ) -> AsyncSwarmRequest:
         """Request a behaviour; see :meth:`Swarm.request`."""
-        asked = self._client.request(behaviour, _names(robots), take, **_more(parameters, team, roles))
+        asked = self._client.request(behaviour, _names(robots), take, **_more(parameters, team, needs, roles))
         return AsyncSwarmRequest(self._client, await asyncio.wrap_future(asked))
 
     async def stop(self, robots: Names = None) -> None:

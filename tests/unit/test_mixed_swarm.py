@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fullswarm import registry
 from fullswarm.cli.status import demands
 from fullswarm.cli.values import parse_needs, parse_roles
 from fullswarm.config import SwarmConfig
 from fullswarm.config.mission_file import parse_mission
 from fullswarm.core.behaviours import load_records, make_record
+from fullswarm.core.node import CoreNode
 from fullswarm.errors import ConfigError
 from fullswarm.fitness import both, unfit
 from fullswarm.keys import Keys
@@ -315,11 +317,11 @@ def test_operators_learn_at_once_what_robots_are_and_who_cannot_take_part(swarm:
     }  # fmt: skip
     record = {
         "parameters": {"cruise_m_s": {"default": 0.3}}, "needs": {"speed_m_s": "cruise_m_s", "capabilities": ["lamp"]},
-        "roles": {"carrier": {"needs": ["carry"], "at_least": 1}},
+        "roles": {"carrier": {"needs": ["carry"], "at_least": 1, "doc": "lifts"}},
     }  # fmt: skip
     assert demands(record, seen) == [
-        "needs: speed_m_s cruise_m_s, capabilities lamp",
-        "role carrier: needs carry, at_least 1",
+        "needs: speed_m_s as the parameter cruise_m_s, capabilities lamp",
+        "role carrier: lifts (needs carry, at_least 1)",
         "slow: it is too slow: its speed is 0.2 m/s, and 0.3 m/s is needed",
     ]
     assert demands({}, seen) == []
@@ -388,3 +390,46 @@ def test_the_command_line_reads_needs_and_roles() -> None:
     for wrong in ("carrier", "=r1", "carrier="):
         with pytest.raises(ConfigError, match="--role"):
             parse_roles([wrong])
+
+
+def test_centralised_laws_know_the_same_of_their_robots(swarm: Swarm, monkeypatch: pytest.MonkeyPatch) -> None:
+    facts: list[dict[Any, dict[str, Any]]] = []
+
+    def velocity(view: Any, _: Any) -> np.ndarray:
+        told = {"role": view.role, "make": view.make, "carries": view.can("carry"), "charge": view.battery}
+        theirs = {
+            "role": view.neighbour_role, "make": view.neighbour_make, "carries": view.neighbour_can("carry"),
+            "charge": view.neighbour_battery, "fast": view.neighbour_limits[:, 0] > 0.4,
+        }  # fmt: skip
+        found: dict[Any, dict[str, Any]] = {}
+        for row, robot in enumerate(view.id.tolist()):
+            found[robot] = {name: column[row].item() for name, column in told.items()}
+        for e, pair in enumerate(zip(view.id[view.of].tolist(), view.neighbour_id.tolist(), strict=True)):
+            found[pair] = {name: column[e].item() for name, column in theirs.items()}
+        facts.append(found)
+        return np.zeros_like(view.position)
+
+    law = SimpleNamespace(velocity=velocity, __file__="law.py")
+    monkeypatch.setattr(registry, "centralised_module", lambda _: law)
+    monkeypatch.setattr(registry, "centralised_names", lambda: ["herd"])
+    swarm.lockstep.run(1.3)  # some time after the profiles were sent
+    swarm.store("herd", law="herd", centralised=True, roles={"boss": {"needs": ["camera"], "at_most": 1}})
+    status = swarm.ask("herd", ("slow", "r2", "wide"))
+    swarm.lockstep.run(1.5)
+    assert status.roles == {"r2": "boss"}
+    newest = facts[-1]
+    assert newest["r2"] == {"role": "boss", "make": "sim", "carries": True, "charge": -1.0}
+    assert newest["wide"] == {"role": "", "make": "sim", "carries": False, "charge": -1.0}
+    assert newest["wide", "r2"] == {"role": "boss", "make": "sim", "carries": True, "charge": -1.0, "fast": True}
+    assert newest["r2", "slow"] == {"role": "", "make": "sim", "carries": False, "charge": -1.0, "fast": False}
+
+
+def test_roles_by_capability_wait_for_robots_that_have_not_said_what_they_can_do(swarm: Swarm) -> None:
+    swarm.store("haul", roles={"carrier": {"needs": ["carry"]}, "scout": {}})
+    core = next(node for node in swarm.lockstep._nodes if isinstance(node, CoreNode))
+    core.roster._profiles.clear()  # as after a restart
+    refused = swarm.ask("haul")
+    assert refused.code == Code.ROLES
+    assert "r1, r2, slow, wide: not known yet what they can do (request it again in a second)" in refused.reason
+    swarm.lockstep.run(1.0)
+    assert swarm.ask("haul").roles["r1"] == "carrier"

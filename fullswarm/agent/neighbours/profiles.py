@@ -10,13 +10,12 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours.estimates import CellSubscriptions, Neighbours
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Description
-from fullswarm.kernels import Array, Flags, Index
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import WHOLE_SWARM_CELL, Keys, cell_of
 from fullswarm.messages import ProfileQuery, RobotProfile, RobotProfiles
 from fullswarm.recent import Recent
@@ -32,11 +31,9 @@ LARGEST_SPEED, LARGEST_ACCEL = 1e4, 1e5
 REMEMBERED = 4096
 """Processes of other hosts: they choose their names, so their number must be bounded."""
 
-Words = NDArray[np.str_]
-
 
 class ProfileTable:
-    """Profiles of the robots received, by their rows in :class:`Neighbours`, as columns; unknown ones have none."""
+    """Profiles of the robots received, by their rows in :class:`Neighbours`."""
 
     def __init__(self) -> None:
         self._of: dict[int, RobotProfile] = {}
@@ -45,35 +42,9 @@ class ProfileTable:
         """Keep the profile of the robot in `row`."""
         self._of[row] = profile
 
-    def get(self, row: int) -> RobotProfile | None:
-        """Return the profile of the robot in `row`; None: it is unknown."""
-        return self._of.get(row)
-
-    def makes(self, rows: Index) -> Words:
-        """Return the makes of robots (e,); empty: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array(["" if each is None else each.make for each in found], np.str_)
-
-    def battery(self, rows: Index) -> Array:
-        """Return the charges of robots (e,), 0 to 1; -1: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([-1.0 if each is None else each.battery for each in found])
-
-    def can(self, rows: Index, capability: str) -> Flags:
-        """Tell which robots (e,) state a capability."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([each is not None and capability in each.capabilities for each in found], bool)
-
-    def limits(self, rows: Index) -> Array:
-        """Return speed, turn rate and acceleration that robots can do, (e, 3) m/s, rad/s, m/s²; NaN: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([_limits(each) for each in found]).reshape(-1, 3)
-
-
-def _limits(profile: RobotProfile | None) -> tuple[float, float, float]:
-    if profile is None:
-        return math.nan, math.nan, math.nan
-    return profile.speed_limit_m_s, profile.turn_limit_rad_s, profile.accel_m_s2
+    def at(self, rows: Index) -> list[RobotProfile | None]:
+        """Return the profiles of robots (e,); None: unknown."""
+        return [self._of.get(row) for row in rows.tolist()]
 
 
 def profiles_of(
