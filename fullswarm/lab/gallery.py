@@ -12,7 +12,7 @@ import numpy as np
 
 from fullswarm.core.behaviours import all_records, make_record
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.pictures import write_still
+from fullswarm.evaluate.pictures.scene import check_still, write_still
 from fullswarm.evaluate.trial_folder import Trajectory
 from fullswarm.lab.lab import Lab
 
@@ -61,7 +61,7 @@ SCENES: dict[str, Scene] = {
     "dispersion": Scene(12, 40.0, heap=(4.0, 4.0)),
     "drive": Scene(1, 6.0, parameters={"linear": 0.6, "angular": 0.25}),
     "exploration": Scene(3, 120.0, heap=(1.5, 8.0), obstacles=ROOMS),
-    "flocking": Scene(8, 40.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(5.0, 5.0)),
+    "flocking": Scene(8, 40.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(4.0, 9.0)),
     "flocking_adaptive": Scene(8, 60.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(5.0, 5.0)),
     "flocking_velocity": Scene(
         10, 60.0, bounds=(0.0, 0.0, 16.0, 12.0), heap=(3.0, 3.0), parameters={"destination": [12.0, 8.0]}
@@ -96,7 +96,7 @@ for _way in ("forward", "backward", "left", "right"):
 
 def scene_of(behaviour: str, changes: Mapping[str, Any], parameters: Mapping[str, Any]) -> Scene:
     """Return the scene of a behaviour with other values in place of its own; the usual world if it has none."""
-    found = SCENES.get(behaviour.removesuffix(FILTERED), Scene())
+    found = SCENES.get(behaviour) or SCENES.get(behaviour.removesuffix(FILTERED)) or Scene()
     return replace(found, **changes, parameters={**found.parameters, **parameters})
 
 
@@ -129,6 +129,7 @@ def run(behaviour: str, scene: Scene) -> Trajectory:
 
 def draw(behaviour: str, scene: Scene, path: Path, width_px: int = WIDTH_PX) -> Trajectory:
     """Run a behaviour and write its picture, a .png or .svg; return where all robots were."""
+    check_still(path)  # before minutes of work
     found = run(behaviour, scene)
     from_s = max(0.0, scene.seconds - scene.trail_s) if scene.trail_s else None
     write_still(found, path, caption=behaviour, width_px=width_px, from_s=from_s)

@@ -121,8 +121,8 @@ def test_scaled_numbers_are_shares_of_the_largest() -> None:
         with closing(env):
             observations.append(env.reset(seed=1)[0]["r2"])
     np.testing.assert_allclose(observations[1], observations[0] / plain.largest, rtol=1e-6)
-    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]]), [[0.25, -2.0]])
-    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]]), [[0.5, -0.2]])
+    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]], 1), [[0.25, -2.0]])
+    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]], 1), [[0.5, -0.2]])
 
 
 STARTS_XY = [row[:2] for row in STARTS]
@@ -261,6 +261,21 @@ def test_wrong_spaces_are_named(wrong: dict[str, Any]) -> None:
         Spaces(**wrong)
 
 
+def test_on_a_bad_network_an_episode_begins_when_all_robots_do() -> None:
+    env = ParallelSwarmEnv(
+        robots=3, starts=STARTS, goals=GOALS, settings={"network.conditions": "loss=40%,delay=100ms"}
+    )
+    observations, infos = env.reset(seed=1)
+    assert all(np.abs(each[:2]).max() > 0.1 for each in observations.values())
+    assert {each["time_s"] for each in infos.values()} == {0.0}
+    for _ in range(20):
+        env.step(dict.fromkeys(env.agents, np.array([1.0, 0.0])))
+    assert (env.episode.state.pose[:, 0] - np.array(STARTS)[:, 0] > 0.5).all()
+    env.close()
+    with pytest.raises(ConfigError, match="not all robots have begun within 10 s"):
+        ParallelSwarmEnv(robots=2, settings={"network.conditions": "loss=100%"}).reset()
+
+
 # ------------------------------------------------------------------ policies as behaviours
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("filtered", [True, False])
@@ -313,7 +328,12 @@ def test_others_of_an_environment_may_run_a_policy() -> None:
 
 
 def test_a_policy_that_answers_wrongly_stops_its_robots() -> None:
-    for answer, says in ((np.zeros(3), r"\(3,\), expected \(k, 2\)"), (np.full((3, 2), np.nan), "not finite")):
+    for answer, says in (
+        (np.zeros(3), r"shape \(3,\), expected \(3, 2\)"),
+        (np.zeros((1, 2)), r"shape \(1, 2\), expected \(3, 2\)"),
+        (np.full((3, 2), np.nan), "not finite"),
+        (None, "expected"),
+    ):
         with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
             lab.request(policy(lambda _: answer), goal=[6, 6])  # noqa: B023  (called within the loop)
             with pytest.raises(BehaviourFailed, match=says):
@@ -379,9 +399,13 @@ RECORD = """
 summary = "Drive to a goal as learned"
 law = "homing"
 team = "swarm"
-static = { hearing_m = 3.0 }
+static = { hearing_m = 3.0, coordination = false }
 [homing.parameters]
 goal = { type = "point", unit = "m", required = true, doc = "where to" }
+
+[homing_bc]
+like = "homing"
+filtered = true
 """
 
 
@@ -396,15 +420,35 @@ def outside(tmp_path: Path) -> ModuleType:
 def test_a_package_of_its_own_has_a_policy_as_its_law(outside: ModuleType) -> None:
     check_behaviour(outside, {"goal": [5.0, 5.0]}, seeds=range(2))
     with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
-        lab.request(outside, goal=[6, 6])
+        assert lab.request(outside, goal=[6, 6]).behaviour == "homing"
         lab.run(3)
         assert np.abs(lab.poses - STARTS).max() > 0.1
+
+
+def test_an_installed_policy_is_requested_by_its_name(
+    outside: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pyproject.toml").write_text('[project.entry-points."fullswarm.behaviours"]\nhoming = "homing"\n')
+    monkeypatch.setenv(registry.DEVELOP, str(tmp_path))  # counts as installed
+    monkeypatch.syspath_prepend(str(tmp_path))
+    ways = []
+    for behaviour in ("homing_bc", outside):
+        registry.law_module.cache_clear()
+        with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
+            lab.request(behaviour, goal=[6, 6])
+            lab.run(3)
+            ways.append(lab.poses)
+    np.testing.assert_array_equal(ways[0], ways[1])
+    assert np.abs(ways[0] - STARTS).max() > 0.1
+    sys.modules.pop("homing", None)
+    registry.law_module.cache_clear()
 
 
 def test_the_examples_of_the_documentation_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     linear_model(tmp_path / "net.onnx", Spaces().size)
     page = (Path(__file__).parents[2] / "docs" / "how-to-use-from-python.md").read_text(encoding="utf-8")
+    page = re.sub(r"## A live swarm\n.*?(?=\n## )", "", page, flags=re.DOTALL)  # run against a live one elsewhere
     *blocks, package = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     model = SimpleNamespace(predict=lambda observations: (observations[:, :2], None))
     names: dict[str, Any] = {"np": np, "model": model, "spaces": Spaces()}

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fullswarm.agent.behaviours import navigate
 from fullswarm.agent.navigation.right_of_way import CLEAR_AHEAD_M, EXIT_M, RING_M, Traffic, give_way
 from fullswarm.agent.neighbours.estimates import Neighbours
+from fullswarm.agent.neighbours.objects import no_objects
 from fullswarm.agent.neighbours.standing import FORGET_S, STANDING_S, Standing
 from fullswarm.agent.view import Params, View
 from fullswarm.config import SwarmConfig
@@ -39,6 +40,7 @@ def driven(x: float, y: float, going: int, *others: list[float], door: Array = D
     turn = np.array([[c, s], [-s, c]])
     states = np.zeros((len(table), 6))
     states[:, :2], states[:, 2], states[:, 3] = table[:, :2] @ turn, table[:, 2] + yaw, table[:, 3]
+    states[:, 5] = RADIUS_M
     traffic = Traffic(np.arange(len(table)), states[:, :2].copy(), states, table[:, 4:] @ turn)
     passage = door.copy()
     passage[:, 2:4] = door[:, 2:4] @ turn
@@ -66,6 +68,26 @@ def test_of_two_on_one_side_exactly_one_drives_on(
         assert drive == [near[0] < near[1], near[1] < near[0]]
     else:
         assert any(drive)
+
+
+@given(places, places, st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+def test_two_that_know_a_door_a_little_differently_agree_on_who_is_first(
+    one: tuple[float, float], other: tuple[float, float], along_m: float, across_m: float
+) -> None:
+    mine, its = DOOR, DOOR + np.array([[along_m, across_m, 0.0, 0.0, 0.0, 0.0]])
+    first = driven(*one, EAST, [*other, 0.0, 0.0, along_m + 0.1 + EXIT_M, across_m], door=mine)
+    second = driven(*other, EAST, neighbour(*one, EAST), door=its)
+    drive = [bool(each[0] == pytest.approx(SPEED_M_S) and abs(each[1]) < 1e-9) for each in (first, second)]
+    near = [math.hypot(one[0] + 0.1, one[1]), math.hypot(other[0] + 0.1 - along_m, other[1] - across_m)]
+    if max(near) < RING_M and abs(near[0] - near[1]) > 1e-6:
+        assert drive == [near[0] < near[1], near[1] < near[0]]
+
+
+def test_one_that_waits_leaves_the_first_one_its_way_along_the_wall() -> None:
+    first, beside = (-0.3, -0.6), (-0.68, -0.56)  # the wall's face is at x = -0.1
+    velocity = driven(*beside, EAST, neighbour(*first, EAST))
+    assert velocity @ (np.array(first) - beside) < -0.01, "it drives off"
+    assert driven(*first, EAST, neighbour(*beside, EAST)).tolist() == [SPEED_M_S, 0.0]
 
 
 @given(places, places, st.floats(-math.pi, math.pi))
@@ -126,7 +148,7 @@ def heard(x_m: float, stamp_s: float, aim_x_m: float | None) -> RobotStates:
 def watched(until_s: float, x_of: dict[float, float], aim_x_m: float | None, silent_from_s: float = math.inf) -> int:
     """Return how many robots stand at `until_s`; one is heard five times a second."""
     neighbours = Neighbours(("r1",), 1.0)
-    standing, found = Standing(neighbours), 0
+    standing, found = Standing(neighbours, no_objects()), 0
     for k in range(round(until_s / 0.2) + 1):
         now_s = 0.2 * k
         x_m = next(x for since_s, x in reversed(x_of.items()) if since_s <= now_s + 1e-9)
@@ -142,6 +164,26 @@ def test_a_robot_that_stands_without_an_aim_is_an_obstacle_until_it_moves() -> N
     assert watched(STANDING_S + 1.0, {0.0: 1.0}, None) == 1
     assert watched(STANDING_S + 1.0, {0.0: 1.0}, 1.0) == 1, "it states its own place: it drives nowhere"
     assert watched(STANDING_S + 3.0, {0.0: 1.0, 5.0: 1.3}, None) == 0
+
+
+def test_an_object_that_stands_is_an_obstacle_until_it_moves() -> None:
+    objects = no_objects()
+    objects.used[0] = 2
+    neighbours = Neighbours(("r1",), 1.0)
+    standing = Standing(neighbours, objects)
+    found = []
+    for k in range(40):
+        now_s = 0.25 * k
+        objects.rows[0, :5] = 1.0, 2.0, 0.0, 0.0, 0.17
+        objects.rows[1, :5] = 0.2 * now_s, 0.0, 0.2, 0.0, 0.3
+        if now_s > 7.0:
+            objects.rows[0, 0] = 1.3
+        neighbours.set_time(now_s)
+        found.append(standing.around(0).copy())
+    assert len(found[8]) == 0
+    assert found[20][:, :2].tolist() == [[1.0, 2.0]]
+    assert 0.17 <= found[20][0, 5] < 0.2
+    assert len(found[32]) == 0
 
 
 def test_one_that_waits_on_its_way_is_no_obstacle_until_it_is_silent() -> None:

@@ -171,6 +171,13 @@ def test_it_gives_up_between_walls_and_a_robot_but_not_where_there_is_room_at_it
     assert (shut.rule, free.rule) == (SHUT_IN, NOT_SETTLED)
 
 
+def test_walls_alone_shut_no_robot_in() -> None:
+    door = np.array([[5.0, 0.71, 0.1, 0.5, 0.0, 0.0], [5.0, -0.71, 0.1, 0.5, 0.0, 0.0]])  # 0.42 m: a way for one angle
+    alone = One((5.19, 0.03))
+    alone.wait(np.array([[6.0, 0.8]]), GIVE_UP_S + 2.0 * CHECK_S, door)
+    assert alone.rule == NOT_SETTLED
+
+
 def test_another_goal_ends_it_and_none_prevents_it() -> None:
     one = One((TOUCHING_M, 0.0))
     one.wait(np.array([[0.0, 0.0]]), 2.0)

@@ -61,7 +61,7 @@ class DesiredMotion:
         self._alone = self._near = neighbours.nearby(np.zeros(count + 1, np.int64), np.zeros(1, np.int64))
         self._planar = np.full((count, 2), math.nan)
         self._requested = Requested(self._planar, tasks.filtered, tasks.gain_per_s, tasks.margin_m)
-        self._standing = Standing(neighbours)
+        self._standing = Standing(neighbours, evasion.objects)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)

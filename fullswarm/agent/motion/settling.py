@@ -5,7 +5,8 @@ A robot settles when it is slow and
 
 - something is in its way, and every place that is nearer to its goal is taken by a robot at standstill: at once; or
 - every place in its goal's disc is taken or enclosed by robots at standstill, and it has come no nearer for `WAIT_S`;
-- it has come no nearer for `GIVE_UP_S`, and there is no room for a robot ahead nor at its sides: in a corridor, a jam.
+- it has come no nearer for `GIVE_UP_S`, another robot is beside it, and there is no room ahead nor at its sides: in a
+  corridor, a jam. By walls alone no robot is shut in that its planner led there.
 
 The first two are judged where the goal is at most `WINDOW_M` away, so that all robots around it are sensed. While there
 is a free place in the goal's disc that can be reached they do not hold, also for a robot at its rim.
@@ -39,6 +40,8 @@ CHECK_S = 0.5
 SLOW_SHARE = 0.1
 """A robot below this share of its speed limit is slow."""
 STANDSTILL_M_S = 0.02
+WAITS_M_S = 0.02
+"""A robot whose control law desires less waits, for its turn at a door, and is not held up."""
 NEARER_RADII = 0.5
 """A robot has come nearer, and a place is nearer, by at least so many of its radii."""
 FIT_M = 0.03
@@ -249,6 +252,18 @@ def has_room(
 
 
 @kernel
+def is_beside(i: int, x: float, y: float, clearance_m: float, near: Nearby) -> bool:
+    """Tell whether another robot is less than `clearance_m` from (x, y)."""
+    start, other, places, states, spread_m, _, _ = near
+    for pair in range(start[i], start[i + 1]):
+        row = other[pair]
+        apart_m = clearance_m + states[row, 5] + spread_m[row]
+        if math.hypot(places[row, 0] - x, places[row, 1] - y) < apart_m:
+            return True
+    return False
+
+
+@kernel
 def rule_for(
     i: int, x: float, y: float, ux: float, uy: float, goal_x: float, goal_y: float, reach_m: float, waited_s: float,
     radius: float, clearance_m: float, near: Nearby, arena: Arena,
@@ -264,7 +279,11 @@ def rule_for(
             return NO_NEARER_PLACE
         if waited_s >= WAIT_S and not place_left(i, True, x, y, goal_x, goal_y, reach_m, fit_m, near, arena):
             return GOAL_TAKEN
-    if waited_s >= GIVE_UP_S and not has_room(i, x, y, ux, uy, 2.0 * radius, clearance_m, len(TILTS), near, arena):
+    way_m = 2.0 * radius
+    if (
+        waited_s >= GIVE_UP_S and is_beside(i, x, y, way_m + clearance_m, near)
+        and not has_room(i, x, y, ux, uy, way_m, clearance_m, len(TILTS), near, arena)
+    ):  # fmt: skip
         return SHUT_IN
     return NOT_SETTLED
 
@@ -306,7 +325,7 @@ def settle(
             least_m[i] = math.inf
             room_s[i] = ROOM_S
         size = math.hypot(desired[i, 0], desired[i, 1])
-        if left_m < least_m[i] - NEARER_RADII * radius[i] or left_m <= reach_m[i] or not size > 0.0:
+        if left_m < least_m[i] - NEARER_RADII * radius[i] or left_m <= reach_m[i] or size < WAITS_M_S:
             least_m[i] = min(left_m, least_m[i])
             nearer_s[i] = now_s
             check_s[i] = now_s + CHECK_S

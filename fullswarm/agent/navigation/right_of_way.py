@@ -149,6 +149,13 @@ def survey(
         gone = its_before < -2.0 * half - radius_m
         its_inside = math.fabs(aside) < half_width and its_before < 0.5 * radius_m and not gone
         its_mouth_m = math.hypot(max(its_before, 0.0), aside)
+        off_x = traffic.aims[other, 0] - passages[row, 0]
+        off_y = traffic.aims[other, 1] - passages[row, 1]
+        if math.isfinite(off_x + off_y) and its_before > 0.0:
+            # Where it says that it goes through: two that know a silent robot's disc differently must agree on who
+            # is first, and each distance is the same for both.
+            mouth = axis_x * off_x + axis_y * off_y - going * (2.0 * half + EXIT_M)
+            its_mouth_m = math.hypot(max(going * (mouth - there), 0.0), aside - axis_x * off_y + axis_y * off_x)
         if going < 0.0:
             opposing_inside = opposing_inside or its_inside
             opposing_near = opposing_near or (its_before < CLAIM_M and not gone)

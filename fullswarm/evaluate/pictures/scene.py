@@ -274,6 +274,20 @@ def corners(boxes: Array) -> Array:
 STILL_ENDINGS = (".png", ".svg")
 
 
+def check_still(path: Path) -> str:
+    """Return the ending of a picture's file.
+
+    Raises
+    ------
+    ConfigError
+        There is no picture with that ending.
+    """
+    kind = path.suffix.lower()
+    if kind not in STILL_ENDINGS:
+        raise ConfigError(f"a picture ends in {' or '.join(STILL_ENDINGS)}", where=str(path))
+    return kind
+
+
 def write_still(
     trajectory: Trajectory,
     path: Path,
@@ -292,9 +306,7 @@ def write_still(
     MissingExtra
         matplotlib is not installed.
     """
-    kind = path.suffix.lower()
-    if kind not in STILL_ENDINGS:
-        raise ConfigError(f"a picture ends in {' or '.join(STILL_ENDINGS)}", where=str(path))
+    kind = check_still(path)
     scene = _scene(trajectory, caption, width_px, from_s, until_s)
     with whole_file(path) as beside:
         _save(scene, beside, kind[1:])
