@@ -36,6 +36,7 @@ Further files:
 ``recent.py``      A dict that keeps its newest entries
 ``memory.py``      Memory of a control law: arrays with one row per robot that are kept from call to call
 ``parameters.py``  Parameters of a request as a control law reads them
+``profiles.py``    Columns of what robots are and can do, as control laws read them
 ``registry.py``    Drivers and behaviours by name: a table first, entry points for names that are not in it
 ``robotarium/``    Runs scripts of the Robotarium's simulator in a laboratory
 ``runtime.py``     Runs nodes: one thread, a mailbox and timers, on the wall clock or on a simulated one
@@ -49,7 +50,11 @@ Further files:
 from __future__ import annotations
 
 __version__ = "0.1.0"
-_LAZY = {"Lab": "fullswarm.lab"}
+_LAZY = {
+    "AsyncSwarm": "fullswarm.operator.swarm",
+    "Lab": "fullswarm.lab",
+    "Swarm": "fullswarm.operator.swarm",
+}
 """Exported names by the module that has them: imported when first used, because a robot needs none of them.
 
 Type checkers read ``__init__.pyi``.

@@ -6,6 +6,7 @@
     ├── ConfigError          a file or an option is wrong                        exit 2
     │   └── RequestRefused   the core refused a request, with its reason         exit 2
     ├── Unreachable          no answer from the hub, the core or a robot         exit 3
+    ├── TimedOut             something has not happened in time, also a TimeoutError    exit 1
     ├── MessageError         bytes that are not one of our messages
     ├── DriverError          a robot's link or firmware                          exit 3
     │   ├── LinkLost         the other end went silent or the port vanished
@@ -65,6 +66,10 @@ class Unreachable(FullswarmError):
     """No answer: from hub, core or robot."""
 
     exit_code = 3
+
+
+class TimedOut(FullswarmError, TimeoutError):
+    """What was waited for has not happened in time. It may happen later."""
 
 
 class MessageError(FullswarmError):

@@ -5,14 +5,32 @@ The core asks for the robots of a request, and each robot again on board: what t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
+import msgspec
+
+from fullswarm.errors import ConfigError
 from fullswarm.messages import Needs, RobotProfile
 from fullswarm.reasons import NONE, Code, Reason, reason
 
 ANYTHING = Needs()
 ROUNDING = 1e-9
 """Limits go through arithmetic before they are compared."""
+
+
+def needs_of(given: Mapping[str, Any]) -> Needs:
+    """Return what a table needs: ``{"capabilities": ["gripper"], "speed_m_s": 0.3}``.
+
+    Raises
+    ------
+    ConfigError
+        A key is unknown, or has another value than it can.
+    """
+    try:
+        return msgspec.convert(dict(given), Needs)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(error), where="needs", hint=f"known: {', '.join(Needs.__struct_fields__)}") from None
 
 
 def both(one: Needs, other: Needs) -> Needs:

@@ -15,6 +15,7 @@ key                                                     message                w
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
 ``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
+``<swarm>/profile/query``                               ProfileQuery           operators, core → agents
 ``<swarm>/reception/<host>``                            Reception              agent → core
 ``<swarm>/relay/<host>``                                RelayedStates          core → agent
 ``<swarm>/searched/<host>``                             SearchedDiscs          agent → agents
@@ -121,6 +122,11 @@ class Keys:
     def profile(self, cell: str = ANY, host: str = ANY) -> str:
         """What robots are and can do, by grid cell as the states."""
         return f"{self.swarm}/profile/{cell}/{host}"
+
+    @property
+    def profile_query(self) -> str:
+        """Asks for the profiles of all robots."""
+        return f"{self.swarm}/profile/query"
 
     def reception(self, host: str = ANY) -> str:
         """Whose states a host receives."""

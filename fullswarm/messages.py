@@ -640,12 +640,18 @@ class RobotProfile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class RobotProfiles(Message, frozen=True, kw_only=True):
-    """What the robots of one host are: on change, when robots appear, and every 5 s; at most once per second."""
+    """What the robots of one host are: on change, when asked or robots appear, every 5 s; at most once per second."""
 
     host: str
     process: str
     robots: Annotated[tuple[RobotProfile, ...], Meta(max_length=MOST)]
     stamp_s: Stamp = 0.0
+
+
+class ProfileQuery(Message, frozen=True, kw_only=True):
+    """Asks all agents for the profiles of their robots: by an operator or a core that has just started."""
+
+    source: str = ""
 
 
 class SearchedDiscs(Message, frozen=True, kw_only=True):

@@ -1,12 +1,16 @@
-"""Parameters of a request as a control law reads them: columns with one row per robot."""
+"""Parameters of a request as a control law reads them, columns with one row per robot; and the goals in them."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.messages import Value
+
+Goals = tuple[tuple[float, float], ...]
 
 
 class Params:
@@ -49,3 +53,19 @@ def column_width(value: Value) -> int:
 def _column(values: list[Value], first: Value) -> object:
     width = column_width(first)
     return np.array(values, float).reshape(len(values), width) if width else first
+
+
+def goals_of(parameters: Mapping[str, Value]) -> Goals:
+    """Return where a robot shall be, m: its target, the goal of all, or any target of an assigned formation."""
+    for name in ("target", "goal"):
+        if (point := _point(parameters.get(name))) is not None:
+            return (point,)
+    targets = parameters.get("targets")
+    points = map(_point, targets) if isinstance(targets, list) else ()
+    return tuple(point for point in points if point is not None)
+
+
+def _point(value: object) -> tuple[float, float] | None:
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(each, int | float) for each in value):
+        return float(value[0]), float(value[1])
+    return None

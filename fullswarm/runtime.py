@@ -14,9 +14,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from fullswarm.clock import Clock, SimClock
 
@@ -30,6 +31,7 @@ AT_ONCE = 256
 """Messages that one call of :meth:`Runtime.serve_due` delivers at most."""
 
 Handler = Callable[[Any], None]
+T = TypeVar("T")
 
 
 class Mailbox:
@@ -303,6 +305,83 @@ class Runtime:
                 _count(timer, now_s - timer.due_s)
                 heapq.heappush(self._timers, (timer.due_s, next(self._order), timer))
             timer.callback()
+
+
+class RuntimeThread:
+    """A runtime on a thread of its own, for a program that does something else meanwhile.
+
+    Whatever belongs to its nodes is called by :meth:`call`. The thread is a daemon: a program that forgets to close it
+    ends all the same.
+
+    Parameters
+    ----------
+    name
+        Of the thread.
+    on_end
+        Called last on the thread, also after an error, which is logged as that of any thread.
+    """
+
+    def __init__(self, clock: Clock, name: str, on_end: Callable[[], None]) -> None:
+        self._clock, self._on_end, self._lock, self._open = clock, on_end, threading.Lock(), True
+        started: Future[Runtime] = Future()
+        self._thread = threading.Thread(target=self._serve, args=(started,), name=name, daemon=True)
+        self._thread.start()
+        self.runtime = started.result()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it serves."""
+        return self._open
+
+    def call(self, function: Callable[[], T]) -> Future[T]:
+        """Have `function` called on the thread; return its result to come.
+
+        Raises
+        ------
+        RuntimeError
+            The thread has ended.
+        """
+        future: Future[T] = Future()
+
+        def run(_: object) -> None:
+            if not future.set_running_or_notify_cancel():
+                return
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+
+        with self._lock:
+            if not self.alive:
+                raise RuntimeError("the thread of this runtime has ended")
+            self.runtime.mailbox.put(run, None)
+        return future
+
+    def close(self, last: Callable[[], None]) -> None:
+        """Call `last` on the thread and end it. Closing twice is fine."""
+        with self._lock:
+            was_open, self._open = self._open, False
+        if was_open:
+
+            def end(_: object) -> None:
+                try:
+                    last()
+                finally:
+                    self.runtime.stop()
+
+            self.runtime.mailbox.put(end, None)
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _serve(self, started: Future[Runtime]) -> None:
+        runtime = Runtime(self._clock)
+        started.set_result(runtime)
+        try:
+            runtime.run()
+        finally:
+            with self._lock:
+                self._open = False
+            self._on_end()
 
 
 def _count(timer: Timer, late_s: float) -> None:

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm import profiles
 from fullswarm.agent.messaging.received import Heard
 from fullswarm.agent.messaging.table import SharedTable
 from fullswarm.agent.motion.actuation import Actuation
@@ -470,44 +471,43 @@ class View:
         return np.array((*roles, ""), np.str_)[places]  # -1, no place, is the last one
 
     # ------------------------------------------------------------------ what robots are and can do
-    def _profiles(self) -> Sequence[RobotProfile | None]:
+    def _profiles(self) -> profiles.Known:
         known = self.context.profiles
         if known is None:
             return [None] * len(self.position)
         return known.own if self._rows is None else [known.own[row] for row in self._rows.tolist()]
 
-    @property
-    def _table(self) -> ProfileTable:
+    def _their_profiles(self) -> profiles.Known:
         known = self.context.profiles
-        return ProfileTable() if known is None else known.table
+        return [None] * len(self.other) if known is None else known.table.at(self.other)
 
     @property
     def make(self) -> Words:
-        """Make of the robot, (n,): ``create``, ``sim``, ..."""
-        return np.array(["" if each is None else each.make for each in self._profiles()], np.str_)
+        """Make of the robot, (n,), as its driver states it: ``iRobot``, ``sim``, ..."""
+        return profiles.makes(self._profiles())
 
     def can(self, capability: str) -> Flags:
         """Tell which robots (n,) have a capability: an actuator's name, "bumps", or one of the fleet file."""
-        return np.array([each is not None and capability in each.capabilities for each in self._profiles()], bool)
+        return profiles.having(self._profiles(), capability)
 
     @property
     def neighbour_make(self) -> Words:
         """Make of the neighbour, (e,); empty: not received yet."""
-        return self._table.makes(self.other)
+        return profiles.makes(self._their_profiles())
 
     def neighbour_can(self, capability: str) -> Flags:
         """Tell which neighbours (e,) are known to have a capability; see :meth:`can`."""
-        return self._table.can(self.other, capability)
+        return profiles.having(self._their_profiles(), capability)
 
     @property
     def neighbour_battery(self) -> Array:
         """Charge of the neighbour, (e,) 0 to 1, some seconds old; -1: unknown."""
-        return self._table.battery(self.other)
+        return profiles.charges(self._their_profiles())
 
     @property
     def neighbour_limits(self) -> Array:
         """Greatest speed, turn rate and acceleration of the neighbour, (e, 3) m/s, rad/s, m/s²; NaN: unknown."""
-        return self._table.limits(self.other)
+        return profiles.limits(self._their_profiles())
 
     @property
     def random(self) -> Draws:

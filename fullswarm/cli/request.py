@@ -12,8 +12,7 @@ from fullswarm.cli import completion
 from fullswarm.cli.mission import check_options, is_mission, start
 from fullswarm.cli.options import Json, RobotArguments, Robots, Take, Timeout, robot_ids, shell_command
 from fullswarm.cli.values import parse_needs, parse_parameters, parse_roles
-from fullswarm.errors import FullswarmError, RequestRefused, SafetyStop, Unreachable
-from fullswarm.reasons import Code, holds
+from fullswarm.errors import Unreachable
 
 if TYPE_CHECKING:
     from fullswarm.cli.options import NamedTarget, Target
@@ -55,7 +54,7 @@ NeedsOption = Annotated[
     typer.Option(
         "--needs",
         metavar="KEY=VALUE",
-        help="What robots must be able to do: capabilities=gripper, speed_m_s=0.3, makes=create, battery=0.5. Others "
+        help="What robots must be able to do: capabilities=gripper, speed_m_s=0.3, makes=iRobot, battery=0.5. Others "
         "are left out, or refused if they are named.",
     ),
 ]
@@ -105,6 +104,7 @@ def request(
     import msgspec
 
     from fullswarm.operator import session
+    from fullswarm.operator.outcome import all_arrived, ended, refusal, settled, unconfirmed
 
     if check or is_mission(behaviour):
         check_options(behaviour, given=bool(robots or settings or team or needs or roles))
@@ -157,40 +157,6 @@ def request(
     return refusal(newest).exit_code if newest.refused_by else 1
 
 
-def refusal(status: RequestStatus) -> FullswarmError:
-    """Return the error for a request that the core refused, or robots."""
-    if status.refused_by:
-        latched = holds(status.code, status.parameters, Code.ESTOP_LATCHED)
-        kind = SafetyStop if latched else FullswarmError
-        return kind(status.reason, where=status.behaviour)
-    # The core's reason mostly ends with what to do; two hints would be one too many.
-    hint = "" if status.reason.endswith(")") else "`fullswarm behaviours` lists the behaviours"
-    return RequestRefused(status.reason or "refused without a reason", where=status.behaviour, hint=hint)
-
-
-def unconfirmed(status: RequestStatus) -> tuple[str, ...]:
-    """Return the robots that are present and have not answered yet."""
-    answered = {*status.running, *status.refused_by, *status.missing, *(each.robot for each in status.results)}
-    return tuple(robot for robot in status.robots if robot not in answered)
-
-
-def all_arrived(status: RequestStatus) -> bool:
-    """Return whether the behaviour has ended itself on each robot by arriving."""
-    return {each.robot for each in status.results if each.outcome == "arrived"} == set(status.robots)
-
-
-def ended(status: RequestStatus) -> bool:
-    """Return whether no robot runs the request any more, or will."""
-    return status.phase in ("refused", "superseded", "ended")
-
-
-def settled(status: RequestStatus) -> bool:
-    """Return whether nothing more is to be expected soon."""
-    if ended(status):
-        return True
-    return bool(status.running or status.refused_by or status.results) and not unconfirmed(status)
-
-
 def status_lines(status: RequestStatus) -> list[str]:
     """Return a request's status as text, the robots by name."""
     robots = ", ".join(status.robots) or "no robot"
@@ -227,6 +193,7 @@ def mock(
     """Send the same request repeatedly (the paper's mock publisher) and print the outcome of each."""
     from fullswarm.operator import session
     from fullswarm.operator.client import MockPublisher
+    from fullswarm.operator.outcome import refusal
 
     parameters, ids = parse_parameters(settings or ()), robot_ids(robots, groups=True)
     with session.connect(target) as connection:
@@ -271,6 +238,7 @@ def drive(
     from fullswarm.messages import EStop, StopRequest
     from fullswarm.operator import session
     from fullswarm.operator.leases import LeaseHolder
+    from fullswarm.operator.outcome import refusal
     from fullswarm.operator.teleop import BEHAVIOUR, Teleop
 
     refused: RequestStatus | None = None

@@ -227,6 +227,8 @@ def behaviours(
     output.data_table(table)
     if name is not None:
         output.data_table(_parameter_table(records[name]))
+        for line in demands(records[name], _collect(target)):
+            output.data(line)
     else:
         output.progress("`fullswarm behaviours NAME` shows the parameters of one")
     return 0
@@ -247,6 +249,40 @@ def _picture(name: str | None, out: Path | None, changes: dict[str, Any], settin
     touching = int(found.touching.any(axis=0).sum())
     output.data(f"{path}: {scene.robots} robots, {scene.seconds:g} s, {touching} of them touched something")
     return 0
+
+
+def demands(record: dict[str, Any], seen: Snapshot) -> list[str]:
+    """Return what a behaviour needs of robots, which roles it gives, and which robots cannot take part, as lines.
+
+    Of what is needed as the value of a parameter its default counts.
+    """
+    import msgspec
+
+    from fullswarm.fitness import ANYTHING, unfit
+    from fullswarm.messages import Needs
+
+    given = {**(record.get("static") or {})}
+    given |= {name: spec.get("default") for name, spec in (record.get("parameters") or {}).items()}
+    raw = record.get("needs") or {}
+    lines = ["needs: " + ", ".join(f"{name} {_plain(value)}" for name, value in raw.items())] if raw else []
+    for role, terms in (record.get("roles") or {}).items():
+        limits = ", ".join(f"{key} {_plain(value)}" for key, value in terms.items() if key != "doc")
+        lines.append(f"role {role}: {terms.get('doc', '')}" + (f" ({limits})" if limits else ""))
+    try:
+        values = {name: given.get(value) if isinstance(value, str) else value for name, value in raw.items()}
+        needs = msgspec.convert({name: value for name, value in values.items() if value is not None}, Needs)
+    except msgspec.ValidationError:  # a broken record, which the core names when it is requested
+        needs = ANYTHING
+    if needs != ANYTHING:
+        described = ((row.robot, row.profile) for row in seen.robots if row.profile is not None)
+        lines += [f"{robot}: {why.text}" for robot, profile in described if (why := unfit(needs, profile))]
+    return lines
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, str):
+        return f"as the parameter {value}"
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _parameter_table(record: dict[str, Any]) -> Table:

@@ -120,7 +120,7 @@ class MainController:
         _check_packages(record)
         needs = both(self.library.needs(record, request.parameters), request.needs)
         fit, _ = select(request, robots, needs, self._roster.profile)
-        roles_of(request, record, fit, self._groups, self._roster.profile)
+        self._roles(request, record, fit)
         self.library.resolve(record, request.parameters, fit)
         team_of(request, record, robots, self._groups)
 
@@ -157,7 +157,7 @@ class MainController:
         robots = self.addressed(request.robots, lenient=record.name == STOP)
         needs = both(self.library.needs(record, request.parameters), request.needs)
         robots, left_out = select(request, robots, needs, self._roster.profile)
-        roles = roles_of(request, record, robots, self._groups, self._roster.profile)
+        roles = self._roles(request, record, robots)
         parameters = self.library.resolve(record, request.parameters, robots)
         _check_packages(record)
         if record.name != STOP:  # a stop needs no authority, whichever way it comes
@@ -192,6 +192,9 @@ class MainController:
             )
         why = overtaken or joined(left_out)
         self._handler.submit(orders, why, at_once=record.name == STOP, left_out=tuple(left_out), roles=roles)
+
+    def _roles(self, request: BehaviourRequest, record: Record, robots: Sequence[str]) -> dict[str, str]:
+        return roles_of(request, record, robots, self._groups, self._roster.profile, self._roster.is_present)
 
     def _overtaken(self, request: BehaviourRequest, robots: tuple[str, ...]) -> tuple[Reason, tuple[str, ...]]:
         """Leave out robots with a newer request of the same operator or a newer stop; return why, and the others."""

@@ -6,7 +6,7 @@ It subscribes to states and summaries only while some step needs them: they are 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from fullswarm.bus import Bus
 from fullswarm.bus.base import Subscription
@@ -15,7 +15,8 @@ from fullswarm.core.mission_state import Facts, Running, comparison
 from fullswarm.core.roster import Roster
 from fullswarm.errors import RequestRefused
 from fullswarm.keys import Keys
-from fullswarm.messages import RobotStates, Summary, Value
+from fullswarm.messages import RobotStates, Summary
+from fullswarm.parameters import Goals, goals_of
 from fullswarm.reasons import Code
 from fullswarm.runtime import Scheduler
 
@@ -23,8 +24,6 @@ ARRIVED_M = 0.1
 """Default distance from the goal, if the behaviour's own radius is not larger: below it poses are not certain."""
 FRESH_S = 1.0
 """An older position does not count."""
-
-Goals = tuple[tuple[float, float], ...]
 
 
 class MissionFacts:
@@ -100,7 +99,7 @@ class MissionFacts:
             except RequestRefused:  # its record was changed since
                 parameters = {}
             found = self._goals[request_id] = (
-                {robot: _goals(given) for robot, given in parameters.items()},
+                {robot: goals_of(given) for robot, given in parameters.items()},
                 max((_number(given.get("arrive_radius_m")) for given in parameters.values()), default=0.0),
             )
         return found
@@ -114,22 +113,6 @@ class MissionFacts:
 
     def _on_summary(self, summary: Summary) -> None:
         self._summaries[summary.metric] = (self._scheduler.now_s(), summary)
-
-
-def _goals(parameters: Mapping[str, Value]) -> Goals:
-    """Return where a robot shall be: its target, the goal of all, or any target of an assigned formation."""
-    for name in ("target", "goal"):
-        if (point := _point(parameters.get(name))) is not None:
-            return (point,)
-    targets = parameters.get("targets")
-    points = map(_point, targets) if isinstance(targets, list) else ()
-    return tuple(point for point in points if point is not None)
-
-
-def _point(value: object) -> tuple[float, float] | None:
-    if isinstance(value, list) and len(value) == 2 and all(isinstance(each, int | float) for each in value):
-        return float(value[0]), float(value[1])
-    return None
 
 
 def _number(value: object) -> float:

@@ -50,18 +50,25 @@ def select(
 
 
 def roles_of(
-    request: BehaviourRequest, record: Record, robots: Sequence[str], groups: Groups, profile: Profiles
-) -> dict[str, str]:
+    request: BehaviourRequest, record: Record, robots: Sequence[str], groups: Groups, profile: Profiles,
+    present: Callable[[str], bool],
+) -> dict[str, str]:  # fmt: skip
     """Return the role of each robot of a request that has one.
 
     Raises
     ------
     RequestRefused
         The behaviour has no such role, a robot has two or lacks the capabilities for its own, or too few or too many
-        have a role.
+        have a role; or roles depend on capabilities, and a robot that is present has not said yet what it can do.
     """
     if not request.roles and not record.roles:
         return {}
+    by_capability = any(terms.needs for terms in record.roles.values()) or any(
+        name.startswith(CAPABILITY) for names in request.roles.values() for name in names
+    )
+    unknown = [robot for robot in robots if by_capability and present(robot) and profile(robot) is None]
+    if unknown:
+        raise _refusal(f"{', '.join(unknown)}: not known yet what they can do", "request it again in a second")
     able = {robot: _capabilities(profile(robot)) for robot in robots}
     found = _given(request.roles, record, able, groups)
     for robot in robots:

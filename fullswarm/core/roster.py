@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 
 from fullswarm.bus import Bus
 from fullswarm.keys import ROBOT_ID, Keys
-from fullswarm.messages import HealthReport, RobotHealth, RobotProfile, RobotProfiles
+from fullswarm.messages import MOST, HealthReport, ProfileQuery, RobotHealth, RobotProfile, RobotProfiles
 from fullswarm.runtime import Scheduler
 
 SILENCE_S = 1.5
 CHECK_S = 0.1
+ASK_S = 1.0
+"""Between two queries for profiles that have not been received."""
 PAST = 16
 """Processes of a robot's agent that are remembered after their end: their last reports may still arrive."""
 PAST_S = 1.0
@@ -63,6 +65,7 @@ class Roster:
         self._members = {robot: Member(robot) for robot in configured}
         self._on_report: list[Callable[[Member, bool], None]] = []
         self._on_absence: list[Callable[[str], None]] = []
+        self._bus, self._keys, self._asked_s = bus, keys, -math.inf
         self._profiles: dict[str, RobotProfile] = {}
         self._subscriptions = [
             bus.subscribe(keys.health(), HealthReport, self._report),
@@ -97,9 +100,17 @@ class Roster:
         """Return what `robot` is and can do, as it last said; None: it never has."""
         return self._profiles.get(robot)
 
+    def _ask(self) -> None:
+        """Ask for the profiles of robots that are present; their agents send them seldom otherwise."""
+        now_s = self._scheduler.now_s()
+        if now_s - self._asked_s < ASK_S or all(each in self._profiles for each in self.present()):
+            return
+        self._asked_s = now_s
+        self._bus.publish(self._keys.profile_query, ProfileQuery(source="core"))
+
     def _describe(self, message: RobotProfiles) -> None:
         for profile in message.robots:
-            if profile.robot in self._members or ROBOT_ID.match(profile.robot):
+            if profile.robot in self._members or (len(self._profiles) < MOST and ROBOT_ID.match(profile.robot)):
                 self._profiles[profile.robot] = profile
 
     def process(self, robot: str) -> str:
@@ -132,6 +143,7 @@ class Roster:
                 callback(member, restarted)
 
     def _check(self) -> None:
+        self._ask()
         oldest_s = self._scheduler.now_s() - self._silence_s()
         for member in tuple(self._members.values()):
             if member.present and member.received_s < oldest_s:

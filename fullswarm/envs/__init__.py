@@ -10,7 +10,8 @@ The environments need Gymnasium and PettingZoo (extra ``lab``). A policy needs n
 
 ``spaces.py``    what a policy is given and what it commands: names, units, ranges
 ``policies.py``  makes a behaviour of a trained policy: a callable, or a file in the ONNX format
-``episode.py``   an episode: robots, goals, the swarm's real stack, and the state after each step
+``episode.py``   an episode: robots, goals, and the swarm's real stack
+``state.py``     the state of its robots after a step
 ``rewards.py``   what is rewarded; any function may take its place
 ``single.py``    Gymnasium: one robot learns among others
 ``parallel.py``  PettingZoo: every robot is an agent
@@ -23,18 +24,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fullswarm.envs.episode import Setup as Setup
-    from fullswarm.envs.episode import State as State
     from fullswarm.envs.parallel import ParallelSwarmEnv as ParallelSwarmEnv
     from fullswarm.envs.policies import policy as policy
     from fullswarm.envs.rewards import to_goal as to_goal
     from fullswarm.envs.single import SwarmEnv as SwarmEnv
     from fullswarm.envs.spaces import Spaces as Spaces
+    from fullswarm.envs.state import State as State
 
+__all__ = ["ID", "ParallelSwarmEnv", "Setup", "Spaces", "State", "SwarmEnv", "policy", "register", "to_goal"]
 _LAZY = {
     "ParallelSwarmEnv": "parallel",
     "Setup": "episode",
     "Spaces": "spaces",
-    "State": "episode",
+    "State": "state",
     "SwarmEnv": "single",
     "policy": "policies",
     "to_goal": "rewards",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fullswarm.envs.policies import PolicyLaw
 from fullswarm.envs.rewards import Reward, to_goal
 from fullswarm.envs.spaces import Observation, Spaces
+from fullswarm.envs.state import State
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.pictures import Scene, Timeline
 from fullswarm.kernels import Array, Flags
@@ -24,6 +25,8 @@ from fullswarm.lab.settings import START_GAP_M, free_places
 
 WIDTH_PX = 480
 TRAIL_S = 10.0
+LONGEST_START_S = 10.0
+"""Until all robots have received their request: one control period, or more on a bad network."""
 
 
 @dataclass(frozen=True)
@@ -110,48 +113,25 @@ class Setup:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class State:
-    """The n robots of an episode at the end of a step.
-
-    Attributes
-    ----------
-    time_s : since the episode began
-    pose, twist : (n, 3) true, m, m, rad; (n, 2) measured, m/s, rad/s
-    goal, distance_m : (n, 2) m, (n,) to it
-    arrived : (n,) within `Setup.goal_radius_m` of the goal
-    touched : (n,) has begun to touch something since the state before
-    command : (n, 2) the last action in SI; zeros for robots that no action drives
-    changed_m_s : (n,) how far the safety filter changed the velocity that was desired, in the last control period
-    """
-
-    time_s: float
-    pose: Array
-    twist: Array
-    goal: Array
-    distance_m: Array
-    arrived: Flags
-    touched: Flags
-    command: Array
-    changed_m_s: Array
-
-
 class _Remote:
     """A pilot whose decisions come from outside, robots by name.
 
     Attributes
     ----------
     observation, action : (n, size), (n, 2)
+    has_observed : (n,) at least once
     """
 
     def __init__(self, names: Sequence[str], size: int) -> None:
         self._rows = {name: row for row, name in enumerate(names)}
         self.observation = np.zeros((len(names), size), np.float32)
         self.action = np.zeros((len(names), 2))
+        self.has_observed = np.zeros(len(names), bool)
 
     def observed(self, names: list[str], observation: Observation) -> None:
         """Keep what robots observe."""
-        self.observation[[self._rows[name] for name in names]] = observation
+        rows = [self._rows[name] for name in names]
+        self.observation[rows], self.has_observed[rows] = observation, True
 
     def decide(self, names: list[str], _observation: Observation) -> Array:
         """Return the actions that were set."""
@@ -193,7 +173,14 @@ class Episode:
         for row, robot in list(enumerate(lab.robots))[len(self.robots) :]:
             lab.request(setup.others, robots=robot, goal=self._goal[row])
         self._events = lab.contact_events
-        lab.step()  # the robots have observed for the first time, and stand
+        observed = self._remote.has_observed
+        lab.run(LONGEST_START_S, until=lambda _: bool(observed.all()))
+        if not observed.all():
+            lab.close()
+            raise ConfigError(
+                f"not all robots have begun within {LONGEST_START_S:g} s", where="Setup", hint="is its network too bad?"
+            )
+        # They have observed for the first time, and stand.
         self._began_s = lab.time_s
         self._scene: Scene | None = None
         self.state = self._now()

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from fullswarm.envs.state import State
 from fullswarm.kernels import Array
 
-if TYPE_CHECKING:
-    from fullswarm.envs.episode import State
-
-Reward = Callable[["State", "State"], Array]
+Reward = Callable[[State, State], Array]
 
 ARRIVED, TOUCHED = 1.0, 1.0
 PER_SECOND = 0.05

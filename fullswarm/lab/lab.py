@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
 from fullswarm import registry
@@ -32,6 +31,7 @@ from fullswarm.errors import BehaviourFailed, ConfigError, RequestRefused, did_y
 from fullswarm.evaluate.pictures import Film
 from fullswarm.evaluate.swarm import Summaries
 from fullswarm.evaluate.trial_folder import Trajectory
+from fullswarm.fitness import needs_of
 from fullswarm.kernels import Array, Index
 from fullswarm.lab.commanded import Commanded
 from fullswarm.lab.functions import Given, Source, behaviour_of, plain
@@ -40,7 +40,6 @@ from fullswarm.lab.recording import Recording
 from fullswarm.lab.request import LabRequest
 from fullswarm.lab.settings import from_arguments, from_file
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.messages import Needs
 from fullswarm.operator.client import Operator
 from fullswarm.output import quiet
 from fullswarm.perf.truth import Truth
@@ -243,7 +242,7 @@ class Lab:
             name = behaviour
         else:
             name = self._give(behaviour, values, filtered is not False, twist)
-        pending = self._operator.request(name, chosen, values, team=team, needs=_needs(needs or {}), roles=roles)
+        pending = self._operator.request(name, chosen, values, team=team, needs=needs_of(needs or {}), roles=roles)
         self._lockstep.runtime.mailbox.drain()
         request = LabRequest(pending, name, chosen, values, self._cancel)
         self._refuse(request)
@@ -496,13 +495,6 @@ class Lab:
     def _open(self) -> None:
         if self._closed:
             raise ConfigError("the laboratory is closed", where="Lab", hint="open another one")
-
-
-def _needs(given: Mapping[str, Any]) -> Needs:
-    try:
-        return msgspec.convert(dict(given), Needs)
-    except msgspec.ValidationError as error:
-        raise ConfigError(str(error), where="needs", hint=f"known: {', '.join(Needs.__struct_fields__)}") from None
 
 
 def _free(name: str) -> Iterable[str]:

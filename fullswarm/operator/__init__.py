@@ -4,6 +4,8 @@ Out: BehaviourRequest, MissionRequest, StopRequest, EStop, LeaseRequest, ParamRe
 EStopReceipt, HealthReport, RobotStates, Summary, Heartbeat, Leases, ParamReply. The package imports nothing by itself,
 so that ``fullswarm --help`` appears at once.
 
+``swarm.py``        a live swarm in a Python program: ``from fullswarm import Swarm``
+``outcome.py``      reads what the core says of a request: whether it has ended, and which error a refusal is
 ``session.py``      connects one command to a swarm: bus, keys and runtime, with an orderly Ctrl-C
 ``client.py``       sends requests, stops and e-stops; the paper's mock publisher; read this first
 ``estop.py``        repeats one e-stop until the robots have confirmed it

@@ -16,6 +16,7 @@ from fullswarm.messages import (
     Heartbeat,
     Lease,
     Leases,
+    ProfileQuery,
     RequestStatus,
     RobotHealth,
     RobotMemory,
@@ -31,6 +32,9 @@ SILENT_S = 2.0
 
 LEASES_S = 3.0
 """The core reports them each second; older ones may have expired."""
+
+ASK_S = 0.5
+"""Between two queries for profiles that have not been received."""
 
 MEMORY_S = 3.0
 """What a control law remembers is reported each second; older: it has ended."""
@@ -149,6 +153,15 @@ class FleetView:
             bus.subscribe(keys.leases, Leases, self._on_leases, latest=True),
         ]
 
+        self._asked = False
+        self._asking = scheduler.every(ASK_S, self._ask, first_s=ASK_S / 2)
+
+    def _ask(self) -> None:
+        """Ask for profiles that have not been received: their agents send them seldom otherwise."""
+        if not self._asked or not self._profiles.keys() >= self._health.keys():
+            self._asked = True
+            self._bus.publish(self._keys.profile_query, ProfileQuery(source="operator"))
+
     def robots(self) -> tuple[str, ...]:
         """Return the robots that have been received so far, by id."""
         return tuple(sorted({*self._health, *self._states}))
@@ -178,6 +191,7 @@ class FleetView:
 
     def close(self) -> None:
         """Unsubscribe."""
+        self._asking.cancel()
         for subscription in self._subscriptions:
             subscription.close()
 

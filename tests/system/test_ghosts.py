@@ -64,6 +64,9 @@ def swarm() -> Iterator[Ghostly]:
 
 def test_real_and_simulated_robots_see_and_avoid_each_other(swarm: Ghostly) -> None:
     swarm.until(lambda: swarm.off_m < 1.0, 10.0, "the Create has reported where it is")
+    swarm.until(lambda: all(row.profile for row in swarm.view.snapshot().robots), 5.0, "all have said what they are")
+    makes = {row.robot: row.profile.make for row in swarm.view.snapshot().robots if row.profile}
+    assert makes == {"real": "iRobot", "s1": "sim", "s2": "sim"}
     targets = [[4.5, 3.0], [2.0, 3.0], [3.2, 2.0]]  # the Create and s1 change places, s2 crosses their way
     swarm.ask("formation_bc", ("real", "s1", "s2"), targets=targets)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm.cli.request import all_arrived, ended, settled, status_lines
+from fullswarm.cli.request import status_lines
 from fullswarm.config import SwarmConfig
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
@@ -17,6 +17,7 @@ from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import with_network
 from fullswarm.messages import HealthReport, RequestStatus, Result, RobotHealth
 from fullswarm.operator.client import Operator
+from fullswarm.operator.outcome import all_arrived, ended, settled
 from fullswarm.operator.params import ParamClient
 from fullswarm.operator.robot_state import advise, row_state
 from fullswarm.operator.view import RobotRow

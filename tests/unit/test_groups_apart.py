@@ -51,11 +51,14 @@ def parameters(behaviour: str, middle: np.ndarray, count: int, rng: np.random.Ge
     return {}
 
 
-def run(starts: dict[str, list[float]], asked: Sequence[tuple[str, tuple[str, ...], dict[str, Any]]]) -> np.ndarray:
+def run(
+    starts: dict[str, list[float]], asked: Sequence[tuple[str, tuple[str, ...], dict[str, Any]]], team: str = ""
+) -> np.ndarray:
     """Return the poses of our group in each tick."""
     robots = [{"id": robot, "pose": pose} for robot, pose in starts.items()]
     world = {"engine": "kinematic", "bounds_m": (0.0, 0.0, SIDE_M, SIDE_M)}
-    lockstep = Lockstep(SwarmConfig.model_validate({"world": world, "robot": robots}))
+    groups = {"ours": OURS, "theirs": [each for each in THEIRS if each in starts]}
+    lockstep = Lockstep(SwarmConfig.model_validate({"world": world, "robot": robots, "groups": groups}))
     try:
         client = ParamClient(lockstep.bus, Keys(), lockstep.runtime, "op")
         for law in ("wander", "agree"):
@@ -66,7 +69,7 @@ def run(starts: dict[str, list[float]], asked: Sequence[tuple[str, tuple[str, ..
         for behaviour, members, given in asked:
             statuses.append([])
             Operator(lockstep.bus, Keys(), lockstep.runtime, f"op{len(statuses)}").request(
-                behaviour, members, given, statuses[-1].append
+                behaviour, members, given, statuses[-1].append, team=team
             )
         rows = [list(starts).index(robot) for robot in OURS]
         seen: list[np.ndarray] = []
@@ -95,7 +98,8 @@ def test_a_group_moves_as_if_the_other_were_not_there(seed: int) -> None:
         (name + filtered, group, parameters(name, middles[group], len(group), rng))
         for name, group in ((ours, OURS), (theirs, THEIRS))
     ]
-    both = run(starts, asked)
-    alone = run({robot: starts[robot] for robot in OURS}, asked[:1])
+    team = "group" if seed % 5 == 3 else ""
+    both = run(starts, asked, team)
+    alone = run({robot: starts[robot] for robot in OURS}, asked[:1], team)
     assert np.abs(both[-1] - both[0]).max() > 0.01
     assert np.array_equal(both, alone)

@@ -9,15 +9,31 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fullswarm import registry
+from fullswarm.cli.status import demands
+from fullswarm.cli.values import parse_needs, parse_roles
 from fullswarm.config import SwarmConfig
+from fullswarm.config.mission_file import parse_mission
 from fullswarm.core.behaviours import load_records, make_record
+from fullswarm.core.node import CoreNode
 from fullswarm.errors import ConfigError
 from fullswarm.fitness import both, unfit
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
 from fullswarm.launch.network import with_network
-from fullswarm.messages import ControlRequest, Needs, RequestStatus, RobotProfile, RobotProfiles, Value
+from fullswarm.messages import (
+    ControlRequest,
+    MissionReply,
+    MissionRequest,
+    Needs,
+    ProfileQuery,
+    RequestStatus,
+    RobotProfile,
+    RobotProfiles,
+    Value,
+)
 from fullswarm.operator.client import NOTHING_NEEDED, Operator
+from fullswarm.operator.view import FleetView
 from fullswarm.reasons import Code
 from tests.unit.agent_bench import Bench
 from tests.unit.laws import install
@@ -288,3 +304,132 @@ def test_a_robot_that_has_finished_leaves_its_team_or_stays_in_it(
     swarm.lockstep.run(0.2)
     assert team[0] == 0
     assert "r1" not in sensed["r2"]
+
+
+# ------------------------------------------------------------------ operators and missions
+def test_operators_learn_at_once_what_robots_are_and_who_cannot_take_part(swarm: Swarm) -> None:
+    swarm.lockstep.run(1.3)  # some time after the profiles were sent
+    view = FleetView(swarm.lockstep.bus, Keys(), swarm.lockstep.runtime)
+    swarm.lockstep.run(1.0)
+    seen = view.snapshot()
+    assert {row.robot: "carry" in row.profile.capabilities for row in seen.robots if row.profile} == {
+        "r1": True, "r2": True, "slow": False, "wide": False,
+    }  # fmt: skip
+    record = {
+        "parameters": {"cruise_m_s": {"default": 0.3}}, "needs": {"speed_m_s": "cruise_m_s", "capabilities": ["lamp"]},
+        "roles": {"carrier": {"needs": ["carry"], "at_least": 1, "doc": "lifts"}},
+    }  # fmt: skip
+    assert demands(record, seen) == [
+        "needs: speed_m_s as the parameter cruise_m_s, capabilities lamp",
+        "role carrier: lifts (needs carry, at_least 1)",
+        "slow: it is too slow: its speed is 0.2 m/s, and 0.3 m/s is needed",
+    ]
+    assert demands({}, seen) == []
+    swarm.lockstep.run(3.0)
+    queries: list[ProfileQuery] = []
+    swarm.lockstep.bus.subscribe(Keys().profile_query, ProfileQuery, queries.append)
+    swarm.lockstep.run(5.0)
+    assert queries == []  # all is known
+    view.close()
+
+
+MISSION = """
+[[steps]]
+name = "out"
+behaviour = "rendezvous_bc"
+robots = ["r1", "r2"]
+team = "@quick"
+needs = { capabilities = ["carry"], speed_m_s = 0.3 }
+roles = { boss = ["r1"], rest = ["+camera"] }
+done = { time_s = 1.0 }
+"""
+
+
+def test_a_step_of_a_mission_says_team_needs_and_roles(swarm: Swarm) -> None:
+    replies: list[MissionReply] = []
+    got: list[ControlRequest] = []
+    bus = swarm.lockstep.bus
+    bus.subscribe(Keys().mission_reply(), MissionReply, replies.append)
+    bus.subscribe(Keys().control_requests(), ControlRequest, got.append)
+
+    def send(op: str, text: str, id_: str) -> MissionReply:
+        plan = parse_mission(text, "m.toml", "m").plan
+        bus.publish(Keys().mission_request, MissionRequest(id=id_, op=op, plan=plan))  # type: ignore[arg-type]
+        swarm.lockstep.run(0.5)
+        return replies[-1]
+
+    for number, (text, why) in enumerate(
+        (
+            (MISSION.replace("0.3", "0.9"), "it is too slow: its speed is 0.5 m/s, and 0.9 m/s is needed"),
+            (MISSION.replace('["r1"]', '["slow"]'), "'slow' is to be boss, but is no robot of the request"),
+            (MISSION.replace("@quick", "@west"), "unknown group '@west'"),
+        )
+    ):
+        reply = send("check", text, f"m{number}")
+        assert [why in each.text for each in reply.problems] == [True], reply
+    assert send("start", MISSION, "go").ok
+    asked = {each.robot: each for each in got if each.enable}
+    assert asked.keys() == {"r1", "r2"}
+    assert asked["r1"].roles == ("boss", "rest")
+    assert asked["r2"].peers == ("r1", "r2")
+    assert asked["r2"].needs == Needs(capabilities=("carry",), speed_m_s=0.3)
+    for wrong, why in (("{ speed = 0.3 }", "speed"), ('{ speed_m_s = "fast" }', "speed_m_s")):
+        with pytest.raises(ConfigError, match=rf"m\.toml:7.*needs.*{why}"):
+            parse_mission(MISSION.replace('{ capabilities = ["carry"], speed_m_s = 0.3 }', wrong), "m.toml", "m")
+
+
+def test_the_command_line_reads_needs_and_roles() -> None:
+    needs = parse_needs(["capabilities=gripper, camera", "speed_m_s=0.3", "makes=iRobot"])
+    assert needs == Needs(capabilities=("gripper", "camera"), speed_m_s=0.3, makes=("iRobot",))
+    assert parse_roles(["carrier=r1, @west", "scout=+camera", "carrier=r3"]) == {
+        "carrier": ("r1", "@west", "r3"), "scout": ("+camera",),
+    }  # fmt: skip
+    for wrong in ("speed=1", "speed_m_s=fast", "speed_m_s=-1"):
+        with pytest.raises(ConfigError, match="--needs"):
+            parse_needs([wrong])
+    for wrong in ("carrier", "=r1", "carrier="):
+        with pytest.raises(ConfigError, match="--role"):
+            parse_roles([wrong])
+
+
+def test_centralised_laws_know_the_same_of_their_robots(swarm: Swarm, monkeypatch: pytest.MonkeyPatch) -> None:
+    facts: list[dict[Any, dict[str, Any]]] = []
+
+    def velocity(view: Any, _: Any) -> np.ndarray:
+        told = {"role": view.role, "make": view.make, "carries": view.can("carry"), "charge": view.battery}
+        theirs = {
+            "role": view.neighbour_role, "make": view.neighbour_make, "carries": view.neighbour_can("carry"),
+            "charge": view.neighbour_battery, "fast": view.neighbour_limits[:, 0] > 0.4,
+        }  # fmt: skip
+        found: dict[Any, dict[str, Any]] = {}
+        for row, robot in enumerate(view.id.tolist()):
+            found[robot] = {name: column[row].item() for name, column in told.items()}
+        for e, pair in enumerate(zip(view.id[view.of].tolist(), view.neighbour_id.tolist(), strict=True)):
+            found[pair] = {name: column[e].item() for name, column in theirs.items()}
+        facts.append(found)
+        return np.zeros_like(view.position)
+
+    law = SimpleNamespace(velocity=velocity, __file__="law.py")
+    monkeypatch.setattr(registry, "centralised_module", lambda _: law)
+    monkeypatch.setattr(registry, "centralised_names", lambda: ["herd"])
+    swarm.lockstep.run(1.3)  # some time after the profiles were sent
+    swarm.store("herd", law="herd", centralised=True, roles={"boss": {"needs": ["camera"], "at_most": 1}})
+    status = swarm.ask("herd", ("slow", "r2", "wide"))
+    swarm.lockstep.run(1.5)
+    assert status.roles == {"r2": "boss"}
+    newest = facts[-1]
+    assert newest["r2"] == {"role": "boss", "make": "sim", "carries": True, "charge": -1.0}
+    assert newest["wide"] == {"role": "", "make": "sim", "carries": False, "charge": -1.0}
+    assert newest["wide", "r2"] == {"role": "boss", "make": "sim", "carries": True, "charge": -1.0, "fast": True}
+    assert newest["r2", "slow"] == {"role": "", "make": "sim", "carries": False, "charge": -1.0, "fast": False}
+
+
+def test_roles_by_capability_wait_for_robots_that_have_not_said_what_they_can_do(swarm: Swarm) -> None:
+    swarm.store("haul", roles={"carrier": {"needs": ["carry"]}, "scout": {}})
+    core = next(node for node in swarm.lockstep._nodes if isinstance(node, CoreNode))
+    core.roster._profiles.clear()  # as after a restart
+    refused = swarm.ask("haul")
+    assert refused.code == Code.ROLES
+    assert "r1, r2, slow, wide: not known yet what they can do (request it again in a second)" in refused.reason
+    swarm.lockstep.run(1.0)
+    assert swarm.ask("haul").roles["r1"] == "carrier"

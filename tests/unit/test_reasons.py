@@ -19,7 +19,6 @@ import fullswarm
 from fullswarm import reasons
 from fullswarm.agent.motion import robot_controller
 from fullswarm.bus.base import OPERATOR, NamedBus
-from fullswarm.cli.request import refusal
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import STOPPING_HAZARDS, Hazard
 from fullswarm.keys import Keys
@@ -27,6 +26,7 @@ from fullswarm.launch.lockstep import Lockstep
 from fullswarm.messages import EStop, HealthReport, LeaseRequest, RequestStatus, RobotHealth, StopRequest
 from fullswarm.operator.client import Operator
 from fullswarm.operator.console.log import for_page
+from fullswarm.operator.outcome import refusal
 from fullswarm.operator.robot_state import advise, row_state
 from fullswarm.operator.view import RobotRow
 from fullswarm.reasons import TEXTS, Code, Reason, given, joined, reason

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fullswarm.clock import MonotonicClock, SimClock
-from fullswarm.runtime import Mailbox, Runtime
+from fullswarm.runtime import Mailbox, Runtime, RuntimeThread
 
 
 def test_simulated_timers_fire_on_an_absolute_grid_in_order() -> None:
@@ -237,3 +237,37 @@ def test_a_closed_terminal_ends_it_in_order_unless_it_runs_under_nohup(
     script = HUNG_UP.format(before=before, limit_s=limit_s)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, str(ended_by))
+
+
+def test_a_thread_of_its_own_carries_out_calls_until_it_is_closed() -> None:
+    ended: list[int] = []
+    thread = RuntimeThread(MonotonicClock(), "served", lambda: ended.append(threading.get_ident()))
+    there = thread.call(threading.get_ident).result(5.0)
+    assert there != threading.get_ident()
+    with pytest.raises(ZeroDivisionError):
+        thread.call(lambda: 1 / 0).result(5.0)
+    late = threading.Event()
+    thread.call(lambda: thread.runtime.after(0.01, late.set)).result(5.0)
+    assert late.wait(5.0), "its timers fire meanwhile"
+    last: list[int] = []
+    for _ in range(2):
+        thread.close(lambda: last.append(threading.get_ident()))
+    assert (last, ended) == ([there], [there])
+    assert "served" not in {each.name for each in threading.enumerate()}
+    with pytest.raises(RuntimeError, match="ended"):
+        thread.call(lambda: None)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_handler_that_fails_ends_its_thread_and_says_so() -> None:
+    ended = threading.Event()
+    thread = RuntimeThread(MonotonicClock(), "served", ended.set)
+
+    def fail(_: object) -> None:
+        raise ValueError("on purpose")
+
+    thread.runtime.mailbox.put(fail, None)
+    assert ended.wait(5.0)
+    with pytest.raises(RuntimeError, match="ended"):
+        thread.call(lambda: None)
+    thread.close(lambda: None)

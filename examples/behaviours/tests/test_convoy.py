@@ -22,8 +22,8 @@ def test_carriers_arrive_with_scouts_around_them_and_the_slow_robot_is_left_out(
         operator = Operator(lockstep.bus, Keys(config.swarm), lockstep.runtime, "test")
         lockstep.run(1.5)
         lockstep.runtime.every(0.02, lambda: contacts.append(int(lockstep.world.contacts.sum())))
-        operator.request("convoy_bc", (), {"goal": [11.0, 6.0]}, statuses.append)
-        lockstep.run(60.0)
+        operator.request("convoy_bc", (), {"goal": [11.0, 6.0], "speed_m_s": 0.28}, statuses.append)
+        lockstep.run(42.0)
         world = lockstep.world
         places = dict(zip(world.ids, world.pose[:, :2].copy(), strict=True))
         lamps = {robot: world.actuators[row]["lamp"] for row, robot in enumerate(world.ids)}

@@ -1,6 +1,6 @@
 """Publishes what the own robots are and can do, and keeps what the others say of themselves.
 
-Unlike states, profiles seldom change: they are sent on change, when a robot appears, and every `PERIOD_S`.
+Unlike states, profiles seldom change: they are sent on change, when asked, when a robot appears, and every `PERIOD_S`.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from fullswarm.agent.neighbours.estimates import CellSubscriptions, Neighbours
 from fullswarm.agent.state import AgentState, Identity
 from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Description
-from fullswarm.kernels import Array, Flags, Index
+from fullswarm.kernels import Array, Index
 from fullswarm.keys import WHOLE_SWARM_CELL, Keys, cell_of
-from fullswarm.messages import RobotProfile, RobotProfiles
+from fullswarm.messages import ProfileQuery, RobotProfile, RobotProfiles
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
 
@@ -32,11 +31,9 @@ LARGEST_SPEED, LARGEST_ACCEL = 1e4, 1e5
 REMEMBERED = 4096
 """Processes of other hosts: they choose their names, so their number must be bounded."""
 
-Words = NDArray[np.str_]
-
 
 class ProfileTable:
-    """Profiles of the robots received, by their rows in :class:`Neighbours`, as columns; unknown ones have none."""
+    """Profiles of the robots received, by their rows in :class:`Neighbours`."""
 
     def __init__(self) -> None:
         self._of: dict[int, RobotProfile] = {}
@@ -45,35 +42,9 @@ class ProfileTable:
         """Keep the profile of the robot in `row`."""
         self._of[row] = profile
 
-    def get(self, row: int) -> RobotProfile | None:
-        """Return the profile of the robot in `row`; None: it is unknown."""
-        return self._of.get(row)
-
-    def makes(self, rows: Index) -> Words:
-        """Return the makes of robots (e,); empty: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array(["" if each is None else each.make for each in found], np.str_)
-
-    def battery(self, rows: Index) -> Array:
-        """Return the charges of robots (e,), 0 to 1; -1: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([-1.0 if each is None else each.battery for each in found])
-
-    def can(self, rows: Index, capability: str) -> Flags:
-        """Tell which robots (e,) state a capability."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([each is not None and capability in each.capabilities for each in found], bool)
-
-    def limits(self, rows: Index) -> Array:
-        """Return speed, turn rate and acceleration that robots can do, (e, 3) m/s, rad/s, m/s²; NaN: unknown."""
-        found = (self._of.get(row) for row in rows.tolist())
-        return np.array([_limits(each) for each in found]).reshape(-1, 3)
-
-
-def _limits(profile: RobotProfile | None) -> tuple[float, float, float]:
-    if profile is None:
-        return math.nan, math.nan, math.nan
-    return profile.speed_limit_m_s, profile.turn_limit_rad_s, profile.accel_m_s2
+    def at(self, rows: Index) -> list[RobotProfile | None]:
+        """Return the profiles of robots (e,); None: unknown."""
+        return [self._of.get(row) for row in rows.tolist()]
 
 
 def profiles_of(
@@ -132,8 +103,11 @@ class Profiles:
         self._waiting: dict[str, RobotProfile] = {}  # of robots whose states have not been received yet
         self._processes: Recent[str, str] = Recent(REMEMBERED)  # host → its process
         self._subscriptions = CellSubscriptions(bus, keys.profile, RobotProfiles, cell_m, self._on_profiles)
+        self._query = bus.subscribe(keys.profile_query, ProfileQuery, self._on_query)
         self._sent_s = self._looked_s = -math.inf
         self._asked, self._cells, self._robots = True, tuple[str, ...](), 0
+        self._charge = np.full(len(own), -1.0)
+        self._everywhere = (WHOLE_SWARM_CELL,) * len(own)
 
     def present(self, row: int) -> RobotProfile:
         """Return the profile of own robot `row` with its charge as it is now."""
@@ -152,25 +126,30 @@ class Profiles:
         if reading is None or now_s - self._looked_s < LEAST_S:
             return
         self._looked_s = now_s
-        charges = reading.battery.tolist()
-        changed = any(
-            abs(charge - each.battery) >= BATTERY_STEP for charge, each in zip(charges, self.own, strict=True)
-        )
-        cells = tuple(self._cell(x_m, y_m) for x_m, y_m in self._state.pose[:, :2].tolist())
+        changed = bool((np.abs(reading.battery - self._charge) >= BATTERY_STEP).any())
+        cells = self._cells_now()
         due = now_s - self._sent_s >= PERIOD_S
         if not (due or changed or self._asked or cells != self._cells or self._neighbours.count > self._robots):
             return
         self._sent_s, self._asked, self._cells, self._robots = now_s, False, cells, self._neighbours.count
-        self.own = tuple(_charged(each, round(charge, 2)) for each, charge in zip(self.own, charges, strict=True))
+        self._charge = reading.battery.copy()
+        self.own = tuple(
+            _charged(each, round(charge, 2)) for each, charge in zip(self.own, self._charge.tolist(), strict=True)
+        )
         for cell in dict.fromkeys(cells):
             robots = tuple(each for each, place in zip(self.own, cells, strict=True) if place == cell)
             host, process = self._identity.host, self._identity.process
             message = RobotProfiles(host=host, process=process, robots=robots, stamp_s=now_s)
             self._bus.publish(self._keys.profile(cell, host), message)
 
-    def _cell(self, x_m: float, y_m: float) -> str:
-        known = math.isfinite(x_m) and math.isfinite(y_m)
-        return cell_of(x_m, y_m, self._cell_m) if known else WHOLE_SWARM_CELL
+    def _cells_now(self) -> tuple[str, ...]:
+        """Return the grid cell of each own robot; one without a pose is in that of the whole swarm."""
+        if self._cell_m <= 0.0:
+            return self._everywhere
+        return tuple(
+            cell_of(x_m, y_m, self._cell_m) if math.isfinite(x_m) and math.isfinite(y_m) else WHOLE_SWARM_CELL
+            for x_m, y_m in self._state.pose[:, :2].tolist()
+        )
 
     def _on_profiles(self, message: RobotProfiles) -> None:
         if self._processes.get(message.host) != message.process:
@@ -183,6 +162,9 @@ class Profiles:
             elif len(self._waiting) < REMEMBERED:
                 self._waiting[profile.robot] = profile
 
+    def _on_query(self, _: ProfileQuery) -> None:
+        self._asked, self._looked_s = True, self._sent_s
+
     def _settle(self) -> None:
         """Find rows for profiles that came before the first state of their robots."""
         for robot in [robot for robot in self._waiting if self._neighbours.row_of(robot) >= 0]:
@@ -191,3 +173,4 @@ class Profiles:
     def close(self) -> None:
         """Drop the subscriptions."""
         self._subscriptions.close()
+        self._query.close()

@@ -19,7 +19,16 @@ from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.geometry import clamp, unicycle
 from fullswarm.kernels import Array, Index
 from fullswarm.keys import Keys
-from fullswarm.messages import CentralisedCommands, CentralisedRequest, Heartbeat, RobotStates, Value
+from fullswarm.messages import (
+    CentralisedCommands,
+    CentralisedRequest,
+    Heartbeat,
+    ProfileQuery,
+    RobotProfile,
+    RobotProfiles,
+    RobotStates,
+    Value,
+)
 from fullswarm.parameters import Params
 from fullswarm.recent import Recent
 from fullswarm.runtime import Scheduler
@@ -76,12 +85,14 @@ class CentralisedNode:
         self._jobs: dict[str, Job] = {}
         self._newest: Recent[str, tuple[str, int]] = Recent(MEMORY)
         self._states: dict[str, tuple[float, tuple[float, ...]]] = {}
+        self._profiles: dict[str, RobotProfile] = {}  # of the robots of the jobs
         self._held: set[str] = set()
         self._logged: Recent[str, None] = Recent(MEMORY)
         self._beats, self._sequence = itertools.count(1), itertools.count(1)
         self._subscriptions = [
             bus.subscribe(self._keys.centralised_request(), CentralisedRequest, self._requested),
             bus.subscribe(self._keys.state(), RobotStates, self._update_states, latest=True),
+            bus.subscribe(self._keys.profile(), RobotProfiles, self._describe),
         ]
         self._timers = [
             scheduler.every(1.0 / RATE_HZ, self._tick),
@@ -123,6 +134,7 @@ class CentralisedNode:
             self._start(request)
         elif self._jobs.pop(request.request_id, None) and not self._jobs:
             self._states.clear()
+            self._profiles.clear()
 
     def _start(self, request: CentralisedRequest) -> None:
         job = self._jobs.get(request.request_id)
@@ -151,6 +163,8 @@ class CentralisedNode:
             if (other.request.behaviour, other.request.robots) == (request.behaviour, request.robots):
                 job.state, job.joint = other.state.copy(), other.joint
         self._jobs[request.request_id] = job
+        if not self._profiles.keys() >= set(request.robots):
+            self._bus.publish(self._keys.profile_query, ProfileQuery(source=NODE))
 
     def _log_once(self, request: CentralisedRequest, error: Exception) -> None:
         """Log once per request, which the core repeats."""
@@ -169,6 +183,10 @@ class CentralisedNode:
         for robot, state in zip(states.robots, zip(*columns, strict=True), strict=True):
             if all(map(math.isfinite, state)):
                 self._states[robot] = (now_s, state)
+
+    def _describe(self, message: RobotProfiles) -> None:
+        robots = {robot for job in self._jobs.values() for robot in job.request.robots}
+        self._profiles |= {each.robot: each for each in message.robots if each.robot in robots}
 
     def _beat(self) -> None:
         heartbeat = Heartbeat(
@@ -243,7 +261,7 @@ class CentralisedNode:
         view = View(
             scene.rows, job.request.robots, scene.positions, scene.headings, scene.twists, scene.radii,
             state.appeared(scene.rows), now_s - state.since_s, dt_s, self._bounds,
-            job.request.roles,
+            job.request.roles, self._profiles,
         )  # fmt: skip
         state.last_s = now_s
         return state.call(view, Params([job.request.parameters] * count))

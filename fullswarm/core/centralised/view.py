@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fullswarm import profiles
 from fullswarm.kernels import Array, Flags, Index
+from fullswarm.messages import RobotProfile
 from fullswarm.reasons import NOTHING
 
 Words = NDArray[np.str_]
 Pairs = tuple[Index, Index]
+NOBODY: Mapping[str, RobotProfile] = MappingProxyType({})
 
 
 class View:
@@ -35,17 +39,18 @@ class View:
     dt_s : since the call before, s; one period at the first
     bounds_m : x_min, y_min, x_max, y_max of the arena
     roles : robot → its role in the request, if it has one
+    described : robot → what it is and can do, if it has said so
     """
 
     def __init__(
         self, index: Index, members: tuple[str, ...], position: Array, heading: Array, twist: Array, radius: Array,
         appeared: Flags, elapsed_s: float, dt_s: float, bounds_m: tuple[float, float, float, float],
-        roles: Mapping[str, str] = NOTHING,
+        roles: Mapping[str, str] = NOTHING, described: Mapping[str, RobotProfile] = NOBODY,
     ) -> None:  # fmt: skip
         self.index, self.members = index, members
         self.position, self.heading, self.twist, self.radius = position, heading, twist, radius
         self.appeared, self.dt_s, self.bounds_m = appeared, dt_s, bounds_m
-        self._elapsed_s, self._roles = elapsed_s, roles
+        self._elapsed_s, self._roles, self._described = elapsed_s, roles, described
 
     @property
     def time_s(self) -> Array:
@@ -61,6 +66,47 @@ class View:
     def role(self) -> Words:
         """Role of each robot in the request, (n,); empty: it has none."""
         return np.array([self._roles.get(self.members[place], "") for place in self.index.tolist()], np.str_)
+
+    # ------------------------------------------------------------------ what robots are and can do
+    def _profiles(self) -> profiles.Known:
+        return [self._described.get(self.members[place]) for place in self.index.tolist()]
+
+    def _their_profiles(self) -> profiles.Known:
+        own = self._profiles()
+        return [own[row] for row in self.other.tolist()]
+
+    @property
+    def make(self) -> Words:
+        """Make of the robot, (n,); empty: unknown."""
+        return profiles.makes(self._profiles())
+
+    @property
+    def battery(self) -> Array:
+        """Charge, (n,) 0 to 1, some seconds old; -1: unknown."""
+        return profiles.charges(self._profiles())
+
+    def can(self, capability: str) -> Flags:
+        """Tell which robots (n,) are known to have a capability."""
+        return profiles.having(self._profiles(), capability)
+
+    @property
+    def neighbour_make(self) -> Words:
+        """Make of each pair's neighbour, (e,)."""
+        return profiles.makes(self._their_profiles())
+
+    @property
+    def neighbour_battery(self) -> Array:
+        """Charge of each pair's neighbour, (e,)."""
+        return profiles.charges(self._their_profiles())
+
+    def neighbour_can(self, capability: str) -> Flags:
+        """Tell which neighbours (e,) are known to have a capability."""
+        return profiles.having(self._their_profiles(), capability)
+
+    @property
+    def neighbour_limits(self) -> Array:
+        """Greatest speed, turn rate and acceleration of a pair's neighbour, (e, 3) m/s, rad/s, m/s²; NaN: unknown."""
+        return profiles.limits(self._their_profiles())
 
     # ------------------------------------------------------------------ pairs
     @functools.cached_property
