@@ -39,8 +39,8 @@ TIGHT_M_S, TIGHT_PER_S = 0.5, 4.0
 """In a narrow passage a robot desires this speed, and so much more per metre of room that the filter's margin leaves:
 the filter allows no more there, and a robot that is far slower than desired counts as blocked."""
 LEAST_TURNING = 0.1
-"""Where it is narrow a robot turns before it drives, or what it drives meanwhile leads it off its way; the desired speed
-is this share at least, because a robot turns to where it desires to go."""
+"""Where it is narrow a robot turns before it drives: what it drives while it turns leads it off its way. This share of
+the desired speed is left, because a robot turns to where it desires to go."""
 
 _trail = np.zeros(256, np.int64)
 
