@@ -18,7 +18,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed, TrialHeld
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.keys import Keys
@@ -205,7 +205,8 @@ class LiveSwarm:
 
     def end_reason(self) -> str:
         """Return the first termination condition that was met since the request."""
-        return self.summaries.reason
+        ended = self._statuses and self._statuses[-1].phase == "ended" and self._statuses[-1].results
+        return self.summaries.reason or (ALL_ENDED if ended else "")
 
     def settled(self) -> NDArray[np.bool_]:
         """Return which robots report that they have settled, (n,)."""
@@ -257,7 +258,10 @@ class LiveSwarm:
             if row.silent:
                 raise TrialFailed(f"it has been silent for {row.age_s:.1f} s", where=row.robot)
         newest = self._statuses[-1] if self._statuses else None
-        if newest is not None and newest.phase in ("refused", "superseded", "ended"):
+        ended = {each.robot for each in newest.results} if newest is not None else set[str]()
+        if newest is not None and (
+            newest.phase in ("refused", "superseded") or (newest.phase == "ended" and not ended)
+        ):
             raise TrialFailed(f"the request was {newest.phase}: {newest.reason}".rstrip(": "))
         if newest is not None and newest.refused_by:
             raise TrialFailed(f"refused by {', '.join(newest.refused_by)}: {newest.reason}".rstrip(": "))
@@ -265,7 +269,7 @@ class LiveSwarm:
             return
         if newest is None:
             raise TrialFailed(f"the core did not answer within {CONFIRM_S:.0f} s")
-        absent = sorted(set(self.config.robots) - set(newest.running))
+        absent = sorted(set(self.config.robots) - set(newest.running) - ended)
         if absent:
             raise TrialFailed(f"{', '.join(absent)} did not run the behaviour within {CONFIRM_S:.0f} s")
 

@@ -13,7 +13,7 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import CHECK_PERIOD_S, Report, Summaries, TrialFailed
+from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed
 from fullswarm.evaluate.trial import TIME_LIMIT, Keeper, configure, drive_in_world
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.launch.lockstep import Lockstep
@@ -82,7 +82,8 @@ class LockstepSwarm:
 
     def end_reason(self) -> str:
         """Return the first termination condition that was met."""
-        return self._summaries.reason
+        ended = self._statuses and self._statuses[-1].phase == "ended" and self._statuses[-1].results
+        return self._summaries.reason or (ALL_ENDED if ended else "")
 
     def settled(self) -> NDArray[np.bool_]:
         """Return which robots have settled, (n,)."""
@@ -123,7 +124,12 @@ class LockstepSwarm:
         errors = {why.text for agent in agents for why in agent.desired.law_error if why}
         if errors:
             raise TrialFailed("; ".join(sorted(errors)))
-        ran = sum(task is not None for agent in agents for task in agent.tasks.of)
+        ended = {each.robot for each in newest.results}
+        ran = sum(
+            task is not None or robot in ended
+            for agent in agents
+            for robot, task in zip(agent.tasks.ids, agent.tasks.of, strict=True)
+        )
         if ran < len(self.world.ids):
             raise TrialFailed(f"{ran} of {len(self.world.ids)} robots ran the behaviour to the end")
 

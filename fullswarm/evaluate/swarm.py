@@ -27,6 +27,9 @@ CHECK_PERIOD_S = 0.1
 SAMPLE_S = 0.2
 """Between two rows of the trajectory."""
 
+ALL_ENDED = "behaviour ended"
+"""Why a trial is over when the behaviour has ended itself on all robots that ran it."""
+
 Numbers = Mapping[str, float]
 Coverage = tuple[GridFrame, NDArray[np.uint8]]
 """A grid, and its cells (rows, columns) of 0 and 1."""
@@ -124,7 +127,7 @@ class Swarm(Protocol):
         ...
 
     def end_reason(self) -> str:
-        """Return the termination condition that a summarizer has met since the request; empty: none."""
+        """Return the termination condition that has been met since the request, `ALL_ENDED` or a summarizer's."""
         ...
 
     def settled(self) -> NDArray[np.bool_]:

@@ -6,9 +6,11 @@ is over, stop, report. What differs is behind the port of ``swarm.py``.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import AgentConfig, BodyConfig, SwarmConfig
+from fullswarm.core.behaviours import all_records, make_record
 from fullswarm.errors import FullswarmError
 from fullswarm.evaluate.experiment.model import EvidenceMode, world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
@@ -306,7 +309,7 @@ class KeepingEvidence:
 
 # ---------------------------------------------------------------------------------------------------- settings
 def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
-    """Return the fleet of a trial, and the goals (n, 2) of its robots."""
+    """Return the fleet of a trial, and the goals (n, 2) of its robots, NaN if the behaviour takes none."""
     world = world_config(scenario, trial.seed, world_of(trial))
     # The seed is part of the names, and what a blocked robot draws depends on its name.
     ids = [f"r{row}s{trial.seed}" for row in range(trial.cell.robots)]
@@ -326,7 +329,8 @@ def configure(trial: Trial, scenario: Scenario) -> tuple[SwarmConfig, Array]:
             },
         }
     )
-    return config, goals_for(scenario, poses)
+    goals = goals_for(scenario, poses)
+    return config, goals if takes_goal(trial.cell.behaviour) else np.full_like(goals, math.nan)
 
 
 def _bodies(trial: Trial, ids: Sequence[str]) -> dict[str, BodyConfig]:
@@ -340,13 +344,21 @@ def _bodies(trial: Trial, ids: Sequence[str]) -> dict[str, BodyConfig]:
 
 
 def parameters(trial: Trial, scenario: Scenario, goals: Array) -> dict[str, Any]:
-    """Return the parameters of the behaviour's request: the cell's and the goal, one for all or one for each."""
-    wanted: dict[str, Any] = dict(trial.cell.parameters)
-    if scenario.goal.antipodal:
-        wanted["targets"] = goals.tolist()
-    else:
-        wanted["goal"] = goals[0].tolist()
+    """Return the parameters of the behaviour's request: the cell's and the goal, one for all or one for each.
+
+    A behaviour whose record takes no goal gets none.
+    """
+    wanted: dict[str, Any] = trial.cell.requested()
+    if np.isfinite(goals).all():
+        wanted |= {"targets": goals.tolist()} if scenario.goal.antipodal else {"goal": goals[0].tolist()}
     return wanted
+
+
+@cache
+def takes_goal(behaviour: str) -> bool:
+    """Tell whether a behaviour can be sent to a goal; one that nothing is known of is taken to."""
+    records = all_records()
+    return behaviour not in records or bool({"goal", "targets"} & make_record(behaviour, records).parameters.keys())
 
 
 def terms(trial: Trial, scenario: Scenario, config: SwarmConfig) -> tuple[SwarmConfig, tuple[float, str]]:

@@ -225,7 +225,8 @@ class _Document(msgspec.Struct, forbid_unknown_fields=True):
 def launch_text(trial: Trial, experiment: str) -> str:
     """Return the file of a trial; `ConfigError` when its scenario cannot be read."""
     cell = asdict(trial.cell)
-    cell["parameters"] = dict(trial.cell.parameters)  # last in the file: a table within a table
+    # Last in the file: a table within a table; TOML has lists, no tuples.
+    cell["parameters"] = trial.cell.requested()
     head: dict[str, Any] = {
         "format": LAUNCH_FORMAT,
         "id": trial_id(trial),

@@ -30,7 +30,9 @@ def test_bids_settle_on_the_greedy_allocation_whose_worth_is_half_the_optimum_at
     rng = np.random.default_rng(seed)
     robots = np.sort(rng.uniform(0.0, 10.0, (5, 2)), axis=0)
     tasks = rng.uniform(0.0, 10.0, (5, 2))
-    points = Points(task_auction, robots, {**AUCTION, "tasks": tasks.tolist(), "speed_m_s": 1e-9}, reach_m=7.0)
+    points = Points(
+        task_auction, robots, {**AUCTION, "tasks": tasks.tolist(), "speed_m_s": 1e-9}, reach_m=7.0, dt_s=0.1
+    )
     points.step(40)
     taken = points.memory.task.tolist()
     assert sorted(taken) == list(range(5))
@@ -84,6 +86,23 @@ def test_an_auction_on_robots_with_a_bad_network_serves_every_task() -> None:
         assert request.status is not None
         assert {each.text for each in request.status.results} == {"all tasks are done"}
     assert nearest.max() < 0.25
+
+
+def test_a_task_that_is_claimed_late_is_not_taken_from_its_robot() -> None:
+    """Robot 0 is free for the second task at about 12 s, longer than `silent_s` after the start."""
+    starts, tasks = np.array([[0.0, 0.0], [9.0, 0.0]]), [[1.0, 0.0], [8.0, 0.0], [0.0, 1.0], [3.0, 3.0]]
+    points = Points(task_auction, starts, {**AUCTION, "tasks": tasks, "service_s": 10.0}, dt_s=0.05)
+    claims: list[tuple[int, int]] = []
+    for _ in range(1200):
+        before = points.memory.task.copy()
+        points.step()
+        changed = (points.memory.task != before) & (points.memory.task >= 0)
+        claims += [(row, int(points.memory.task[row])) for row in np.flatnonzero(changed).tolist()]
+        if len(points.ended) == 2:
+            break
+    late = [task for _, task in claims if task in (2, 3)]
+    assert sorted(late) == [2, 3]  # each was claimed once
+    assert points.time_s < 10.0 * 2 + 25.0
 
 
 def test_too_many_tasks_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""The published check of laws on the examples that need no network."""
+"""The published check of laws on the examples."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from fullswarm.testing import check_behaviour
 PARAMETERS: dict[str, dict[str, Any]] = {
     "follow_the_leader": {"leader_goal": [3.0, 4.0], "gap_m": 0.8, "speed_m_s": 0.3, "gain": 1.0},
     "pursue_next": {"radius_m": 2.0, "speed_m_s": 0.3, "gain": 0.5},
+    "average": {"gain": 0.5, "wait_s": 0.0},
+    "auction": {"tasks": [[1.0, 1.0], [5.0, 5.0], [8.0, 2.0]], "gain": 0.5},
     "waypoints": {"waypoints": [[1.0, 1.0], [5.0, 5.0]], "reach_m": 0.1, "kp": 0.8, "ki": 0.05, "kd": 0.1},
     "forage": {
         "food": [[2.0, 2.0], [8.0, 8.0]], "nest": [5.0, 5.0], "loads": 3.0, "sight_m": 1.5, "reach_m": 0.6,

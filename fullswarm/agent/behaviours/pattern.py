@@ -30,6 +30,7 @@ class Memory:
     start_m: Array = rows(2, fill=np.nan)
     task: Index = rows(fill=-1)
     renew_s: Array = rows()
+    next_s: Array = rows(fill=-np.inf)
     beat: Array = rows(task_auction.MOST)
     changed_s: Array = rows(task_auction.MOST)
 

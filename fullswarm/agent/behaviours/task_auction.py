@@ -27,6 +27,8 @@ MOST = 63
 """Tasks: a table has 64 keys."""
 MERGE = {"task": max}
 RENEW_S = 1.0
+PERIOD_S = 0.1
+"""Between two looks at the bids: no more are received."""
 DONE_ROUND = 1e6
 REACH_M = 0.15
 
@@ -47,6 +49,16 @@ class Bid(NamedTuple):
         """The task is done."""
         return self.round >= DONE_ROUND
 
+    @property
+    def claimed(self) -> bool:
+        """Some robot has bid in this round."""
+        return self.minus_index > -1e9
+
+    @property
+    def news(self) -> float:
+        """A number that changes with the bid, its robot and its renewals."""
+        return self.round * 1e4 + self.beat + (1e-4 * (1.0 - self.minus_index) if self.claimed else 0.0)
+
     def by(self, index: int) -> bool:
         """Tell whether it is that of a robot."""
         return self.minus_index == -float(index)
@@ -54,11 +66,12 @@ class Bid(NamedTuple):
 
 @dataclass
 class Memory:
-    """The task, until when it is done, what was last seen of each bid and when it changed."""
+    """The task, until when it is done; when it is renewed and looked at again; of each bid what was seen and when."""
 
     task: Index = rows(fill=-1)
     until_s: Array = rows(fill=np.inf)
     renew_s: Array = rows()
+    next_s: Array = rows(fill=-np.inf)
     beat: Array = rows(MOST)
     changed_s: Array = rows(MOST)
 
@@ -69,9 +82,12 @@ def velocity(view: View, params: Params, memory: Memory) -> Array:
     desired = np.zeros_like(view.position)
     for row, here in enumerate(view.position):
         now_s, silent_s = float(view.time_s[row]), float(params.silent_s[row, 0])
+        before = int(memory.task[row])
         mine = bid(view, row, memory, np.linalg.norm(tasks - here, axis=1), silent_s)
+        if mine != before:
+            memory.until_s[row] = np.inf
         if mine < 0:
-            if all(each.done for each in bids(view, row, len(tasks))):
+            if memory.next_s[row] > now_s + 0.9 * PERIOD_S and all(each.done for each in bids(view, row, len(tasks))):
                 view.finish([row], "arrived", "all tasks are done")
             continue
         to = tasks[mine] - here
@@ -100,10 +116,14 @@ def bids(view: View, row: int, count: int) -> list[Bid]:
 def bid(view: View, row: int, memory: Any, cost: Sequence[float] | Array, silent_s: float) -> int:
     """Bid for the best of the tasks with these costs; return the task that robot `row` has won, -1: none.
 
-    `memory` has the fields `task`, `renew_s`, `beat` and `changed_s`.
+    `memory` has the fields `task`, `renew_s`, `next_s`, `beat` and `changed_s`.
     """
-    now_s, index, known = float(view.time_s[row]), int(view.index[row]), bids(view, row, len(cost))
-    beats = np.array([each.round * 1e3 + each.beat for each in known])
+    now_s, index = float(view.time_s[row]), int(view.index[row])
+    if now_s < memory.next_s[row]:
+        return int(memory.task[row])
+    memory.next_s[row] = now_s + PERIOD_S - 1e-6
+    known = bids(view, row, len(cost))
+    beats = np.array([each.news for each in known])
     count = len(known)
     changed = beats != memory.beat[row, :count]
     memory.changed_s[row, :count] = np.where(changed, now_s, memory.changed_s[row, :count])
@@ -121,7 +141,8 @@ def bid(view: View, row: int, memory: Any, cost: Sequence[float] | Array, silent
             memory.renew_s[row] = now_s
     elif now_s - memory.renew_s[row] > RENEW_S:
         memory.renew_s[row] = now_s
-        view.table.put(row, f"task/{mine}", known[mine]._replace(beat=known[mine].beat + 1.0))
+        nearer = max(known[mine].worth, -float(cost[mine]))  # what a robot has driven counts for it
+        view.table.put(row, f"task/{mine}", known[mine]._replace(worth=nearer, beat=known[mine].beat + 1.0))
     memory.task[row] = mine
     return mine
 
@@ -130,6 +151,6 @@ def _offer(known: Bid, index: int, silent: bool) -> Bid:
     """Return what has to be beaten for a task: the best bid, or none in a new round if its robot is silent."""
     if known.done:
         return known
-    if known.by(index) or (silent and known.minus_index > -1e9):
+    if known.by(index) or (silent and known.claimed):
         return Bid(known.round + 1.0)
     return known

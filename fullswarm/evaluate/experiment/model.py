@@ -27,6 +27,8 @@ from fullswarm.evaluate.scenarios.model import package_names, read_named, scenar
 EvidenceMode = Literal["always", "contacts", "never"]
 """Of which trials the motion is kept: of all, of those with a contact, or of none."""
 Parameter = bool | int | float | str
+Requested = bool | int | float | str | tuple[float | tuple[float, float], ...]
+"""A parameter of a request: also a point or a list of points, as tuples so that cells can be keys of a dictionary."""
 T = TypeVar("T")
 LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
 """What a file of results can hold, and a table of trials."""
@@ -96,7 +98,7 @@ class Behaviour(Section):
     """A behaviour and the parameters of its request, besides the goal."""
 
     name: str = Field(min_length=1)
-    parameters: dict[str, Parameter] = Field(default_factory=dict)
+    parameters: dict[str, Requested] = Field(default_factory=dict)
     collisions_expected: bool = False  # they do not make the experiment fail, e.g. without a filter
 
 

@@ -7,18 +7,29 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import product
-from typing import get_args
+from typing import Any, get_args
+
+import msgspec
 
 from fullswarm.agent.safety.startup import check_stopping
 from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import EngineName, SwarmConfig, WorldConfig
 from fullswarm.drivers.sim.settings import describe
 from fullswarm.errors import ConfigError, did_you_mean
-from fullswarm.evaluate.experiment.model import Experiment, Group, Parameter, Small, parse_seeds, world_settings
+from fullswarm.evaluate.experiment.model import (
+    Experiment,
+    Group,
+    Parameter,
+    Requested,
+    Small,
+    parse_seeds,
+    world_settings,
+)
 from fullswarm.evaluate.scenarios import Scenario, load_scenario
 
 Settings = tuple[tuple[str, Parameter], ...]
 """Names and values; a tuple, so that a cell can be the key of a dictionary."""
+Parameters = tuple[tuple[str, Requested], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +38,7 @@ class Cell:
 
     group: str
     behaviour: str
-    parameters: Settings
+    parameters: Parameters
     scenario: str
     robots: int
     engine: str
@@ -40,13 +51,26 @@ class Cell:
     @property
     def label(self) -> str:
         """The behaviour with its parameters, for people."""
-        return " ".join((self.behaviour, *(f"{name}={value}" for name, value in self.parameters)))
+        return " ".join((self.behaviour, *(f"{name}={_words(value)}" for name, value in self.parameters)))
 
-    def fields(self) -> dict[str, Parameter]:
+    def requested(self) -> dict[str, Any]:
+        """Return the parameters as a request and a TOML file have them: points are lists."""
+        found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(dict(self.parameters)))
+        return found
+
+    def fields(self) -> dict[str, Requested]:
         """Return what a filter can match."""
-        fields: dict[str, Parameter] = asdict(self)
+        fields: dict[str, Requested] = asdict(self)
         del fields["parameters"]
         return {**dict(self.parameters), **fields}
+
+
+def _words(value: Requested | tuple[float, float]) -> str:
+    """Return a value for people; of points ``3 16, 9 4``."""
+    if not isinstance(value, tuple):
+        return str(value)
+    points = any(isinstance(each, tuple) for each in value)
+    return (", " if points else " ").join(_words(each) if isinstance(each, tuple) else f"{each:g}" for each in value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +218,7 @@ def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
     ]
 
 
-def fits(fields: dict[str, Parameter], text: str) -> bool:
+def fits(fields: dict[str, Requested], text: str) -> bool:
     """Return whether a cell's fields fit a filter: ``field=pattern``, or a pattern that any field fits."""
     name, equals, pattern = text.partition("=")
     if equals:
