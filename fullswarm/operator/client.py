@@ -153,6 +153,14 @@ class Operator:
             pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
         return pending
 
+    def ask_again(self, pending: PendingRequest) -> None:
+        """Have the core repeat the newest status of a request that it has answered: its end may have been missed.
+
+        Only for the core that has answered it, which knows its id; another one might carry it out.
+        """
+        if pending.status is not None:
+            self._bus.publish(self._keys.behaviour_request, pending.request)
+
     def forget(self, pending: PendingRequest) -> None:
         """Stop sending a request and unsubscribe from its status."""
         pending.close()

@@ -40,13 +40,18 @@ from fullswarm.operator.view import FleetView, RobotRow, Snapshot
 from fullswarm.output import quiet
 from fullswarm.parameters import goals_of
 from fullswarm.reasons import Code
+from fullswarm.recent import Recent
 from fullswarm.runtime import Runtime, RuntimeThread, Timer
 
 T = TypeVar("T")
 
 CONNECT_S, ANSWER_S, ESTOP_S = 3.0, 5.0, 5.0
+REMEMBERED = 1024
+CORE_S = 1.0
 CHECK_S = 0.01
 """What is waited for is checked this often."""
+ASK_S = 2.0
+"""While the end of a request is waited for, its status is asked for this often: it may have come without a hub."""
 IDLE_S = 1.0
 """`states` yields at least so often: the ages grow although nothing is received."""
 NEAR_M = 0.15
@@ -139,6 +144,7 @@ class Client:
         self._waiting: dict[Future[Any], Callable[[], None]] = {}
         self._timer: Timer | None = None
         self._leases: list[Held] = []
+        self._answered: Recent[str, tuple[str, float]] = Recent(REMEMBERED)  # request → the core that did, when asked
         self._refused: dict[str, str] = {}  # robot → operator that holds it
         self._thread = RuntimeThread(MonotonicClock(), "fullswarm-swarm", self._end_waiting)
         try:
@@ -276,6 +282,8 @@ class Client:
             status = asked[0].status
             if status is not None and status.phase == "refused":
                 raise refusal(status)
+            if status is not None:
+                self._answered[asked[0].request.id] = self._core(), self._runtime.now_s()
             return asked[0] if status is not None else None
 
         def late() -> Exception:
@@ -302,6 +310,20 @@ class Client:
             hint="is it running? start it with `fullswarm core`, or name the swarm: Swarm(swarm='...')",
         )  # fmt: skip
 
+    def _core(self) -> str:
+        """Return which start of the core is there; empty: none that is known."""
+        nodes = self._view.snapshot().nodes
+        return next((node.process for node in nodes if node.node == "core" and node.age_s < CORE_S), "")
+
+    def _refresh(self, pending: PendingRequest) -> None:
+        """Ask for the status of a request now and then, of the core that has answered it."""
+        core, asked_s = self._answered.get(pending.request.id, ("", 0.0))
+        now_s = self._runtime.now_s()
+        if core and now_s - asked_s >= ASK_S:
+            self._answered[pending.request.id] = core, now_s
+            if core == self._core():
+                self._operator.ask_again(pending)
+
     def started(self, pending: PendingRequest, timeout_s: float | None) -> Future[RequestStatus]:
         """Wait until each robot that is present has answered."""
 
@@ -319,7 +341,10 @@ class Client:
         """Wait until no robot runs it any more."""
 
         def ready() -> RequestStatus | None:
-            return pending.status if pending.status is not None and ended(pending.status) else None
+            if pending.status is not None and ended(pending.status):
+                return pending.status
+            self._refresh(pending)
+            return None
 
         return self.until(ready, timeout_s, lambda: _late(pending, "has not ended", timeout_s))
 
@@ -345,6 +370,7 @@ class Client:
                 return status.robots
             if ended(status):
                 raise FullswarmError(f"it ended before its robots arrived: {status.reason}", where=status.behaviour)
+            self._refresh(pending)
             return None
 
         return self.until(ready, timeout_s, lambda: _late(pending, "has not brought all robots to its goal", timeout_s))

@@ -173,6 +173,20 @@ def test_it_goes_on_when_the_core_is_started_again(swarm: Swarm, live: LiveSwarm
     swarm.request("rendezvous_bc").wait_started()
 
 
+def test_the_end_of_a_request_is_learnt_although_it_was_missed(swarm: Swarm) -> None:
+    run = swarm.request("flocking_bc")
+    run.wait_started()
+    client, pending = swarm._client, run._pending
+    client.call(lambda: client._operator._pending.pop(run.id)).result()  # deaf to what the core says of it
+    swarm.stop()
+    time.sleep(4.0)  # the core does not repeat it by itself any more
+    assert run.running
+    client.call(lambda: client._operator._pending.update({run.id: pending})).result()
+    assert run.wait(10.0) == {}
+    assert run.phase in ("ended", "superseded")
+    assert behaviours(swarm) == ["", "", ""], "asking is not requesting"
+
+
 def test_without_hub_or_core_there_is_an_error_that_says_so(hub: str, live: LiveSwarm) -> None:
     threads = threading.active_count()
     with pytest.raises(Unreachable, match="no hub answers"):
