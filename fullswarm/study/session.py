@@ -66,7 +66,8 @@ def _plan(folder: StudyFolder, due: Due, condition: ConditionSection, config: Sw
     return TrialPlan(
         study=section.name, participant=due.participant, label=due.label, number=due.number, of=due.of,
         attempt=due.attempt, seal=folder.seal, setting=hashlib.sha256(config.model_dump_json().encode()).hexdigest(),
-        duration_s=section.duration_s, task=section.task, briefing=section.briefing, consent=section.consent,
+        duration_s=section.duration_s, task=section.task, robots=len(config.robot), briefing=section.briefing,
+        consent=section.consent,
         tlx=section.tlx, probes=folder.study.probes(), can_freeze=can_freeze, hide=condition.hide,
         behaviours=condition.behaviours, request=start_request(condition), mission=folder.study.mission(condition),
     )  # fmt: skip

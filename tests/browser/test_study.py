@@ -25,7 +25,7 @@ from tests.browser.console import Console
 FLEET = """
 [world]
 engine = "kinematic"
-bounds_m = [0.0, 0.0, 8.0, 8.0]
+bounds_m = [0.0, 0.0, 20.0, 20.0]
 [[robot]]
 id = "r1"
 pose = [2.0, 2.0, 0.0]
@@ -40,7 +40,7 @@ STUDY = """
 name = "short"
 participants = ["K7"]
 fleet = "hall.toml"
-duration_s = 30.0
+duration_s = 36.0
 briefing = "You operate three robots."
 consent = "I take part of my own will."
 task = "Bring r1 to the far corner."
@@ -55,7 +55,7 @@ hide = ["charts"]
 [[probes]]
 name = "moving"
 question = "How many robots move?"
-at_s = [6.0]
+at_s = [12.0]
 freeze = true
 truth = "moving"
 timeout_s = 300.0
@@ -63,7 +63,7 @@ timeout_s = 300.0
 [[probes]]
 name = "hurry"
 question = "Is a robot in the north?"
-at_s = [9.0]
+at_s = [15.0]
 choices = ["yes", "no"]
 correct = "yes"
 """
@@ -177,16 +177,16 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     expect(page.get_by_test_id("study-outcome")).to_contain_text("Tick the box")
     page.get_by_test_id("study-consent").focus()
     page.keyboard.press("Enter")
-    page.get_by_test_id("study-start").click()
+    until_started(console)
     expect(page.get_by_test_id("study-strip")).to_contain_text("Bring r1 to the far corner.")
     began_s = time.monotonic()
     console.select(["r1"])
     console.press("g")
-    console.click_floor(6.5, 6.5)
+    console.click_floor(17.0, 17.0)
     page.mouse.wheel(0, 100)
     snap(page, "study-running")
     question = page.get_by_test_id("study-question")
-    expect(question).to_contain_text("How many robots move?", timeout=20_000)
+    expect(question).to_contain_text("How many robots move?", timeout=40_000)
     still = console.places()["r1"]
     expect(page.get_by_test_id("map")).to_be_hidden()
     looks_right(console, snap, "freeze")
@@ -203,7 +203,7 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     page.get_by_test_id("study-send").click()
     page.set_viewport_size(WIDE)
     expect(page.get_by_test_id("tlx-send")).to_be_visible(timeout=60_000)
-    assert time.monotonic() - began_s > 30.0
+    assert time.monotonic() - began_s > 36.0
     looks_right(console, snap, "tlx")
     page.get_by_test_id("tlx-send").click()
     expect(page.get_by_test_id("study-outcome")).to_contain_text("Rate Mental demand first.")
@@ -218,6 +218,18 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     assert session.process.wait(30.0) == 0
     page.context.close()
     check_what_was_stored(folder)
+
+
+def until_started(console: Console) -> None:
+    """Press the button until the core and all robots report; before, the page says what is missing."""
+    button = console.named("study-start")
+
+    def press() -> bool:
+        if button.is_visible() and button.is_enabled():
+            button.click()
+        return console.named("study-strip").is_visible()
+
+    console.until(press, 60.0, "the trial begins")
 
 
 def check_what_was_stored(folder: Path) -> None:
@@ -236,7 +248,7 @@ def check_what_was_stored(folder: Path) -> None:
     assert {row["condition_name"] for row in rows} == {""}
     assert float(value["tlx_rating", "frustration"]) == 50.0
     assert float(value["tlx_raw", ""]) == 25.0
-    assert float(value["probe_correct", "moving@6"]) == 1.0
-    assert float(value["probe_correct", "hurry@9"]) == 0.0
+    assert float(value["probe_correct", "moving@12"]) == 1.0
+    assert float(value["probe_correct", "hurry@15"]) == 0.0
     assert float(value["inputs", "request"]) == 1.0
     assert float(value["robot_interaction_time_total", "r1"]) > 0.0

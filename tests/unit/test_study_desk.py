@@ -206,6 +206,18 @@ def test_a_trial_that_ends_early_is_interrupted_and_a_second_console_does_not_go
     assert "the console ended" in bench.record()["reason"]
 
 
+def test_a_trial_begins_when_core_and_robots_report(tmp_path: Path) -> None:
+    bench = StudyBench(tmp_path, plan(robots=2))
+    bench.report(health("r1"))
+    bench.run(0.1)
+    page, session = bench.join()
+    assert "1 of 2 robots" in bench.say(session, page, "study", op="start")["reason"]
+    assert bench.record()["state"] == "prepared"
+    bench.report(health("r1"), health("r2"))
+    bench.run(0.1)
+    assert bench.say(session, page, "study", op="start")["ok"]
+
+
 def test_the_log_is_bounded(tmp_path: Path) -> None:
     lines = Lines(tmp_path / "x.jsonl", most_bytes=100)
     assert [lines.add({"n": number}) for number in range(30)].count(True) == 12

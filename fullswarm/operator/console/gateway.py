@@ -369,7 +369,9 @@ class Gateway:
             members = ((self._world.group(each[1:]) or ()) if each.startswith("@") else (each,) for each in robots)
             return tuple(dict.fromkeys(robot for group in members for robot in group))
 
-        swarm = Swarm(self.view.snapshot, expand, begin, lambda: self._stop_all(operator), hold)
+        swarm = Swarm(
+            self.view.snapshot, lambda: self._world.known, expand, begin, lambda: self._stop_all(operator), hold
+        )  # fmt: skip
         return StudyDesk(
             read_plan(folder / PLAN), folder, self._scheduler, swarm, wall_s, self._identity.version, self._send_study
         )

@@ -96,6 +96,7 @@ class TrialPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     setting: str  # SHA-256 digest of the fleet's settings
     duration_s: float
     task: str
+    robots: int = 0  # that must have reported before it begins
     briefing: str = ""
     consent: str = ""
     tlx: Tlx = "weighted"
@@ -207,6 +208,7 @@ class Swarm:
     """What a trial does to the swarm, and what it sees of it."""
 
     snapshot: Callable[[], Snapshot]
+    core_known: Callable[[], bool]
     expand: Callable[[Iterable[str]], tuple[str, ...]]  # groups → robots
     begin: Callable[[TrialPlan], None]  # send the plan's request or mission
     stop: Callable[[], None]
@@ -378,6 +380,9 @@ class StudyDesk:
     def _start(self, session: str) -> str:
         if self.phase != "briefing":
             return "the trial has begun already"
+        ready = sum(row.health is not None and not row.silent for row in self.swarm.snapshot().robots)
+        if ready < self.plan.robots or not self.swarm.core_known():
+            return f"the swarm is not ready: {ready} of {self.plan.robots} robots report; try again in some seconds"
         self.owner, self.phase, self._began_s = session, "running", self.scheduler.now_s()
         self._record.state, self._record.began_unix_s = "running", self.wall_s()
         self._write()
