@@ -187,9 +187,9 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     snap(page, "study-running")
     question = page.get_by_test_id("study-question")
     expect(question).to_contain_text("How many robots move?", timeout=40_000)
-    still = console.places()["r1"]
     expect(page.get_by_test_id("map")).to_be_hidden()
     looks_right(console, snap, "freeze")
+    still = console.places()["r1"]
     page.wait_for_timeout(1000)
     there = console.places()["r1"]
     assert abs(there[0] - still[0]) + abs(there[1] - still[1]) < 0.01, "the world stands still"
