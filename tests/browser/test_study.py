@@ -194,6 +194,9 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     there = console.places()["r1"]
     assert abs(there[0] - still[0]) + abs(there[1] - still[1]) < 0.01, "the world stands still"
     page.get_by_test_id("study-answer").fill("1")
+    page.keyboard.press("Space")  # the stop, also in a field for numbers
+    expect(page.get_by_test_id("stop-receipts")).to_contain_text("3 of 3 standing")
+    snap(page, "study-freeze-stop")
     page.keyboard.press("Enter")
     expect(page.get_by_test_id("map")).to_be_visible()
     expect(page.get_by_test_id("study-question")).to_contain_text("Is a robot in the north?", timeout=40_000)
@@ -205,6 +208,8 @@ def test_a_session_from_consent_to_export(browser: Browser, folder: Path, sessio
     expect(page.get_by_test_id("tlx-send")).to_be_visible(timeout=60_000)
     assert time.monotonic() - began_s > 36.0
     looks_right(console, snap, "tlx")
+    page.get_by_test_id("tlx-effort").click()
+    snap(page, "study-tlx-touched")
     page.get_by_test_id("tlx-send").click()
     expect(page.get_by_test_id("study-outcome")).to_contain_text("Rate Mental demand first.")
     rate(page)
@@ -236,7 +241,7 @@ def check_what_was_stored(folder: Path) -> None:
     trial = next((folder / "data" / "trials" / "K7").iterdir())
     kinds = [json.loads(line)["kind"] for line in (trial / "events.jsonl").read_text().splitlines()]
     assert kinds[0] == "begin"
-    assert {"select", "request", "view", "tool", "probe", "answer", "end", "tlx"} <= set(kinds)
+    assert {"select", "request", "view", "tool", "stop", "probe", "answer", "end", "tlx"} <= set(kinds)
     done = subprocess.run(
         [sys.executable, "-m", "fullswarm", "study", "export", str(folder / "data"), "-o", str(folder / "out.csv")],
         capture_output=True, text=True, check=True,
