@@ -22,13 +22,15 @@ def try_(
     ],
     parameters: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[KEY=VALUE]...", help="Its parameters: 1.5, true, 5,5 (a point), or a word."),
+        typer.Argument(metavar="KEY=VALUE", help="Its parameters: 1.5, true, 5,5 (a point), or a word."),
     ] = None,
     robots: Annotated[int, typer.Option(min=1, max=1000, help="Number of robots.")] = 6,
     size: Annotated[float, typer.Option(metavar="METRES", min=1, max=1000, help="Side of the arena.")] = 8.0,
     fleet: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Use the robots and the world of a fleet file."),
+        typer.Option(
+            metavar="FILE.toml", help="Use the robots and the world of a fleet file, not --robots and --size."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Chooses start places, noise and random numbers.")] = 0,
     seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="Simulated time.")] = 20.0,

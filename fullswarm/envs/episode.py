@@ -204,7 +204,7 @@ class Episode:
         BehaviourFailed
             What the other robots run raised an error.
         """
-        self.setup.spaces.velocities(actions)  # refused here, not in the middle of a control period
+        self.setup.spaces.velocities(actions, len(self.robots))  # refused here, not in the middle of a control period
         self._remote.action[:] = actions
         self.lab.step(self._ticks)
         self.state = self._now()
@@ -268,7 +268,7 @@ class Episode:
         pose, events = lab.poses, lab.contact_events
         distance_m = np.linalg.norm(self._goal - pose[:, :2], axis=1)
         command = np.zeros((len(pose), 2))
-        command[: len(self.robots)] = self.setup.spaces.velocities(self._remote.action)
+        command[: len(self.robots)] = self.setup.spaces.velocities(self._remote.action, len(self.robots))
         touched, self._events = events > self._events, events
         return State(
             time_s=round(lab.time_s - self._began_s, 6),

@@ -96,7 +96,7 @@ class PolicyLaw:
         new, names = np.flatnonzero(memory.new), view.id
         if len(new):
             decided = self._pilot.decide(names[new].tolist(), memory.observation[new].astype(np.float32))
-            memory.command[new] = self.spaces.velocities(decided)
+            memory.command[new] = self.spaces.velocities(decided, len(new))
         due = view.time_s >= memory.due_s - SLACK_S
         memory.new = due
         if due.any():

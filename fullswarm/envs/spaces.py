@@ -117,8 +117,8 @@ class Spaces:
         return (np.ones(2) if self.scaled else self.command_limits).astype(np.float32)
 
     # ------------------------------------------------------------------ between robots and policies
-    def velocities(self, actions: object) -> Array:
-        """Return what actions (k, 2) command, in SI; what is beyond the limits is cut off.
+    def velocities(self, actions: object, count: int) -> Array:
+        """Return what actions (count, 2) command, in SI; what is beyond the limits is cut off.
 
         Raises
         ------
@@ -129,10 +129,10 @@ class Spaces:
             found = np.array(actions, float)
         except (TypeError, ValueError):
             found = np.empty(0)
-        if found.ndim != 2 or found.shape[1] != 2:
-            raise ConfigError(f"the policy returned {np.shape(found)}, expected (k, 2): one action per observation")
+        if found.shape != (count, 2):
+            raise ConfigError(f"actions have shape {found.shape}, expected ({count}, 2): one per observation")
         if not np.isfinite(found).all():
-            raise ConfigError("the policy returned a number that is not finite")
+            raise ConfigError("an action is not finite")
         limits = self.command_limits
         clipped: Array = np.clip(found * limits if self.scaled else found, -limits, limits)
         return clipped

@@ -88,9 +88,8 @@ def behaviour_of(
     if isinstance(source, str | Path):
         source = _loaded(Path(source))
     if isinstance(source, ModuleType):
-        form, function = _law_in(source, form)
+        form, function, name = _law_in(source, form)
         parts, declared = vars(source), _record_beside(source)
-        name = source.__name__.rpartition(".")[2] if function.__name__ in FORMS else function.__name__
     elif _has_law(source):
         form = next(each for each in FORMS if hasattr(source, each))
         name, function, parts, declared = source.__name__, getattr(source, form), vars(source), dict(source.record)
@@ -113,18 +112,18 @@ def _loaded(path: Path) -> ModuleType:
     return registry.load_file(path)
 
 
-def _law_in(module: ModuleType, form: str) -> tuple[str, Any]:
-    """Return the form and the function of a module's control law: by its name, or the one function that there is."""
+def _law_in(module: ModuleType, form: str) -> tuple[str, Any, str]:
+    """Return form, function and name of a module's control law: by its form, or the one function that there is."""
     for each in FORMS:
         if callable(getattr(module, each, None)):
-            return each, getattr(module, each)
+            return each, getattr(module, each), module.__name__.rpartition(".")[2]
     own = [
         each
         for name, each in vars(module).items()
         if inspect.isfunction(each) and each.__module__ == module.__name__ and not name.startswith("_")
     ]
     if len(own) == 1:
-        return form, own[0]
+        return form, own[0], own[0].__name__
     names = ", ".join(each.__name__ for each in own)
     raise ConfigError(
         f"has no control law; which of its functions is it: {names}?" if own else "has no control law",

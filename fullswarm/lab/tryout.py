@@ -119,7 +119,9 @@ def _request(lab: Lab, wanted: Tryout) -> LabRequest:
         if name in parameters:
             raise ConfigError(f"no parameter can be called '{name}'", where="parameters", hint="options begin with --")
     if wanted.file is None:
-        return lab.request(wanted.behaviour, **parameters)
+        return lab.request(
+            wanted.behaviour, filtered=None if wanted.filtered else False, twist=wanted.twist, **parameters
+        )
     sys.path.insert(0, str(wanted.file.absolute().parent))  # as for `python FILE.py`: it may import its neighbours
     return lab.request(wanted.file, filtered=wanted.filtered, twist=wanted.twist, **parameters)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
@@ -15,10 +15,11 @@ from fullswarm import memory, registry
 from fullswarm.agent.messaging.declaration import Layout, layout_of
 from fullswarm.agent.messaging.received import Heard, Received
 from fullswarm.agent.messaging.table import Merge, ReplicatedTable, SharedTable
+from fullswarm.agent.neighbours.profiles import ProfileTable
 from fullswarm.agent.view import Context, Params, Shared, View
 from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array, Index
-from fullswarm.messages import Value
+from fullswarm.messages import RobotProfile, Value
 
 Bounds = tuple[float, float, float, float]
 Rows = list[dict[str, Value]]
@@ -42,6 +43,8 @@ def check_behaviour(
     robots: int = 6,
     seeds: Iterable[int] = range(20),
     bounds: Bounds = (0.0, 0.0, 10.0, 10.0),
+    roles: Sequence[str] = (),
+    capabilities: Sequence[str] = (),
 ) -> None:
     """Check a law on random swarms: some, no, all and coincident neighbours, a robot on its own goal.
 
@@ -62,6 +65,10 @@ def check_behaviour(
         One random swarm each.
     bounds
         x_min, y_min, x_max, y_max of the arena, m.
+    roles
+        Roles of the robots, in turn; none: no robot has one.
+    capabilities
+        What every second robot can do.
 
     Raises
     ------
@@ -75,7 +82,8 @@ def check_behaviour(
     rows = [{name: _varied(value, row) for name, value in parameters.items()} for row in range(robots)]
     for seed in seeds:
         rng = np.random.default_rng(seed)
-        for scene in _scenes(rng, rows, bounds):
+        for plain in _scenes(rng, rows, bounds):
+            scene = replace(plain, roles=tuple(roles), capabilities=tuple(capabilities))
             answer = _check_answer(law, scene)
             _check_single(law, scene, answer)
             if scene.permutable:
@@ -104,6 +112,8 @@ class _Scene:
     own: Index  # which of them these are
     names: tuple[str, ...]  # of `states`
     permutable: bool = True  # no two neighbours are equally near, so that their order cannot matter
+    roles: tuple[str, ...] = ()
+    capabilities: tuple[str, ...] = ()
 
     def context(self, air: _Air | None = None) -> Context:
         """Return what they know beside positions; their random numbers begin anew."""
@@ -113,6 +123,7 @@ class _Scene:
         made.since_s = np.linspace(-5.0, 0.0, count)
         generators = {row: np.random.default_rng(row) for row in range(count)}
         made.generator = generators.__getitem__
+        made.profiles = _Profiles(self)
         if air is not None:
             made.channel = lambda _: _Channel(air, self)
         return made
@@ -130,7 +141,7 @@ class _Scene:
             self.bounds,
             context=context or self.context(),
             rows=self.own,
-            shared=Shared("check", self.ids),
+            shared=Shared("check", self.ids, tuple(itertools.islice(itertools.cycle(self.roles), len(self.ids)))),
         )
 
     def only(self, row: int) -> _Scene:
@@ -161,6 +172,24 @@ class _Scene:
             states=self.states[order],
             names=tuple(self.names[each] for each in order.tolist()),
         )
+
+
+class _Profiles:
+    """What the robots of a scene are and can do; see ``View``."""
+
+    def __init__(self, scene: _Scene) -> None:
+        profiles = {
+            robot: RobotProfile(
+                robot=robot, make="check", model="", capabilities=scene.capabilities if place % 2 == 0 else (),
+                radius_m=RADIUS_M, speed_limit_m_s=0.5, turn_limit_rad_s=4.0, accel_m_s2=1.0, battery=0.1 * (place % 9),
+            )
+            for place, robot in enumerate(scene.ids)
+        }  # fmt: skip
+        self.own = tuple(profiles.values())
+        self.table = ProfileTable()
+        for row, robot in enumerate(scene.names):
+            if robot in profiles:  # nothing is known of the others
+                self.table.put(row, profiles[robot])
 
 
 @dataclass

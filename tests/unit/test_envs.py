@@ -121,8 +121,8 @@ def test_scaled_numbers_are_shares_of_the_largest() -> None:
         with closing(env):
             observations.append(env.reset(seed=1)[0]["r2"])
     np.testing.assert_allclose(observations[1], observations[0] / plain.largest, rtol=1e-6)
-    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]]), [[0.25, -2.0]])
-    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]]), [[0.5, -0.2]])
+    np.testing.assert_allclose(Spaces(action="twist").velocities([[0.5, -3.0]], 1), [[0.25, -2.0]])
+    np.testing.assert_allclose(plain.velocities([[0.7, -0.2]], 1), [[0.5, -0.2]])
 
 
 STARTS_XY = [row[:2] for row in STARTS]
@@ -328,7 +328,12 @@ def test_others_of_an_environment_may_run_a_policy() -> None:
 
 
 def test_a_policy_that_answers_wrongly_stops_its_robots() -> None:
-    for answer, says in ((np.zeros(3), r"\(3,\), expected \(k, 2\)"), (np.full((3, 2), np.nan), "not finite")):
+    for answer, says in (
+        (np.zeros(3), r"shape \(3,\), expected \(3, 2\)"),
+        (np.zeros((1, 2)), r"shape \(1, 2\), expected \(3, 2\)"),
+        (np.full((3, 2), np.nan), "not finite"),
+        (None, "expected"),
+    ):
         with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
             lab.request(policy(lambda _: answer), goal=[6, 6])  # noqa: B023  (called within the loop)
             with pytest.raises(BehaviourFailed, match=says):
@@ -394,9 +399,13 @@ RECORD = """
 summary = "Drive to a goal as learned"
 law = "homing"
 team = "swarm"
-static = { hearing_m = 3.0 }
+static = { hearing_m = 3.0, coordination = false }
 [homing.parameters]
 goal = { type = "point", unit = "m", required = true, doc = "where to" }
+
+[homing_bc]
+like = "homing"
+filtered = true
 """
 
 
@@ -411,9 +420,28 @@ def outside(tmp_path: Path) -> ModuleType:
 def test_a_package_of_its_own_has_a_policy_as_its_law(outside: ModuleType) -> None:
     check_behaviour(outside, {"goal": [5.0, 5.0]}, seeds=range(2))
     with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
-        lab.request(outside, goal=[6, 6])
+        assert lab.request(outside, goal=[6, 6]).behaviour == "homing"
         lab.run(3)
         assert np.abs(lab.poses - STARTS).max() > 0.1
+
+
+def test_an_installed_policy_is_requested_by_its_name(
+    outside: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pyproject.toml").write_text('[project.entry-points."fullswarm.behaviours"]\nhoming = "homing"\n')
+    monkeypatch.setenv(registry.DEVELOP, str(tmp_path))  # counts as installed
+    monkeypatch.syspath_prepend(str(tmp_path))
+    ways = []
+    for behaviour in ("homing_bc", outside):
+        registry.law_module.cache_clear()
+        with Lab(starts=STARTS, bounds=(0, 0, 8, 8)) as lab:
+            lab.request(behaviour, goal=[6, 6])
+            lab.run(3)
+            ways.append(lab.poses)
+    np.testing.assert_array_equal(ways[0], ways[1])
+    assert np.abs(ways[0] - STARTS).max() > 0.1
+    sys.modules.pop("homing", None)
+    registry.law_module.cache_clear()
 
 
 def test_the_examples_of_the_documentation_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullswarm import registry
+from fullswarm import Lab, registry
 from fullswarm.cli.status import demands
 from fullswarm.cli.values import parse_needs, parse_roles
 from fullswarm.config import SwarmConfig
 from fullswarm.config.mission_file import parse_mission
 from fullswarm.core.behaviours import load_records, make_record
 from fullswarm.core.node import CoreNode
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.fitness import both, unfit
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
@@ -433,3 +433,21 @@ def test_roles_by_capability_wait_for_robots_that_have_not_said_what_they_can_do
     assert "r1, r2, slow, wide: not known yet what they can do (request it again in a second)" in refused.reason
     swarm.lockstep.run(1.0)
     assert swarm.ask("haul").roles["r1"] == "carrier"
+
+
+def test_a_laboratory_says_team_needs_and_roles() -> None:
+    world = {"engine": "kinematic", "bounds_m": (0.0, 0.0, 8.0, 8.0), "bodies": BODIES}
+    with Lab(SwarmConfig.model_validate({"world": world, "robot": ROBOTS, "groups": GROUPS})) as lab:
+        asked = lab.request(
+            "rendezvous", team="@quick", needs={"capabilities": ["lamp"]}, roles={"boss": ["r1"], "eye": ["+camera"]}
+        )
+        lab.run(0.5)
+        assert asked.status is not None
+        assert asked.status.roles == {"r1": "boss", "r2": "eye", "wide": "eye"}
+        assert set(lab._lockstep.agent.tasks.peers.values()) == {frozenset({"r1", "r2"})}
+        with pytest.raises(
+            RequestRefused, match=r"slow: it is too slow: its speed is 0\.2 m/s, and 0\.3 m/s is needed"
+        ):
+            lab.request("rendezvous_bc", robots=["slow"], needs={"speed_m_s": 0.3})
+        with pytest.raises(ConfigError, match="speed"):
+            lab.request("rendezvous_bc", needs={"speed": 0.3})

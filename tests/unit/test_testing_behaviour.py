@@ -292,3 +292,23 @@ def test_what_is_no_law() -> None:
         check_behaviour(module(pull, "law"), {})
     with pytest.raises(ConfigError, match="did you mean 'flocking'"):
         check_behaviour("floking", {})
+
+
+def test_laws_of_mixed_swarms_are_checked_with_roles_and_capabilities() -> None:
+    found: set[tuple[str, bool]] = set()
+
+    def velocity(view: View, params: Params) -> Array:
+        found.update(zip(view.role.tolist(), view.can("carry").tolist(), strict=True))
+        pull = np.where((view.neighbour_role == "leader") & view.neighbour_can("carry"), 1.0, 0.1)
+        return view.sum(pull[:, None] * view.offset)
+
+    check_behaviour(
+        module(velocity), {}, seeds=range(3), roles=("leader", "follower", "leader"), capabilities=("carry",)
+    )  # fmt: skip
+    assert found == {("leader", True), ("leader", False), ("follower", True), ("follower", False)}
+
+    def by_row(view: View, params: Params) -> Array:
+        return np.full_like(view.position, float((view.role == "leader").sum()))  # of the robots that share the call
+
+    with pytest.raises(AssertionError):
+        check_behaviour(module(by_row), {}, seeds=range(3), roles=("leader", "follower"))

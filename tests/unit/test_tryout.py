@@ -125,6 +125,13 @@ def test_what_is_wrong_is_said_in_one_line(run: Run, text: str, words: tuple[str
     assert list(Path.cwd().glob("*.png")) == []
 
 
+def test_options_of_a_file_are_refused_for_a_name() -> None:
+    for option in ("--no-filter", "--twist"):
+        result = CliRunner().invoke(app, ["try", "flocking_bc", option])
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "filtered and twist are for functions, and 'flocking_bc' is a name" in result.stderr
+
+
 def test_a_file_that_is_not_there_is_named() -> None:
     result = CliRunner().invoke(app, ["try", "nowhere.py"])
     assert (result.exit_code, result.stderr) == (2, "error: nowhere.py: no such file\n")

@@ -23,3 +23,10 @@ PARAMETERS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_the_law_keeps_the_rules(name: str) -> None:
     check_behaviour(name, PARAMETERS[name], seeds=range(5))
+
+
+def test_the_law_of_a_mixed_swarm_keeps_the_rules() -> None:
+    check_behaviour(
+        "convoy", {"goal": [5.0, 5.0], "speed_m_s": 0.2, "ring_m": 1.2, "reach_m": 1.0}, seeds=range(5),
+        roles=("carrier", "scout"), capabilities=("carry", "gripper"),
+    )  # fmt: skip

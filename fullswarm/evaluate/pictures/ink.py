@@ -31,6 +31,8 @@ def dark_points(path: Path, most: int = MOST) -> list[list[float]]:
         from PIL import Image, UnidentifiedImageError
     except ImportError as error:
         raise MissingExtra("reading a picture needs pillow", hint="pip install 'fullswarm[experiments]'") from error
+    if not path.is_file():
+        raise ConfigError("no such file", where=str(path))
     try:
         with Image.open(path) as found:
             if found.width * found.height > LARGEST_PX:
