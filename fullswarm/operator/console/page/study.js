@@ -27,6 +27,9 @@ export class Study {
     tools.on("change", () => this.#tool(tools.mode));
     byId("tabs").addEventListener("click", (event) => this.#panel(event));
     byId("missions-toggle").addEventListener("click", (event) => this.#panel(event));
+    const acted = () => (this.#acted_ms = performance.now());
+    for (const name of ["pointerdown", "pointerup", "wheel", "keydown"]) addEventListener(name, acted, { capture: true, passive: true });
+    addEventListener("pointermove", (event) => event.buttons && acted(), { capture: true, passive: true });
     setInterval(() => this.#view(), VIEW_MS);
   }
 
@@ -35,6 +38,7 @@ export class Study {
   #probe = "";
   #mode = "select";
   #seen = "";
+  #acted_ms = -Infinity;
 
   /** @param {Frame} frame */
   #update(frame) {
@@ -194,11 +198,12 @@ export class Study {
     if (target instanceof HTMLElement) this.#tell("panel", { detail: (target.dataset.tab ?? target.id).slice(0, 32) });
   }
 
-  /** A view that was moved or zoomed, at most twice a second. */
+  /** A view that was moved or zoomed, at most twice a second; not one that the map fits to a new size by itself. */
   #view() {
     const { centre, scale } = this.map.view;
     const now = `${centre.map((metres) => metres.toFixed(2))} ${scale.toFixed(1)}`;
-    if (this.#seen && now !== this.#seen) this.#tell("view", { detail: now.slice(0, 32) });
+    const acted = performance.now() - this.#acted_ms < 2 * VIEW_MS;
+    if (acted && this.#seen && now !== this.#seen) this.#tell("view", { detail: now.slice(0, 32) });
     this.#seen = now;
   }
 }
