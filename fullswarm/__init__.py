@@ -43,6 +43,7 @@ Further files:
 ``simulation/``    The simulated world: bodies, physics engines, contacts, sensors
 ``store.py``       A layer's local database (paper II.A): key → JSON value with its author, its time and its newest
                    changes
+``study/``         Human-swarm studies: blinded conditions in a balanced order, measures of the operators
 ``testing/``       Checks and test doubles for control laws, drivers and nodes, here and in outside packages
 ``units.py``       Units by the suffix of a name: ``speed_m_s`` is in m/s
 """

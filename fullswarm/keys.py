@@ -12,6 +12,7 @@ key                                                     message                w
 ``<swarm>/robot/<id>/command``                          Command                request handler → agent
 ``<swarm>/robot/<id>/pose_fix``                         PoseFix                motion capture, world → agent
 ``<swarm>/object/<name>``                               ObjectFix              motion capture → agents
+``<swarm>/world/hold``                                  WorldHold              study → world
 ``<swarm>/state/<cell>/<host>``                         RobotStates            agent → neighbours, core
 ``<swarm>/broadcast/<cell>/<host>``                     BehaviourBroadcast     agent → neighbours
 ``<swarm>/profile/<cell>/<host>``                       RobotProfiles          agent → neighbours, core
@@ -110,6 +111,11 @@ class Keys:
     def object_fix(self, name: str = ANY) -> str:
         """Where something outside sees an object that is no robot."""
         return f"{self.swarm}/object/{name}"
+
+    @property
+    def world_hold(self) -> str:
+        """Holds the simulated world still."""
+        return f"{self.swarm}/world/hold"
 
     def state(self, cell: str = ANY, host: str = ANY) -> str:
         """Kinematic states, by grid cell, so that a robot subscribes to its surroundings only."""

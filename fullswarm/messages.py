@@ -406,6 +406,14 @@ class Command(Message, frozen=True, kw_only=True):
     stamp_s: Stamp
 
 
+class WorldHold(Message, frozen=True, kw_only=True):
+    """Hold the simulated world still, or let it go on. Repeated while it is held; robots' orders pass as always."""
+
+    held: bool
+    source: str = ""
+    stamp_s: Stamp = 0.0
+
+
 class PoseFix(Message, frozen=True, kw_only=True):
     """Where a supervisory process sees a robot: motion capture, a camera, the simulator. World frame.
 

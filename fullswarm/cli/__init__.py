@@ -17,6 +17,7 @@ file               commands
 ``experiment.py``  `experiment run|trial|watch|replay`
 ``results.py``     `results list|show|export|map|compare|report|index`
 ``scenario.py``    `scenario list|show|import|export`
+``study.py``       `study check|run|status|export|unblind`
 ``bundle.py``      `bundle`, `keys`
 ``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
 ``flash.py``       `flash`

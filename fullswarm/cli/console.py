@@ -40,6 +40,7 @@ def console(
         bool, typer.Option("--insecure-network", help="Listen beyond this machine: everyone on that network can drive.")
     ] = False,
     as_json: Json = False,
+    study: Annotated[Path | None, typer.Option("--study", hidden=True)] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> int:
     """Serve the web console: watch, drive and stop the swarm from a browser. Print the address to open."""
@@ -53,6 +54,7 @@ def console(
         allow_hosts=tuple(allow_host or ()),
         token_file=token_file,
         insecure_network=insecure_network,
+        study=study,
         icons={scheme: (make.icon.shape, make.icon.letter) for make in makes() for scheme in make.schemes},
     )
     with contextlib.ExitStack() as stack:

@@ -19,6 +19,7 @@ from fullswarm.cli.options import Json, shell_command
 from fullswarm.cli.params import params_app
 from fullswarm.cli.results import results_app
 from fullswarm.cli.scenario import scenario_app
+from fullswarm.cli.study import study_app
 from fullswarm.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ for group, name, text in (
     (experiment_app, "experiment", "Measure behaviours over many seeded trials."),
     (results_app, "results", "Show, compare, export and report the results of experiments."),
     (scenario_app, "scenario", "List, show, import and export worlds."),
+    (study_app, "study", "Run human-swarm studies: balanced orders, blinded conditions, probes, NASA-TLX."),
 ):
     app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
 for command in (

@@ -43,6 +43,7 @@ class WebConsole:
     supervisor : not started yet
     on_address : called once with the address, which holds the token, as soon as the page can be opened
     on_failure : called once with a line of text if there will be no console
+    options : more options of `fullswarm console`
 
     Attributes
     ----------
@@ -55,10 +56,11 @@ class WebConsole:
         scheduler: Scheduler,
         on_address: Callable[[str], None],
         on_failure: Callable[[str], None],
+        options: tuple[str, ...] = (),
     ) -> None:
         self.address = ""
         self._supervisor, self._on_address, self._on_failure = supervisor, on_address, on_failure
-        supervisor.add(CONSOLE, *self._arguments(supervisor.config), guest=True)
+        supervisor.add(CONSOLE, *self._arguments(supervisor.config), *options, guest=True)
         self._timer = scheduler.every(LOOK_S, self._look)
 
     def _arguments(self, config: SwarmConfig) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ robots their poses: `PoseFix` on the bus.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -22,7 +23,7 @@ from fullswarm.errors import ConfigError, FullswarmError
 from fullswarm.keys import Keys
 from fullswarm.launch import nodes
 from fullswarm.launch.network import emulated_url, port_folder
-from fullswarm.messages import Heartbeat, PoseFix, RobotStates
+from fullswarm.messages import Heartbeat, PoseFix, RobotStates, WorldHold
 from fullswarm.perf.coverage import Bounds
 from fullswarm.perf.truth import SupervisorCalculator, Truth
 from fullswarm.runtime import Scheduler
@@ -34,6 +35,8 @@ from fullswarm.simulation.world import World
 HEARTBEAT_S = 0.5
 FIX_HZ = 20.0
 MOST_AT_ONCE = 20
+HELD_S = 2.0
+"""A hold that is not repeated for this long is over: a study whose console has failed does not hold the world."""
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 0.002, 0.002
 """Standard deviations of a fix when the world has no noise: a filter needs a variance above zero."""
 
@@ -90,13 +93,20 @@ class WorldNode:
             scheduler.every(1.0 / settings.rate_hz, self._run),
             scheduler.every(HEARTBEAT_S, self._beat, first_s=0.0),
         ]
-        self._subscription = bus.subscribe(self._keys.state(), RobotStates, self._on_states) if real else None
+        self._held_until_s = -math.inf
+        self._subscriptions = [bus.subscribe(self._keys.world_hold, WorldHold, self._on_hold)]
+        if real:
+            self._subscriptions.append(bus.subscribe(self._keys.state(), RobotStates, self._on_states))
         if skins:
             self._timers.append(scheduler.every(1.0 / FIX_HZ, self._send_fixes))
 
     def _run(self) -> None:
         """Make the steps that are due: physics must keep up with the clocks of the firmware that drives in it."""
         now_s = self._scheduler.now_s()
+        if now_s < self._held_until_s:
+            self._began_s, self._made = now_s, 0
+            self._server.tick(held=True)
+            return
         due = int((now_s - self._began_s) / self.world.dt_s + 1e-6) - self._made
         for _ in range(min(due, MOST_AT_ONCE)):
             self._step()
@@ -117,6 +127,11 @@ class WorldNode:
         radius_m = world.radius_m
         self._truth = Truth(world.ids, radius_m, nowhere, 0.0, bounds_m, cell_m)
         return SupervisorCalculator(self._bus, self._keys, self._scheduler, self._truth, self._process)
+
+    def _on_hold(self, message: WorldHold) -> None:
+        # Firmware on the machine's clock and real robots do not stand still with the world.
+        if self._ghosts is None and not self.emulators:
+            self._held_until_s = self._scheduler.now_s() + HELD_S if message.held else -math.inf
 
     def _on_states(self, states: RobotStates) -> None:
         if self._ghosts is not None:
@@ -163,8 +178,8 @@ class WorldNode:
         """Switch off the emulated robots, give up all ports, let go of the physics."""
         for timer in self._timers:
             timer.cancel()
-        if self._subscription is not None:
-            self._subscription.close()
+        for subscription in self._subscriptions:
+            subscription.close()
         self._end()
         if self._folder is not None:
             _tidy(self._folder)

@@ -72,6 +72,7 @@ class WorldServer:
         self._peers: dict[str, _Peer] = {}
         self._lock = threading.Lock()
         self._closing = False
+        self._held_s = 0.0  # time for which the world was held still
         self._socket = _bind(address or world.config.address, insecure_network)
         self._thread = threading.Thread(target=self._receive, name="world-link", daemon=True)
         self._thread.start()
@@ -157,8 +158,8 @@ class WorldServer:
             self.dropped += 1  # a full buffer or a vanished interface: the next reading replaces this one
 
     # ------------------------------------------------------------ the runtime's thread
-    def tick(self) -> None:
-        """Apply the newest set-points, step the world, send the readings."""
+    def tick(self, *, held: bool = False) -> None:
+        """Apply the newest set-points, step the world, send the readings; if it is `held`, nothing moves meanwhile."""
         with self._lock:
             now_s = self._clock.now_s()
             for robot, peer in list(self._peers.items()):
@@ -166,9 +167,12 @@ class WorldServer:
                 if peer.leaving or now_s - peer.received_s > protocol.ALIVE_S:
                     del self._peers[robot]
             peers = list(self._peers.items())
-        self.world.step()
+        if held:
+            self._held_s += self.world.dt_s
+        else:
+            self.world.step()
         for robot, peer in peers:
-            self._send(self._reading(robot, peer), peer.address)
+            self._send(self._reading(robot, peer, held), peer.address)
 
     def _apply(self, robot: str, peer: _Peer) -> None:
         drive, peer.fresh = peer.fresh, None
@@ -179,16 +183,16 @@ class WorldServer:
             twist[:] = 0.0
         self.world.set_twists(twist, self.world.rows[robot])
 
-    def _reading(self, robot: str, peer: _Peer) -> protocol.BodyReading:
+    def _reading(self, robot: str, peer: _Peer, held: bool) -> protocol.BodyReading:
         world, row = self.world, self.world.rows[robot]
         x, y, heading = world.sensed_pose[row].tolist()
         odometry_x, odometry_y, odometry_heading = world.odometry[row].tolist()
-        v, w = world.twist[row].tolist()
+        v, w = (0.0, 0.0) if held else world.twist[row].tolist()
         seen = world.seen_bodies(row, peer.sensing_m)
         return protocol.BodyReading(
             robot=robot,
             session=peer.session,
-            time_s=world.time_s,
+            time_s=world.time_s + self._held_s,  # drivers take what is newer only
             pose=(x, y, heading),
             odometry=(odometry_x, odometry_y, odometry_heading),
             twist=(v, w),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from fullswarm.bus import LocalBus
@@ -82,7 +83,7 @@ class Page:
 class ConsoleBench:
     """The gateway with a bus, a core and pages."""
 
-    def __init__(self, *, read_only: bool = False, core: bool = True) -> None:
+    def __init__(self, *, read_only: bool = False, core: bool = True, study: Path | None = None) -> None:
         self.runtime = Runtime(SimClock(100.0))
         self.bus = LocalBus(self.runtime.mailbox)
         self.database = dict(DATABASE)
@@ -94,8 +95,9 @@ class ConsoleBench:
             self.bus.subscribe(key, Message, self.sent.append)
         self.wall_s = 1_700_000_000.0
         self.gateway = Gateway(
-            self.bus, KEYS, self.runtime, Identity("base", "console@base:1", "9.9", read_only), lambda: self.wall_s
-        )
+            self.bus, KEYS, self.runtime, Identity("base", "console@base:1", "9.9", read_only, study=study),
+            lambda: self.wall_s,
+        )  # fmt: skip
         self.run(0.01)
 
     def _answer(self, request: ParamRequest) -> None:

@@ -13,6 +13,7 @@ The nodes know neither asyncio nor a browser and run on any scheduler:
 ``log.py``       the log: requests and outcomes, leases, changes of hub, core and robots
 ``stops.py``     tracks e-stops and stops: which robots have confirmed
 ``missions.py``  tracks missions: the newest state of each
+``study.py``     conducts a trial of a human-swarm study: phases, probes, questionnaire, log of the input
 
 The server knows no robots, and serves the runtime of the nodes on its own loop, without a further thread:
 
@@ -38,6 +39,7 @@ of ``index.html`` and a line in ``main.js``:
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;
 ``viewport.js``   which part of the world it shows; ``geometry.js``, ``palette.js``, ``theme.js``: helpers
 ``tools.js``      the tools of the map: goals, formations; ``pointer.js``: mouse, pen and fingers
+``study.js``      the dialogs of a study: briefing, probes, NASA-TLX; tells the console what is clicked
 ``dom.js``        helpers for elements and events
 ``uplot.js``      vendored, see ``vendored.toml``
 """

@@ -94,11 +94,29 @@ class Mission(Frame, frozen=True, kw_only=True):
     take: bool = False
 
 
+class Input(Frame, frozen=True, kw_only=True):
+    """What the operator did on the page itself, for the log of a study."""
+
+    kind: Literal["select", "view", "tool", "panel"]
+    robots: Robots = ()
+    detail: Annotated[str, Meta(max_length=32)] = ""
+
+
+class Study(Frame, frozen=True, kw_only=True):
+    """Begin a trial, answer a probe, rate the workload: `ratings` by subscale, `pairs` with the chosen one first."""
+
+    op: Literal["start", "answer", "tlx"]
+    probe: Annotated[str, Meta(max_length=64)] = ""
+    value: Annotated[str, Meta(max_length=300)] = ""
+    ratings: Annotated[dict[Name, int], Meta(max_length=6)] = {}
+    pairs: Annotated[tuple[tuple[Name, Name], ...], Meta(max_length=15)] = ()
+
+
 class Ping(Frame, frozen=True, kw_only=True):
     """Measure the round trip."""
 
 
-Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Ping
+Command = Request | Stop | Estop | Clear | Drive | Release | Lease | Mission | Input | Study | Ping
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import structlog
 
 from fullswarm.bus.base import Bus
+from fullswarm.clock import clock_id
 from fullswarm.keys import Keys
 from fullswarm.messages import (
     BehaviourRequest,
@@ -22,7 +24,9 @@ from fullswarm.messages import (
     RequestStatus,
     SeenObstacles,
     StopRequest,
+    WorldHold,
 )
+from fullswarm.operator.client import Operator
 from fullswarm.operator.console import fleet, frames
 from fullswarm.operator.console.fleet import CHART_NAMES, CHART_RATE_HZ, Charts
 from fullswarm.operator.console.log import ChangeLog, Entry, EventLog, RequestLog, for_page, named
@@ -30,7 +34,9 @@ from fullswarm.operator.console.map import TRAIL_RATE_HZ, Coverage, Goals, HeldB
 from fullswarm.operator.console.missions import MissionBoard
 from fullswarm.operator.console.sessions import ConsoleContext, Listener, OperatorSession
 from fullswarm.operator.console.stops import EStopTracker, StopTracker
+from fullswarm.operator.console.study import PLAN, StudyDesk, Swarm, TrialPlan, read_plan
 from fullswarm.operator.console.world import World
+from fullswarm.operator.missions import MissionClient
 from fullswarm.operator.view import FleetView
 from fullswarm.runtime import Scheduler
 
@@ -38,6 +44,8 @@ STATE_HZ, CHANGES_HZ, FLEET_HZ, MAP_HZ = 20.0, 10.0, 4.0, 1.0
 KEPT_S = 10.0
 """A page that is reloaded within this time finds its session, with the robots it holds."""
 MOST_SESSIONS = 64
+DESK_S, HOLD_S = 0.05, 0.5
+"""How often a study is looked at, and how often a hold of the world is repeated."""
 
 _log = structlog.get_logger()
 
@@ -53,6 +61,7 @@ class Identity:
     version: str
     read_only: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
+    study: Path | None = None  # folder of a trial with its plan; None: no study
 
 
 class Gateway:
@@ -71,6 +80,7 @@ class Gateway:
         self._left_s: dict[str, float] = {}
         self._changed: set[str] = set()
         self._states_sent = self._opened = 0
+        self._held = False  # the study holds the simulated world still
         self.undrawn: dict[str, int] = {}
         self.view = FleetView(bus, keys, scheduler)
         self._world = World(
@@ -82,8 +92,10 @@ class Gateway:
             on_orders=lambda _: self._changed.add("goals"),
         )
         self._context = ConsoleContext(
-            bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only
+            bus, keys, scheduler, self._world, self.view.present, self._end_estops, identity.read_only,
+            self._new_desk(bus, wall_s),
         )  # fmt: skip
+        self._desk = self._context.study
         self._log_entries = EventLog(wall_s, self._send_entry)
         self._requests = RequestLog(self._log_entries, self._world.expires)
         self._changes = ChangeLog(self._log_entries)
@@ -111,6 +123,8 @@ class Gateway:
             scheduler.every(1.0 / CHART_RATE_HZ, self._send_chart),
             scheduler.every(1.0 / MAP_HZ, self._send_map),
         ]
+        if self._desk is not None:
+            self._timers.append(scheduler.every(DESK_S, self._tick_desk))
 
     # ---------------------------------------------------------------- pages
     def join(self, key: str, name: str, listener: Listener) -> OperatorSession:
@@ -146,6 +160,8 @@ class Gateway:
             timer.cancel()
         for subscription in self._subscriptions:
             subscription.close()
+        if self._desk is not None:
+            self._desk.close()
         self._world.close()
         self.view.close()
 
@@ -193,6 +209,7 @@ class Gateway:
             "coverage": self._coverage.shown,
             "missions": lambda: self._missions.shown(now_s),
             "estop": self._estops.shown,
+            "study": lambda: self._study_frame(session),
         }
 
     def _hello(self, session: OperatorSession, now_s: float) -> Made:
@@ -206,7 +223,7 @@ class Gateway:
         }
         # Encoded here already: without a greeting the page shows nothing, whatever else could be shown.
         with self._drawing("world"):
-            frames.encode(world := self._world.shown())
+            frames.encode(world := self._world_frame())
             hello |= world
         with self._drawing("history"):
             history = {
@@ -279,7 +296,7 @@ class Gateway:
                 self._send(self._missions.shown(now_s))
         if "world" in changed:
             with self._drawing("world"):
-                self._send({"t": "world", **self._world.shown()})
+                self._send({"t": "world", **self._world_frame()})
         if "goals" in changed:
             with self._drawing("goals"):
                 self._send(self._goals_frame())
@@ -318,6 +335,68 @@ class Gateway:
             with self._drawing("coverage"):
                 if frame := self._coverage.shown():
                     self._send(frame)
+
+    # ---------------------------------------------------------------- a study
+    def _new_desk(self, bus: Bus, wall_s: Callable[[], float]) -> StudyDesk | None:
+        """Return what conducts a trial of a study, if this console is in one."""
+        folder = self._identity.study
+        if folder is None:
+            return None
+        source = f"{self._identity.process}/study"
+        operator = Operator(bus, self._keys, self._scheduler, source, name="study", clock=clock_id())
+        missions = MissionClient(
+            bus, self._keys, self._scheduler, source, name="study", clock=clock_id(), watch=False
+        )  # fmt: skip
+
+        def begin(plan: TrialPlan) -> None:
+            if plan.request is not None:
+                operator.request(plan.request.behaviour, plan.request.robots, plan.request.parameters)
+            if plan.mission is not None:
+                missions.ask("start", plan=plan.mission)
+
+        def hold(held: bool) -> None:
+            self._held = held
+            message = WorldHold(held=held, source=source, stamp_s=self._scheduler.now_s())
+            bus.publish(self._keys.world_hold, message)
+            if held:
+                self._scheduler.after(HOLD_S, repeat)
+
+        def repeat() -> None:
+            if self._held:
+                hold(True)
+
+        def expand(robots: Iterable[str]) -> tuple[str, ...]:
+            members = ((self._world.group(each[1:]) or ()) if each.startswith("@") else (each,) for each in robots)
+            return tuple(dict.fromkeys(robot for group in members for robot in group))
+
+        swarm = Swarm(
+            self.view.snapshot, lambda: self._world.known, expand, begin, lambda: self._stop_all(operator), hold
+        )  # fmt: skip
+        return StudyDesk(
+            read_plan(folder / PLAN), folder, self._scheduler, swarm, wall_s, self._identity.version, self._send_study
+        )
+
+    def _tick_desk(self) -> None:
+        with self._drawing("study"):
+            if self._desk is not None:
+                self._desk.tick()
+
+    def _stop_all(self, operator: Operator) -> None:
+        self._block_driving(())
+        operator.stop()
+
+    def _study_frame(self, session: OperatorSession) -> Made | None:
+        """Return the frame ``study``; if the page that began the trial is gone, another one takes its place."""
+        if self._desk is None:
+            return None
+        owner = self._sessions.get(self._desk.owner)
+        return self._desk.shown(mine=owner is None or owner is session or not owner.listeners)
+
+    def _send_study(self) -> None:
+        self._send_each(lambda session: self._study_frame(session) or {})
+
+    def _world_frame(self) -> Made:
+        return self._world.shown() if self._desk is None else self._desk.offered(self._world.shown())
 
     # ---------------------------------------------------------------- received
     def _on_request(self, request: BehaviourRequest) -> None:

@@ -57,6 +57,7 @@ class Options:
     token_file: Path | None = None
     insecure_network: bool = False
     icons: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # URL scheme → outline and letter of its make
+    study: Path | None = None  # folder of a trial of a study
 
 
 def serve(target: Target, options: Options, on_start: OnStart) -> int:
@@ -168,7 +169,9 @@ async def _serve(
     bus = ZenohBus(runtime.mailbox, hub=target.hub or DEFAULT_HUB)
     try:
         process = f"console@{socket.gethostname()}:{os.getpid()}"
-        identity = Identity(socket.gethostname(), process, __version__, options.read_only, options.icons)
+        identity = Identity(
+            socket.gethostname(), process, __version__, options.read_only, options.icons, options.study
+        )  # fmt: skip
         gateway = Gateway(NamedBus(bus, OPERATOR), keys, runtime, identity, wall_time_s)
         names = Names(host, port, lower(options.allow_hosts))
 

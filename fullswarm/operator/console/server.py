@@ -210,7 +210,7 @@ class Pages:
 
 # ---------------------------------------------------------------- frames that wait
 NEWEST_WINS = frozenset(
-    {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop"}
+    {"state", "fleet", "filter", "goals", "coverage", "obstacles", "leases", "missions", "world", "stop", "study"}
 )
 """Frames that are complete: a page that was busy needs only the last one."""
 LONGEST = 1024

@@ -16,6 +16,7 @@ from fullswarm.operator.client import Operator
 from fullswarm.operator.console import frames
 from fullswarm.operator.console.frames import Answer
 from fullswarm.operator.console.log import for_page
+from fullswarm.operator.console.study import StudyDesk
 from fullswarm.operator.console.world import World
 from fullswarm.operator.estop import EStopOrder
 from fullswarm.operator.leases import LeaseHolder
@@ -53,6 +54,7 @@ class ConsoleContext:
     present: Callable[[], Iterable[str]]  # robots that are present
     end_estops: Callable[[tuple[str, ...]], None]  # no session may repeat an e-stop that is released
     read_only: bool = False
+    study: StudyDesk | None = None  # None: the operator takes part in no study
 
 
 class OperatorSession:
@@ -110,7 +112,22 @@ class OperatorSession:
             return Answer(ref=ref)
         if self._context.read_only:
             return Answer(ref=ref, ok=False, reason=READ_ONLY)
+        desk = self._context.study
+        if isinstance(command, frames.Study):
+            reason = desk.handle(command, self.key) if desk is not None else "this console is not in a study"
+            return Answer(ref=ref, ok=not reason, reason=reason)
+        if desk is not None and (reason := desk.refusal(command)):
+            return Answer(ref=ref, ok=False, reason=reason)
+        answer = self._carry_out(command, listener)
+        if desk is not None:
+            desk.log(command, self.key)  # afterwards: nothing may delay a stop
+        return answer
+
+    def _carry_out(self, command: frames.Command, listener: Listener) -> Answer:
+        ref = command.ref
         match command:
+            case frames.Stop() | frames.Estop() | frames.Clear():
+                return self._halt(command)
             case frames.Drive():
                 reason = self._drive(command, listener)
             case frames.Release():
@@ -124,8 +141,8 @@ class OperatorSession:
                 return self._request(command)
             case frames.Mission():
                 return self._mission(command)
-            case _:
-                return self._halt(command)
+            case _:  # an input: only a study takes note of it
+                reason = ""
         return Answer(ref=ref, ok=not reason, reason=reason)
 
     def _request(self, command: frames.Request) -> Answer:

@@ -62,7 +62,7 @@ export function setFlag(element, name, value) {
 }
 
 /**
- * Whether keys typed now belong to a text field. `letters`: also a number, which may be 1e-3.
+ * Whether keys typed now belong to a text field. `letters`: also a number, which may be 1e-3 unless it is of digits only.
  * @param {EventTarget | null} element
  * @param {boolean} [letters]
  */
@@ -71,7 +71,7 @@ export function typing(element, letters = false) {
   if (element.isContentEditable || element instanceof HTMLTextAreaElement) return true;
   if (!(element instanceof HTMLInputElement)) return false;
   if (["text", "search", "email", "url", "password"].includes(element.type)) return true;
-  return letters && element.type === "number";
+  return letters && element.type === "number" && element.inputMode !== "numeric";
 }
 
 /**

@@ -78,13 +78,13 @@ export class Keyboard {
   }
 
   /**
-   * Space is the stop, so Enter ticks boxes.
+   * Space is the stop, so Enter ticks boxes and makes choices.
    * @param {KeyboardEvent} event
    */
   #enter(event) {
     const { target } = event;
     if (target === this.map.live) return this.tools.enter();
-    if (!(target instanceof HTMLInputElement) || target.type !== "checkbox") return undefined;
+    if (!(target instanceof HTMLInputElement) || !["checkbox", "radio"].includes(target.type)) return undefined;
     event.preventDefault();
     return target.click();
   }

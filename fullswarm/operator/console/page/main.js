@@ -5,7 +5,7 @@
  * data      link.js (WebSocket), store.js (the newest of everything), tracks.js (positions between two states), types.d.ts
  * commands  commands.js, drive.js (gamepad, arrows), stops.js (stop, e-stop), keyboard.js (all keys), selection.js
  * panels    fleet.js (table, groups), panel.js (behaviours; field.js, forms.js), missions.js, charts.js, log.js, legend.js,
- *           banners.js
+ *           banners.js, study.js (the dialogs of a study)
  * map       map.js (the loop), ground.js (below the robots), robots.js, sprites.js, tools.js, pointer.js, toolbar.js,
  *           viewport.js, geometry.js, palette.js, theme.js
  */
@@ -27,6 +27,7 @@ import { Pointer } from "./pointer.js";
 import { Selection } from "./selection.js";
 import { Stops } from "./stops.js";
 import { Store } from "./store.js";
+import { Study } from "./study.js";
 import { Theme } from "./theme.js";
 import { Toolbar } from "./toolbar.js";
 import { Tools } from "./tools.js";
@@ -55,6 +56,7 @@ new Legend(store);
 new Charts(store, theme);
 new LogView(store);
 new Missions({ store, commands });
+new Study({ store, link, selection, map, tools });
 tabs();
 
 link.on("message", (message) => store.apply(message));

@@ -5,18 +5,18 @@ import { OLD_S } from "./link.js";
 import { Looks } from "./palette.js";
 import { ServerClock, Track } from "./tracks.js";
 
-/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, World } from "./types.d.ts" */
+/** @import { Behaviour, Box, ChartRow, Coverage, Entry, Estop, Fleet, Goal, Hello, Lease, Lost, Message, Mission, MissionReply, NodeState, Point, RequestStatus, Robot, States, Stop, Study, World } from "./types.d.ts" */
 
 const LOG_KEPT = 500;
 const CHART_KEPT = 1200;
 
 /**
  * Emits the name of what changed: world, robots (a new one), states, fleet, filter, goals, charts, coverage,
- * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost.
+ * obstacles, log, request, estop, stop, leases, missions, mission (an answer), lost, study.
  * @extends {Emitter<{hello: Hello, world: World, robots: null, states: null, fleet: Fleet, filter: Store["filter"],
  *   goals: Store["goals"], charts: ChartRow | null, coverage: Coverage | null, obstacles: number[][], log: Entry | null,
  *   request: RequestStatus, estop: Estop, stop: Stop, leases: Store["leases"],
- *   missions: Mission[], mission: MissionReply, lost: Lost}>}
+ *   missions: Mission[], mission: MissionReply, lost: Lost, study: Study}>}
  */
 export class Store extends Emitter {
   constructor() {
@@ -132,6 +132,7 @@ export class Store extends Emitter {
     missions: ({ missions }) => this.#set("missions", missions),
     mission: (message) => this.emit("mission", message),
     lost: (message) => this.emit("lost", message),
+    study: (message) => this.emit("study", message),
   });
 
   /**

@@ -210,6 +210,29 @@ export interface AnswerFrame {
   request_id: string;
 }
 
+export interface StudyProbe {
+  id: string;
+  question: string;
+  choices: string[];
+  freeze: boolean;
+}
+
+export interface Study {
+  t: "study";
+  phase: "briefing" | "running" | "tlx" | "done";
+  mine: boolean;
+  title: string;
+  task: string;
+  briefing: string;
+  consent: string;
+  duration_s: number;
+  left_s: number;
+  hide: string[];
+  probe: StudyProbe | null;
+  tlx: { scales: { name: string; title: string; question: string; low: string; high: string }[]; pairs: [string, string][] } | null;
+  reason: string;
+}
+
 export type Message =
   | Hello
   | (World & { t: "world" })
@@ -227,6 +250,7 @@ export type Message =
   | { t: "leases"; leases: Lease[] }
   | { t: "missions"; missions: Mission[] }
   | MissionReply
+  | Study
   | Lost;
 
 declare global {
