@@ -79,8 +79,10 @@ def estop(
     options = EStopOptions(robot_ids(robots), not clear, reason, timeout, as_json=as_json)
     target, options = _with_fleet(target, options, fleet)
     with ExitStack() as stack:
-        connection = _connect(stack, target, options)
+        connection, at_once = _connect(stack, target, options)
         report = EStopReport(connection, options)
+        if not at_once:
+            report.order.hub_returned()
         connection.on_interrupt = connection.finish
         connection.run()
         report.order.close()
@@ -105,14 +107,20 @@ def _with_fleet(target: Target, options: EStopOptions, fleet: Path | None) -> tu
     )
 
 
-def _connect(stack: ExitStack, target: Target, options: EStopOptions) -> Session:
-    """Reach the hub, however long it takes: robots whose hub comes back drive on unless they receive the order."""
+def _connect(stack: ExitStack, target: Target, options: EStopOptions) -> tuple[Session, bool]:
+    """Reach the hub, however long it takes: robots whose hub comes back drive on unless they receive the order.
+
+    Returns
+    -------
+    tuple
+        The session, and whether the hub answered at once.
+    """
     from fullswarm.operator import session
 
     waited_s, within_s = 0.0, REPORT_S if options.engaged else session.CONNECT_S
     while True:
         try:
-            return stack.enter_context(session.connect(target, within_s))
+            return stack.enter_context(session.connect(target, within_s)), waited_s == 0.0
         except Unreachable as error:
             if waited_s == 0.0 and options.engaged:
                 output.progress(f"{error.where}: {error.what}: {WITHOUT_HUB}; still trying")
@@ -213,6 +221,8 @@ class EStopReport:
         connected = self.connection.bus.connected()
         if connected != self._connected:
             self._connected = connected
+            if connected:
+                self.order.hub_returned()
             output.progress("the hub is back" if connected else f"the hub is lost: {WITHOUT_HUB}; still trying")
 
     def _as_dict(self) -> dict[str, object]:

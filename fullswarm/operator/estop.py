@@ -10,6 +10,8 @@ from fullswarm.runtime import Scheduler, Timer
 REPEAT_S = 0.1
 LISTEN_S = 0.6
 """Health reports come at 2 Hz: after this long every running robot has been received."""
+OUTAGE_LISTEN_S = 3.0
+"""The same after the hub was unreachable: robots that had lost it look for it every half second."""
 
 
 class EStopOrder:
@@ -42,6 +44,7 @@ class EStopOrder:
         self.overruled_by = ""
         self.sent = 0
         self.done = False
+        self._all_known_s = LISTEN_S
         self._send, self._scheduler, self._known = send, scheduler, known
         self._deadline_s, self._on_receipt, self._on_done = deadline_s, on_receipt, on_done
         self._began_s = scheduler.now_s()
@@ -51,6 +54,10 @@ class EStopOrder:
         """Send now and repeat until done."""
         self._timer = self._scheduler.every(REPEAT_S, self._tick, first_s=REPEAT_S)
         self._repeat()
+
+    def hub_returned(self) -> None:
+        """Wait for robots that have yet to come back before all are taken for known."""
+        self._all_known_s = self.elapsed_s + OUTAGE_LISTEN_S
 
     def close(self) -> None:
         """Send no more."""
@@ -80,7 +87,7 @@ class EStopOrder:
 
     def confirmed(self) -> bool:
         """Return whether all robots are known and have confirmed."""
-        all_known = bool(self.message.robots) or self.elapsed_s >= LISTEN_S
+        all_known = bool(self.message.robots) or self.elapsed_s >= self._all_known_s
         return all_known and self.concerned() != () and not self.unconfirmed()
 
     def receive(self, receipt: EStopReceipt) -> None:

@@ -196,6 +196,24 @@ def test_copies_of_receipts_that_come_late_take_nothing_back() -> None:
     assert order.receipts["r1"].rolled_m == 0.1
 
 
+@pytest.mark.parametrize("outage", [False, True])
+def test_after_an_outage_it_listens_longer_for_robots_that_come_back_one_by_one(outage: bool) -> None:
+    runtime, heard = Runtime(SimClock()), ["r1"]
+    order = EStopOrder(
+        EStop(id="e", engaged=True), send=lambda: None, scheduler=runtime, known=lambda: heard, deadline_s=9.0
+    )
+    order.start()
+    if outage:
+        order.hub_returned()
+    order.receive(EStopReceipt(id="e", robot="r1", engaged=True, standing=True))
+    runtime.after(2.0, lambda: heard.append("r2"))
+    runtime.run(8.0)
+    assert order.done is not outage, "r2, which came back late, has yet to confirm"
+    if outage:
+        order.receive(EStopReceipt(id="e", robot="r2", engaged=True, standing=True))
+        assert order.done
+
+
 def test_another_requests_status_adds_no_robot(swarm: Fleet) -> None:
     def stray() -> None:
         status = RequestStatus(request_id="other", behaviour="x", phase="ended", robots=("r77",))
