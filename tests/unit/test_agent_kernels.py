@@ -219,6 +219,7 @@ def test_only_the_last_states_of_a_host_count_whatever_came_before(messages: lis
 def test_a_held_robot_turns_to_where_it_wants_to_go_whatever_little_is_allowed(
     heading: float, direction: float, share: float
 ) -> None:
+    assume(abs(abs(heading) - FACING_RAD) > 1e-9)  # either is right there
     allowed = share * math.cos(direction), share * math.sin(direction)
     speed, turn, held = steer.plain(*allowed, 1.0, 0.0, heading, False, 1.0, 3.0)
     assert held

@@ -19,8 +19,16 @@ DOERS = {
         "joystick map",
         "joystick test",
         "shell",
+        "study run",
     ),  # move, or wait for, people
-    *("experiment replay", "results export", "results map", "results report", "scenario export"),  # write a file
+    *(
+        "experiment replay",
+        "results export",
+        "results map",
+        "results report",
+        "scenario export",
+        "study export",
+    ),  # write a file
 }
 
 
