@@ -200,13 +200,15 @@ def test_without_hub_or_core_there_is_an_error_that_says_so(hub: str, live: Live
 
 def test_ctrl_c_ends_the_waiting_and_leaves_the_robots_running(hub: str, swarm: Swarm) -> None:
     script = f"""
+import signal
 from fullswarm import Swarm
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
 with Swarm({hub!r}) as swarm:
     run = swarm.request("flocking_bc")
     run.wait_started()
     print("waits", flush=True)
     try:
-        run.wait()
+        run.wait(20.0)
     except KeyboardInterrupt:
         print("interrupted", run.phase, flush=True)
 """
