@@ -6,7 +6,7 @@ reader need not check again.
 
 from __future__ import annotations
 
-import functools
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -28,10 +28,22 @@ def encode(message: Message) -> bytes:
     return _encoder.encode(message)
 
 
-@functools.cache
-def _reader(kind: type[Message]) -> tuple[msgspec.msgpack.Decoder[Message], Callable[[Any], bool] | None]:
-    """Return what decodes a type, and what then looks at its columns, if it has any."""
-    return msgspec.msgpack.Decoder(kind), FITS.get(kind)
+_Reader = tuple[msgspec.msgpack.Decoder[Any], Callable[[Any], bool] | None]
+_readers: dict[type[Message], _Reader] = {}
+_building = threading.Lock()
+
+
+def _reader(kind: type[Message]) -> _Reader:
+    """Return what decodes a type, and what then looks at its columns, if it has any.
+
+    One thread at a time builds: msgspec shares what it knows of a type before that is complete, and a second thread
+    that decodes with it ends the process with a segmentation fault (msgspec 0.22).
+    """
+    found = _readers.get(kind)
+    if found is None:
+        with _building:
+            found = _readers[kind] = msgspec.msgpack.Decoder(kind), FITS.get(kind)
+    return found
 
 
 def decode(data: bytes, kind: type[M]) -> M:
