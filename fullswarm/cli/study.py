@@ -94,21 +94,26 @@ def run(
 @shell_command()
 def status(folder: Folder, as_json: Json = False) -> int:
     """Show which trials are complete, by labels."""
-    from fullswarm.study.folder import open_folder
-    from fullswarm.study.folder import status as status_of
+    from dataclasses import asdict
+
+    from fullswarm.study.folder import open_folder, progress
 
     study = open_folder(folder)
-    rows = status_of(study)
+    rows = progress(study)
     if as_json:
-        output.data_json({"study": study.study.section.name, "unblinded": study.opened, "participants": rows})
+        output.data_json(
+            {
+                "study": study.study.section.name,
+                "unblinded": study.opened,
+                "participants": [asdict(row) for row in rows],
+            }
+        )
         return 0
     signs = {"complete": "+", "interrupted": "!", "running": "…", "prepared": "…", "": "-"}
     for row in rows:
-        order, states = row["order"], row["states"]
-        assert isinstance(order, list) and isinstance(states, list)  # noqa: PT018, S101  (for the type checker)
-        cells = "  ".join(f"{label}{signs[state]}" for label, state in zip(order, states, strict=True))
-        note = f"  ({row['interrupted']} interrupted)" if row["interrupted"] else ""
-        output.data(f"{row['participant']:<12} {cells}{note}")
+        cells = "  ".join(f"{label}{signs[state]}" for label, state in zip(row.order, row.states, strict=True))
+        note = f"  ({row.interrupted} interrupted)" if row.interrupted else ""
+        output.data(f"{row.participant:<12} {cells}{note}")
     output.progress("+ complete, ! interrupted, … running, - not yet")
     output.progress("unblinded" if study.opened else "blinded; `fullswarm study unblind` opens the key")
     return 0
@@ -142,10 +147,10 @@ def unblind(
     as_json: Json = False,
 ) -> int:
     """Open the sealed key and show which label is which condition. The time is noted in the folder."""
-    from fullswarm.study.folder import open_folder, status
+    from fullswarm.study.folder import open_folder, progress
 
     study = open_folder(folder)
-    missing = sum(row["next"] is not None for row in status(study))
+    missing = sum(row.next is not None for row in progress(study))
     if missing and not study.opened and not yes:
         output.progress(f"{missing} participants have not completed all conditions")
         if not typer.confirm("Open the key now? It cannot be closed again."):

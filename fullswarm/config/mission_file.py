@@ -11,7 +11,7 @@
     name = "out"                         # default: "step 1", "step 2", ...
     behaviour = "move_to_goal_bc"        # none: the robots stand, the track waits
     parameters = { goal = [8.0, 2.0] }
-    team = "group"                       # whom its law counts as neighbours; default: as its record says
+    team = "group"                       # which robots its law counts as neighbours; default: as its record says
     needs = { speed_m_s = 0.3 }          # robots that cannot are left out, or refused if they are named
     roles = { leader = ["r1"] }          # robots, "@groups" or "+capabilities" of each role
     done = { arrived = "all" }           # when = "all" | "any" of: arrived, time_s, metric, confirm

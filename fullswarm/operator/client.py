@@ -38,17 +38,17 @@ class PendingRequest:
     on_status: StatusHandler | None = None
     status: RequestStatus | None = None
     sent: int = 0
-    _timer: Timer | None = field(default=None, repr=False)
+    timer: Timer | None = field(default=None, repr=False)
 
     @property
     def repeats(self) -> bool:
         """Whether it is sent until it is answered."""
-        return self._timer is not None
+        return self.timer is not None
 
     def close(self) -> None:
         """Do not send it again. What the core has received goes on."""
-        if self._timer is not None:
-            self._timer.cancel()
+        if self.timer is not None:
+            self.timer.cancel()
 
 
 @dataclass(slots=True)
@@ -150,7 +150,7 @@ class Operator:
 
         send()
         if resend:
-            pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
+            pending.timer = self._scheduler.every(RESEND_S, send)
         return pending
 
     def ask_again(self, pending: PendingRequest) -> None:

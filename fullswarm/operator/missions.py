@@ -27,7 +27,12 @@ class PendingMissionRequest:
     request: MissionRequest
     on_reply: ReplyHandler | None
     reply: MissionReply | None = None
-    _timer: Timer | None = field(default=None, repr=False)
+    timer: Timer | None = field(default=None, repr=False)
+
+    def close(self) -> None:
+        """Do not send it again."""
+        if self.timer is not None:
+            self.timer.cancel()
 
 
 class MissionClient:
@@ -91,30 +96,26 @@ class MissionClient:
             self._bus.publish(self._keys.mission_request, request)
 
         send()
-        pending._timer = self._scheduler.every(RESEND_S, send)  # noqa: SLF001  (its own record)
+        pending.timer = self._scheduler.every(RESEND_S, send)
         return pending
 
     def forget(self, pending: PendingMissionRequest) -> None:
         """Do not send a request again, and do not wait for its answer."""
         self._pending.pop(pending.request.id, None)
-        self._settle(pending)
+        pending.close()
 
     def close(self) -> None:
         """Stop sending and unsubscribe. Missions go on."""
         for pending in self._pending.values():
-            self._settle(pending)
+            pending.close()
         for subscription in self._subscriptions:
             subscription.close()
-
-    def _settle(self, pending: PendingMissionRequest) -> None:
-        if pending._timer is not None:  # noqa: SLF001  (its own record)
-            pending._timer.cancel()  # noqa: SLF001  (its own record)
 
     def _replied(self, reply: MissionReply) -> None:
         pending = self._pending.pop(reply.id, None)
         if pending is None:
             return
-        self._settle(pending)
+        pending.close()
         pending.reply = reply
         if pending.on_reply is not None:
             pending.on_reply(reply)

@@ -203,7 +203,7 @@ class Client:
         def check() -> None:
             try:
                 value = ready()
-            except Exception as error:
+            except Exception as error:  # whatever it raises is raised where the answer is awaited
                 _fail(found, error)
                 return
             if value is not None:

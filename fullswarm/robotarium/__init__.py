@@ -19,9 +19,25 @@ Files:
 from __future__ import annotations
 
 import importlib.util
+import sys
+from contextlib import suppress
 
 from fullswarm.errors import MissingExtra
 
 for _needed in ("matplotlib", "osqp", "scipy"):
     if importlib.util.find_spec(_needed) is None:
         raise MissingExtra(f"scripts of the Robotarium need {_needed}", hint="pip install 'fullswarm[lab]'")
+
+
+def _import_numba() -> None:
+    """Import numba while the script's own folder is not searched: numba imports `coverage`, a likely script's name."""
+    path = sys.path[:]
+    sys.path[:] = path[1:]
+    try:
+        with suppress(ImportError):  # kernels run without it, slower
+            importlib.import_module("numba")
+    finally:
+        sys.path[:] = path
+
+
+_import_numba()

@@ -19,7 +19,6 @@ import base64
 import hashlib
 import json
 import secrets
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -196,25 +195,37 @@ def open_folder(path: Path, study: StudyFile | None = None) -> StudyFolder:
     return StudyFolder(path, study, hashlib.sha256(sealed).hexdigest(), key)
 
 
-def status(folder: StudyFolder, participants: Iterable[str] = ()) -> list[dict[str, object]]:
-    """Return one row per participant: the order by labels, the state of each trial, what is due."""
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a participant is.
+
+    Attributes
+    ----------
+    order, states : the labels in their order, and the state of each trial, empty where none has begun
+    complete, interrupted : trials
+    next : label of what is due
+    """
+
+    participant: str
+    order: tuple[str, ...]
+    states: tuple[str, ...]
+    complete: int
+    interrupted: int
+    next: str | None
+
+
+def progress(folder: StudyFolder) -> list[Progress]:
+    """Return how far each participant is."""
     rows = []
-    for code in tuple(participants) or folder.study.section.codes:
+    for code in folder.study.section.codes:
         labels, begun, due = folder.order(code), folder.trials(code), folder.due(code)
-        states = [
+        states = tuple(
             next((each.record.state for each in reversed(begun) if each.record.number == number), "")
             for number in range(1, len(labels) + 1)
-        ]
-        rows.append(
-            {
-                "participant": code,
-                "order": list(labels),
-                "states": states,
-                "complete": sum(state == "complete" for state in states),
-                "interrupted": sum(each.record.state != "complete" for each in begun),
-                "next": None if due is None else due.label,
-            }
         )
+        complete = sum(state == "complete" for state in states)
+        interrupted = sum(each.record.state != "complete" for each in begun)
+        rows.append(Progress(code, tuple(labels), states, complete, interrupted, None if due is None else due.label))
     return rows
 
 

@@ -203,9 +203,10 @@ def _neglect(from_s: float, to_s: float, at_s: Array, good: NDArray[np.bool_], s
 
 
 def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> float | None:
-    """Return the mean of durations of which some are right-censored: the area under their Kaplan-Meier curve, up to the
-    longest duration. None if there are none.
-    """  # noqa: D205
+    """Return the mean of durations (k,) of which some are right-censored, s; None if there are none.
+
+    It is the area under their Kaplan-Meier curve, up to the longest duration.
+    """
     if not times_s:
         return None
     area = last_s = 0.0
@@ -299,9 +300,9 @@ def _neglect_measures(log: TrialLog, episodes: list[Episode], end_s: float, sett
         ]
     interaction_s = _mean([each.to_s - each.from_s for each in episodes])
     tolerance_s = _tolerance(everything)
-    known = interaction_s is not None and tolerance_s is not None
-    demand = attention_demand(interaction_s, tolerance_s) if known else None  # type: ignore[arg-type]
-    fan = fan_out(interaction_s, tolerance_s) if known else None  # type: ignore[arg-type]
+    demand = fan = None
+    if interaction_s is not None and tolerance_s is not None:
+        demand, fan = attention_demand(interaction_s, tolerance_s), fan_out(interaction_s, tolerance_s)
     return [
         Measure("neglect_time_mean", "", _mean([each.to_s - each.from_s for each in everything]), "s"),
         Measure("neglect_tolerance", "", tolerance_s, "s"),

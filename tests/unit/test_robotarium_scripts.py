@@ -103,6 +103,16 @@ def test_without_the_filter_bodies_collide_and_the_report_counts_it() -> None:
     assert report.filtered_m == 0.0
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_script_beside_one_that_is_named_coverage_runs(tmp_path: Path, alone: bool) -> None:
+    (tmp_path / "coverage.py").write_text("raise SystemExit('numba has imported a script')\n")
+    script = tmp_path / "mine.py"
+    script.write_text(("" if alone else OURS) + HEAD_ON.replace("range(150)", "range(2)"))
+    command = [sys.executable, *(["-m", "fullswarm.robotarium"] if alone else []), str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_script_runs_from_the_command_line_as_it_is(tmp_path: Path) -> None:
     script = tmp_path / "mine.py"
     script.write_text(

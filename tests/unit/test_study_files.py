@@ -11,7 +11,7 @@ import pytest
 from fullswarm.errors import ConfigError
 from fullswarm.operator.console.study import TRIAL, TrialRecord
 from fullswarm.study.file import SWARM, check_fleets
-from fullswarm.study.folder import KEY, Due, StudyFolder, begin, open_folder, status
+from fullswarm.study.folder import KEY, Due, StudyFolder, begin, open_folder, progress
 from fullswarm.study.session import prepare
 from tests.unit.study_lab import STUDY, write_study
 
@@ -88,8 +88,8 @@ def test_an_interrupted_trial_comes_again_and_a_complete_one_does_not(tmp_path: 
     assert {first.label, second.label} == {"A", "B"}
     finish(folder, second)
     assert folder.due("P02") is None
-    row = next(row for row in status(folder) if row["participant"] == "P02")
-    assert (row["complete"], row["interrupted"], row["next"]) == (2, 1, None)
+    row = next(row for row in progress(folder) if row.participant == "P02")
+    assert (row.complete, row.interrupted, row.next) == (2, 1, None)
     with pytest.raises(ConfigError, match="no participant 'P99'"):
         folder.order("P99")
 

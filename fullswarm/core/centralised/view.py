@@ -20,7 +20,7 @@ from fullswarm.reasons import NOTHING
 
 Words = NDArray[np.str_]
 Pairs = tuple[Index, Index]
-NOBODY: Mapping[str, RobotProfile] = MappingProxyType({})
+NO_PROFILES: Mapping[str, RobotProfile] = MappingProxyType({})
 
 
 class View:
@@ -45,7 +45,7 @@ class View:
     def __init__(
         self, index: Index, members: tuple[str, ...], position: Array, heading: Array, twist: Array, radius: Array,
         appeared: Flags, elapsed_s: float, dt_s: float, bounds_m: tuple[float, float, float, float],
-        roles: Mapping[str, str] = NOTHING, described: Mapping[str, RobotProfile] = NOBODY,
+        roles: Mapping[str, str] = NOTHING, described: Mapping[str, RobotProfile] = NO_PROFILES,
     ) -> None:  # fmt: skip
         self.index, self.members = index, members
         self.position, self.heading, self.twist, self.radius = position, heading, twist, radius

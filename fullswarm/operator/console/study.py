@@ -164,9 +164,13 @@ def _robot_sample(row: RobotRow) -> RobotSample:
 
 
 def count(truth: str, sample: Sample) -> int:
-    """Return what a probe counts: ``robots``, ``moving``, ``stopped``, ``estopped``, ``silent``, ``idle`` (without a
-    behaviour) or ``running BEHAVIOUR``. Silent robots count as nothing else: where they are is not known.
-    """  # noqa: D205
+    """Return how many robots a probe asks for; silent ones count as nothing else: what they do is not known.
+
+    Parameters
+    ----------
+    truth : ``robots``, ``moving``, ``stopped``, ``estopped``, ``silent``, ``idle`` (without a behaviour) or
+        ``running BEHAVIOUR``
+    """
     robots = sample.robots
     present = [each for each in robots if not each.silent]
     if truth.startswith(RUNNING):
