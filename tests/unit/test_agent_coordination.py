@@ -13,7 +13,6 @@ from scipy.optimize import linprog
 from fullswarm import kernels
 from fullswarm.agent.motion.coordination import (
     MAX_LINES,
-    MAX_WALLS,
     Coordinator,
     Crowd,
     Lines,
@@ -24,9 +23,7 @@ from fullswarm.agent.motion.coordination import (
     reciprocal,
 )
 from fullswarm.agent.neighbours.estimates import Nearby
-from fullswarm.agent.safety.barrier import Arena
 from fullswarm.config import SwarmConfig
-from fullswarm.drivers.base import NO_OBSTACLES
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
 from fullswarm.launch.lockstep import Lockstep
@@ -34,7 +31,6 @@ from fullswarm.messages import RequestStatus, Value
 from fullswarm.operator.client import Operator
 
 TOP, HORIZON_S, PERIOD_S = 0.5, 2.0, 0.02
-EDGES_M = np.array([-9.0, -9.0, 9.0, 9.0])
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -119,30 +115,24 @@ def test_the_velocity_found_is_allowed_and_none_is_nearer(seed: int, count: int)
         assert np.linalg.norm(found - aim) <= np.linalg.norm(allowed - aim, axis=1).min() + 1e-6
 
 
-@given(seed=seeds, count=st.integers(3, MAX_LINES), kept=st.integers(0, MAX_WALLS))
-@settings(max_examples=200, deadline=None)
-def test_where_none_is_allowed_the_greatest_violation_is_the_least_and_walls_are_kept(
-    seed: int, count: int, kept: int
-) -> None:
+@given(seed=seeds, count=st.integers(3, MAX_LINES))
+@settings(max_examples=150, deadline=None)
+def test_where_none_is_allowed_the_greatest_violation_is_the_least(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     normals, limits = half_planes(rng, count, -0.4, 0.1)
-    walls, room = half_planes(rng, kept, 0.0, 0.3)
-    normals, limits, count = np.concatenate([walls, normals]), np.concatenate([room, limits]), kept + count
-    others = np.arange(count) >= kept
-    lines = Lines(*np.zeros((len(Lines._fields), MAX_LINES + MAX_WALLS)))
+    lines = Lines(*np.zeros((len(Lines._fields), MAX_LINES)))
     lines.normal_x[:count], lines.normal_y[:count], lines.limit[:count] = *normals.T, limits
     x, y, fulfilled = nearest(count, lines.normal_x, lines.normal_y, lines.limit, TOP, 0.1, 0.0, False)
     assume(fulfilled < count)
-    x, y = least_violation(fulfilled, kept, count, TOP, x, y, lines)
-    violation = float((normals @ [x, y] - limits)[others].max())
+    x, y = least_violation(fulfilled, count, TOP, x, y, lines)
+    violation = float((normals @ [x, y] - limits).max())
     # The same as a linear programme: the disc as a polygon around it.
     angle = np.linspace(-math.pi, math.pi, 720)
     sides = np.stack([np.cos(angle), np.sin(angle), np.zeros(720)], axis=1)
-    rows = np.concatenate([np.column_stack([normals, -1.0 * others]), sides])
+    rows = np.concatenate([np.column_stack([normals, -np.ones(count)]), sides])
     best = linprog([0.0, 0.0, 1.0], rows, np.concatenate([limits, np.full(720, TOP)]), bounds=(None, None))
     assert math.hypot(x, y) <= TOP + 1e-6
     assert violation <= best.fun + 1e-4
-    assert (normals @ [x, y] - limits)[~others].max(initial=-1.0) <= 1e-6
 
 
 class Meeting:
@@ -155,12 +145,11 @@ class Meeting:
             np.zeros(count), np.zeros(count), np.zeros(count),
         )  # fmt: skip
         self.crowd = Crowd(np.array([takes_part]), np.array([0.17]), np.array([0.03]), np.array([TOP]))
-        self.coordinator = Coordinator(self.crowd, 3.0, PERIOD_S, EDGES_M)
-        self.obstacles = NO_OBSTACLES
+        self.coordinator = Coordinator(self.crowd, 3.0, PERIOD_S)
 
     def desired(self, x: float, y: float, speed: float = TOP) -> Array:
         desired = np.array([[x, y]])
-        self.coordinator.apply(desired, np.zeros((1, 3)), np.array([[speed, 0.0]]), self.near, self.obstacles)
+        self.coordinator.apply(desired, np.zeros((1, 3)), np.array([[speed, 0.0]]), self.near)
         return np.array(desired[0])
 
 
@@ -175,24 +164,15 @@ def test_one_at_rest_makes_way_for_one_that_comes() -> None:
     assert pushed[0] < -0.05
 
 
-def test_one_beside_a_wall_evades_along_it() -> None:
-    meeting = Meeting(np.array([[0.8, 0.03, math.pi, TOP, 0.0, 0.17]]))
-    assert meeting.desired(TOP, 0.0)[1] < -0.05, "to its right, where the way is shorter"
-    meeting.obstacles = np.array([[0.0, -0.5, 3.0, 0.3, 0.0, 0.0]])  # its face touches the robot's margin
-    x, y = meeting.desired(TOP, 0.0)
-    assert y >= 0.0
-    assert math.hypot(x, y) > 0.05, "it does not stand before the other one"
-
-
 def test_those_that_do_not_take_part_and_twists_are_left_alone() -> None:
     ahead = np.array([[0.8, 0.0, math.pi, TOP, 0.0, 0.17]])
     assert Meeting(ahead, takes_part=False).desired(TOP, 0.0) == pytest.approx([TOP, 0.0])
     assert np.isnan(Meeting(ahead).desired(math.nan, math.nan)).all()
 
 
-@given(seed=seeds, count=st.integers(1, 3 * MAX_LINES), walls=st.integers(0, 2 * MAX_WALLS))
+@given(seed=seeds, count=st.integers(1, 3 * MAX_LINES))
 @settings(max_examples=60, deadline=None)
-def test_plain_and_compiled_agree_in_any_crowd(seed: int, count: int, walls: int) -> None:
+def test_plain_and_compiled_agree_in_any_crowd(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     others = rng.uniform(-1.5, 1.5, (count, 6))
     others[:, 3] = rng.uniform(-TOP, TOP, count)
@@ -200,10 +180,9 @@ def test_plain_and_compiled_agree_in_any_crowd(seed: int, count: int, walls: int
     meeting, desired = Meeting(others), rng.uniform(-TOP, TOP, (1, 2))
     other, top = desired.copy(), max(TOP, float(np.hypot(*desired[0])))
     pose, twist = np.array([[0.0, 0.0, rng.uniform(-3.0, 3.0)]]), np.array([[rng.uniform(-TOP, TOP), 0.0]])
-    boxes = np.column_stack([rng.uniform(-1.0, 1.0, (walls, 2)), rng.uniform(0.0, 0.5, (walls, 4))])
-    meeting.coordinator.apply(desired, pose, twist, meeting.near, boxes)
-    rules, lines = meeting.coordinator._rules, Lines(*np.zeros((len(Lines._fields), MAX_LINES + MAX_WALLS)))
-    coordinate.plain(rules, meeting.crowd, meeting.near, Arena(boxes, EDGES_M), lines, Motion(other, pose, twist))
+    meeting.coordinator.apply(desired, pose, twist, meeting.near)
+    rules, lines = meeting.coordinator._rules, Lines(*np.zeros((len(Lines._fields), MAX_LINES)))
+    coordinate.plain(rules, meeting.crowd, meeting.near, lines, Motion(other, pose, twist))
     assert desired == pytest.approx(other, abs=1e-9)
     assert np.hypot(*desired[0]) <= top + 1e-6
 

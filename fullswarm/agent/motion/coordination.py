@@ -23,8 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fullswarm.agent.neighbours.estimates import Nearby
-from fullswarm.agent.safety.barrier import Arena, box_gap
-from fullswarm.drivers.base import NO_OBSTACLES
 from fullswarm.kernels import Array, Flags, bound, kernel, views
 
 HORIZON_S = 2.0
@@ -37,10 +35,7 @@ LATE_SHARE = 0.5
 """The same where the sensing radius is less than what a robot drives in the horizon: both see each other late, and two
 that overdo a strong change swing to and fro."""
 MAX_LINES = 16
-"""Half-planes for neighbours per robot at most; of more neighbours, those that restrict the robot most count."""
-WALL_S = 0.2
-"""A robot may use up the room before a wall in this time: more than the filter allows, but in its direction."""
-MAX_WALLS = 8
+"""Half-planes per robot at most; of more neighbours, those that restrict the robot most count."""
 
 
 class Rules(NamedTuple):
@@ -151,15 +146,12 @@ def nearest(
 
 
 @kernel
-def least_violation(
-    first: int, kept: int, count: int, top: float, x: float, y: float, lines: Lines
-) -> tuple[float, float]:
+def least_violation(first: int, count: int, top: float, x: float, y: float, lines: Lines) -> tuple[float, float]:
     """Return the velocity whose greatest violation of a half-plane is the least, in m/s.
 
     Parameters
     ----------
     first : the half-planes below it are fulfilled by (x, y), the best velocity so far
-    kept : the half-planes below it are fulfilled in any case
     """
     normal_x, normal_y, limits, other_x, other_y, other_limit = lines
     worst = 0.0
@@ -168,12 +160,8 @@ def least_violation(
         ny = normal_y[k]
         if nx * x + ny * y - limits[k] <= worst:
             continue
-        for j in range(kept):
-            other_x[j] = normal_x[j]
-            other_y[j] = normal_y[j]
-            other_limit[j] = limits[j]
-        made = kept
-        for j in range(kept, k):
+        made = 0
+        for j in range(k):
             dx = normal_x[j] - nx
             dy = normal_y[j] - ny
             size = math.hypot(dx, dy)
@@ -231,45 +219,11 @@ def reciprocal(
 
 
 @kernel
-def walls(x: float, y: float, clearance_m: float, top: float, arena: Arena, lines: Lines) -> int:
-    """Write the half-planes that keep a robot at (x, y) off obstacles and the arena's edges; return how many.
-
-    Zero is in all of them. The filter would keep the robot off as well, but of a velocity into a wall it leaves little:
-    here the robot is to find the way along it.
-    """
-    obstacles, bounds_m = arena
-    normal_x, normal_y, limits, _, _, _ = lines
-    count = 0
-    reach_m = clearance_m + WALL_S * top
-    for row in range(obstacles.shape[0]):
-        across = obstacles[row, 2] + obstacles[row, 3] + obstacles[row, 5] + reach_m
-        if math.fabs(obstacles[row, 0] - x) >= across or math.fabs(obstacles[row, 1] - y) >= across:
-            continue
-        gap, nx, ny = box_gap(x, y, obstacles, row)
-        if gap < reach_m and count < MAX_WALLS:
-            normal_x[count] = nx
-            normal_y[count] = ny
-            limits[count] = max(0.0, gap - clearance_m) / WALL_S
-            count += 1
-    for side in range(4):
-        horizontal = side % 2 == 0
-        sign = -1.0 if side < 2 else 1.0
-        gap = sign * (bounds_m[side] - (x if horizontal else y))
-        if gap < reach_m and count < MAX_WALLS:
-            normal_x[count] = sign if horizontal else 0.0
-            normal_y[count] = 0.0 if horizontal else sign
-            limits[count] = max(0.0, gap - clearance_m) / WALL_S
-            count += 1
-    return count
-
-
-@kernel
-def coordinate(rules: Rules, crowd: Crowd, near: Nearby, arena: Arena, lines: Lines, motion: Motion) -> None:
+def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: Motion) -> None:
     """Replace desired velocities (n, 2) by the nearest ones with which all pairs stay apart for the horizon.
 
     Parameters
     ----------
-    arena : what robots keep off rather than obey each other
     lines : room for one robot's half-planes
     """
     most_s, enlarged_m, usual_share, late_share, period_s, reach_m = rules
@@ -291,10 +245,7 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, arena: Arena, lines: Li
         horizon_s = min(most_s, reach_m / top)
         share = late_share if horizon_s < most_s else usual_share
         own_m = radius[i] + margin_m[i] + enlarged_m * min(math.fabs(speed) / top, 1.0)
-        if start[i] == start[i + 1]:
-            continue
-        kept = walls(x, y, radius[i] + margin_m[i], top, arena, lines)
-        count = kept
+        count = 0
         for pair in range(start[i], start[i + 1]):
             row = other[pair]
             dx = places[row, 0] - x
@@ -312,11 +263,11 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, arena: Arena, lines: Li
             if limit >= top:
                 continue
             at = count
-            if count < kept + MAX_LINES:
+            if count < MAX_LINES:
                 count += 1
             else:
-                at = kept
-                for k in range(kept + 1, count):
+                at = 0
+                for k in range(1, MAX_LINES):
                     if limits[k] > limits[at]:
                         at = k
                 if limits[at] <= limit:
@@ -324,10 +275,10 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, arena: Arena, lines: Li
             normal_x[at] = nx
             normal_y[at] = ny
             limits[at] = limit
-        if count > kept:
+        if count > 0:
             new_x, new_y, fulfilled = nearest(count, normal_x, normal_y, limits, top, aim_x, aim_y, False)
             if fulfilled < count:
-                new_x, new_y = least_violation(fulfilled, kept, count, top, new_x, new_y, lines)
+                new_x, new_y = least_violation(fulfilled, count, top, new_x, new_y, lines)
             desired[i, 0] = new_x
             desired[i, 1] = new_y
 
@@ -339,27 +290,22 @@ class Coordinator:
     ----------
     crowd : arrays that others may write
     reach_m, period_s : sensing radius and control period
-    bounds_m : (4,) the arena
     """
 
-    def __init__(self, crowd: Crowd, reach_m: float, period_s: float, bounds_m: Array) -> None:
+    def __init__(self, crowd: Crowd, reach_m: float, period_s: float) -> None:
         self._rules, self._crowd = Rules(HORIZON_S, ENLARGED_M, SHARE, LATE_SHARE, period_s, reach_m), crowd
-        self._bounds_m, self._obstacles = bounds_m, NO_OBSTACLES
-        scratch = np.zeros((len(Lines._fields), MAX_LINES + MAX_WALLS))
+        scratch = np.zeros((len(Lines._fields), MAX_LINES))
         # Plain Python reads lists and views faster than arrays.
         self._lines, self._listed = Lines(*scratch), Lines._make(scratch.tolist())
         self._near: Nearby | None = None
         self._run: Callable[[Motion], None]
 
-    def apply(self, desired: Array, pose: Array, twist: Array, near: Nearby, obstacles: Array) -> None:
+    def apply(self, desired: Array, pose: Array, twist: Array, near: Nearby) -> None:
         """Replace desired velocities (n, 2) of robots that take part; see :func:`coordinate`."""
         plain = coordinate.run is coordinate.plain
-        if near is not self._near or obstacles is not self._obstacles:
-            self._near, self._obstacles = near, obstacles
-            arena = Arena(obstacles, self._bounds_m)
-            given = self._crowd, near, arena, self._lines
-            if plain:
-                given = views(self._crowd), views(near), views(arena), self._listed
+        if near is not self._near:
+            self._near = near
+            given = (views(self._crowd), views(near), self._listed) if plain else (self._crowd, near, self._lines)
             self._run = bound(partial(coordinate.run, self._rules, *given))
         motion = Motion(desired, pose, twist)
         self._run(views(motion) if plain else motion)

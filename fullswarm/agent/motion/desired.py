@@ -65,9 +65,7 @@ class DesiredMotion:
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
         crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit)
-        self._coordinator = Coordinator(
-            crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz, safety.bounds_m
-        )
+        self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.context = Context(
             neighbours.ids, neighbours.names, state, tasks.since_s, tasks.index, self._contacts_read, tasks.generator
         )
@@ -135,7 +133,7 @@ class DesiredMotion:
                 now_s, self._planar, tasks.lasting, pose, reading.twist, self._controller.speed_limit
             )
         if planar and tasks.any_filtered:
-            self._coordinator.apply(self._planar, pose, reading.twist, near, obstacles)
+            self._coordinator.apply(self._planar, pose, reading.twist, near)
         if tasks.any_filtered and settings.evade:
             self._evasion.apply(self._planar, tasks.lasting, pose, obstacles, self._filter.bounds_m)
         measured = self._measured
