@@ -206,8 +206,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tes
 with Swarm({hub!r}) as swarm:
     run = swarm.request("flocking_bc")
     run.wait_started()
-    print("waits", flush=True)
     try:
+        print("waits", flush=True)
         run.wait(20.0)
     except KeyboardInterrupt:
         print("interrupted", run.phase, flush=True)
