@@ -13,10 +13,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize, expect
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
 from tests.browser.axe import NPM, violations
 from tests.browser.conftest import Snap
@@ -230,8 +232,9 @@ def until_started(console: Console) -> None:
     button = console.named("study-start")
 
     def press() -> bool:
-        if button.is_visible() and button.is_enabled():
-            button.click()
+        with suppress(PlaywrightTimeout):  # the trial may begin, and the button go, between the look and the click
+            if button.is_visible() and button.is_enabled():
+                button.click(timeout=2000)
         return console.named("study-strip").is_visible()
 
     console.until(press, 60.0, "the trial begins")
