@@ -201,7 +201,15 @@ def load_mission(path: Path) -> MissionFile:
 
 def parse_mission(text: str, where: str, name: str) -> MissionFile:
     """Read a mission from TOML `text`; `name` is used if the text has none. Raises as :func:`load_mission`."""
-    data, lines = parse_toml(text, where), line_numbers(text)
+    return _read(parse_toml(text, where), line_numbers(text), where, name)
+
+
+def read_mission(data: Mapping[str, Any]) -> MissionFile:
+    """Read a mission from the tables of a mission file, in a program. Raises as :func:`load_mission`, without lines."""
+    return _read(data, {("steps",): 0} if "steps" in data else {}, "mission", "mission")
+
+
+def _read(data: Mapping[str, Any], lines: Mapping[KeyPath, int], where: str, name: str) -> MissionFile:
     try:
         section = validated(MissionSection, data)
     except ValidationError as error:
