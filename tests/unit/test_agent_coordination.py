@@ -144,7 +144,7 @@ class Meeting:
             np.array([0, count], np.int64), np.arange(count, dtype=np.int64), others[:, :2].copy(), others,
             np.zeros(count), np.zeros(count), np.zeros(count),
         )  # fmt: skip
-        self.crowd = Crowd(np.array([takes_part]), np.array([0.17]), np.array([0.03]), np.array([TOP]))
+        self.crowd = Crowd(np.array([takes_part]), np.array([0.17]), np.array([0.03]), np.array([TOP]), np.zeros(1, bool))
         self.coordinator = Coordinator(self.crowd, 3.0, PERIOD_S)
 
     def desired(self, x: float, y: float, speed: float = TOP) -> Array:

@@ -34,6 +34,14 @@ SHARE = 0.8
 LATE_SHARE = 0.5
 """The same where the sensing radius is less than what a robot drives in the horizon: both see each other late, and two
 that overdo a strong change swing to and fro."""
+HELD_SHARE, RELEASED_SHARE = 0.1, 0.2
+"""A robot is held while less than this of its desired speed is left: the direction of what little is left jumps with
+each millimetre. A held robot desires to creep where it desired to go, so that it turns there. It is released by the
+greater share. One that desires less than `RESTS_M_S` only gives way."""
+CREEP_SHARE = 0.02
+RESTS_M_S = 0.02
+PUSHED_M_S = 0.01
+"""It stands while it is asked to give way by less."""
 MAX_LINES = 16
 """Half-planes per robot at most; of more neighbours, those that restrict the robot most count."""
 
@@ -50,12 +58,16 @@ class Rules(NamedTuple):
 
 
 class Crowd(NamedTuple):
-    """What is known of the own robots, (n,) each; `takes_part`: others keep their desired velocity."""
+    """What is known of the own robots, (n,) each; `takes_part`: others keep their desired velocity.
+
+    `held`: in and out, see `HELD_SHARE`.
+    """
 
     takes_part: Flags
     radius: Array
     margin_m: Array
     speed_limit: Array
+    held: Flags
 
 
 class Motion(NamedTuple):
@@ -227,7 +239,7 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
     lines : room for one robot's half-planes
     """
     most_s, enlarged_m, usual_share, late_share, period_s, reach_m = rules
-    takes_part, radius, margin_m, speed_limit = crowd
+    takes_part, radius, margin_m, speed_limit, held = crowd
     start, other, places, states, spread_m, _, _ = near
     normal_x, normal_y, limits, _, _, _ = lines
     desired, pose, twist = motion
@@ -279,8 +291,20 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
             new_x, new_y, fulfilled = nearest(count, normal_x, normal_y, limits, top, aim_x, aim_y, False)
             if fulfilled < count:
                 new_x, new_y = least_violation(fulfilled, count, top, new_x, new_y, lines)
+            wanted = min(math.hypot(aim_x, aim_y), top)
+            least = (RELEASED_SHARE if held[i] else HELD_SHARE) * wanted
+            left = math.hypot(new_x, new_y)
+            held[i] = wanted > RESTS_M_S and left < least
+            if held[i]:
+                new_x = CREEP_SHARE * aim_x
+                new_y = CREEP_SHARE * aim_y
+            elif wanted <= RESTS_M_S and left < PUSHED_M_S and (new_x != aim_x or new_y != aim_y):
+                new_x = 0.0
+                new_y = 0.0
             desired[i, 0] = new_x
             desired[i, 1] = new_y
+        else:
+            held[i] = False
 
 
 class Coordinator:
