@@ -31,6 +31,7 @@ key                                                     message                w
 ``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
 ``<swarm>/mission/status``                              MissionStatus          core → all
 ``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
+``<swarm>/reload/<host>``                               FileReload             agent, core → operators
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -193,6 +194,10 @@ class Keys:
     def memory(self, host: str = ANY) -> str:
         """What control laws remember."""
         return f"{self.swarm}/memory/{host}"
+
+    def reload(self, host: str = ANY) -> str:
+        """What became of changed files of behaviours under development."""
+        return f"{self.swarm}/reload/{host}"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

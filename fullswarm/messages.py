@@ -616,6 +616,14 @@ class BehaviourMemory(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+class FileReload(Message, frozen=True, kw_only=True):
+    """What became in one process of a changed file of a behaviour under development (`up --reload`): for people."""
+
+    host: str
+    file: Text  # path on the computer of the process
+    problem: Text = ""  # why it does not load, and what ran before goes on; empty: it was loaded
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 

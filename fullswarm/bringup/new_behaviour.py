@@ -159,7 +159,7 @@ def _next_steps(law: str, project: Path, *, centralised: bool) -> str:
     return (
         f"Next:\n{where}"
         f"  {Path(sys.executable).name} -m pytest tests/test_{law}.py\n"
-        "  fullswarm up lab.toml --reload        # loads the law again whenever you save it\n"
+        "  fullswarm up lab.toml --reload        # loads the law again whenever you save it; --console: shows a page\n"
         "and in another terminal\n"
         f"  fullswarm request {law}_bc {values} --wait\n"
         "For robots and other users: pip install -e ."

@@ -19,6 +19,7 @@ from fullswarm.clock import MonotonicClock
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.keys import Keys
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED
 from fullswarm.runtime import Mailbox, Runtime
@@ -67,7 +68,8 @@ def core(config: SwarmConfig, with_parent: bool) -> int:
         built = nodes.core(bus, runtime, config, process_id("core"))
         if reload.wanted():
             store = next(each for each in built if isinstance(each, Store))
-            built.append(reload.RecordReloader(runtime, lambda: store.seed(record_seeds())))
+            report = reload.reporter(bus, Keys(config.swarm), CORE)
+            built.append(reload.RecordReloader(runtime, lambda: store.seed(record_seeds()), report))
         return built
 
     return serve_on_bus(config, with_parent, build, CORE)
@@ -81,7 +83,8 @@ def centralised(config: SwarmConfig, with_parent: bool) -> int:
         node = nodes.centralised(bus, runtime, config, process_id("centralised"))
         if not reload.wanted():
             return [node]
-        return [node, reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP))]
+        report = reload.reporter(bus, Keys(config.swarm), CENTRALISED)
+        return [node, reload.LawReloader(runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), report)]
 
     return serve_on_bus(config, with_parent, build, CENTRALISED)
 
@@ -110,10 +113,11 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
             return [node, board.watch(node)]
         if not reload.wanted():
             return [node]
+        report = reload.reporter(bus, Keys(config.swarm), robot)
         laws = reload.LawReloader(
-            runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP)
-        )  # fmt: skip
-        return [node, laws, reload.RecordReloader(runtime, read_records_again)]
+            runtime, reload.RobotsOf(node), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), report
+        )
+        return [node, laws, reload.RecordReloader(runtime, read_records_again, report)]
 
     return serve_on_bus(config, with_parent, build, robot)
 

@@ -16,7 +16,10 @@ from typing import TYPE_CHECKING, Protocol
 import structlog
 
 from fullswarm import registry
+from fullswarm.bus.base import Bus
 from fullswarm.errors import ConfigError, FullswarmError
+from fullswarm.keys import Keys
+from fullswarm.messages import FileReload
 from fullswarm.output import progress
 from fullswarm.reasons import given
 from fullswarm.runtime import Scheduler
@@ -32,6 +35,8 @@ STAND_S = 3.0
 log = structlog.get_logger()
 
 Signature = tuple[int, int]
+Report = Callable[[Path, str], None]
+"""Is told which file has changed, and why it does not load; an empty text: it was loaded."""
 
 
 def wanted() -> bool:
@@ -45,14 +50,16 @@ class Files:
     Parameters
     ----------
     files : returns the files to watch, by name
+    added : a file that comes later counts as changed
     """
 
-    def __init__(self, files: Callable[[], Mapping[str, Path]]) -> None:
-        self._files = files
-        self._taken: dict[str, Signature] = {}
+    def __init__(self, files: Callable[[], Mapping[str, Path]], *, added: bool = False) -> None:
+        self._files, self._added = files, False
+        self._taken: dict[str, Signature | None] = {}
         self._seen: dict[str, Signature] = {}
         self._problem = ""
         self.changed()
+        self._added = added
 
     def changed(self) -> dict[str, Path]:
         """Return the files that have changed since they were returned last, or since they were first seen."""
@@ -65,7 +72,7 @@ class Files:
             signature = state.st_mtime_ns, state.st_size
             settled = self._seen.get(name) == signature
             self._seen[name] = signature
-            if self._taken.setdefault(name, signature) != signature and settled:
+            if self._taken.setdefault(name, None if self._added else signature) != signature and settled:
                 self._taken[name] = signature
                 found[name] = path
         return found
@@ -128,10 +135,13 @@ class LawReloader:
     Parameters
     ----------
     loaded : returns the modules of outside laws in this process, by name
+    report : is told what became of a file
     """
 
-    def __init__(self, scheduler: Scheduler, runs: Runs, loaded: Callable[[], Mapping[str, ModuleType]]) -> None:
-        self._scheduler, self._runs, self._loaded = scheduler, runs, loaded
+    def __init__(
+        self, scheduler: Scheduler, runs: Runs, loaded: Callable[[], Mapping[str, ModuleType]], report: Report
+    ) -> None:
+        self._scheduler, self._runs, self._loaded, self._report = scheduler, runs, loaded, report
         self._files = Files(lambda: {name: registry.file_of(module) for name, module in loaded().items()})
         self._waiting: dict[str, tuple[ModuleType, float]] = {}  # law → its new module, and until when to wait
         self._timer = scheduler.every(LOOK_S, self._look)
@@ -147,6 +157,7 @@ class LawReloader:
                 module = registry.load_again(self._loaded()[law])
             except FullswarmError as error:
                 log.error("a control law does not load; the one before stays", law=law, error=str(error))
+                self._report(path, str(error))
                 continue
             self._runs.hold(law)
             self._waiting[law] = module, now_s + STAND_S
@@ -157,14 +168,15 @@ class LawReloader:
                 registry.put_in_place(module)
                 self._runs.release(law)
                 log.info("a control law was loaded again", law=law)
+                self._report(registry.file_of(module), "")
 
 
 class RecordReloader:
-    """Calls `take` when a record file of an outside behaviour has changed."""
+    """Calls `take` when a record file of an outside behaviour has changed or was added."""
 
-    def __init__(self, scheduler: Scheduler, take: Callable[[], object]) -> None:
-        self._take = take
-        self._files = Files(record_files)
+    def __init__(self, scheduler: Scheduler, take: Callable[[], object], report: Report) -> None:
+        self._take, self._report = take, report
+        self._files = Files(record_files, added=True)
         self._timer = scheduler.every(LOOK_S, self._look)
 
     def close(self) -> None:
@@ -175,13 +187,16 @@ class RecordReloader:
         changed = self._files.changed()
         if not changed:
             return
-        names = ", ".join(path.name for path in changed.values())
+        names, problem = ", ".join(path.name for path in changed.values()), ""
         try:
             self._take()
         except FullswarmError as error:
-            log.error("records do not load; those before stay", files=names, error=str(error))
+            problem = str(error)
+            log.error("records do not load; those before stay", files=names, error=problem)
         else:
             log.info("records were loaded again", files=names)
+        for path in changed.values():
+            self._report(path, problem)
 
 
 class Reporter:
@@ -189,7 +204,7 @@ class Reporter:
 
     def __init__(self, scheduler: Scheduler, say: Callable[[str], None]) -> None:
         self._say = say
-        self._laws, self._records = Files(registry.law_files), Files(record_files)
+        self._laws, self._records = Files(registry.law_files, added=True), Files(record_files, added=True)
         self._timer = scheduler.every(LOOK_S, self._look)
 
     def close(self) -> None:
@@ -210,7 +225,16 @@ class Reporter:
         except FullswarmError as error:
             self._say(f"{path.name} is not loaded, what ran before goes on: {error}")
         else:
-            self._say(f"{path.name} has changed and is loaded")
+            self._say(f"{path.name} is loaded")
+
+
+def reporter(bus: Bus, keys: Keys, host: str) -> Report:
+    """Return what sends each report of a process to the operators."""
+
+    def report(path: Path, problem: str) -> None:
+        bus.publish(keys.reload(host), FileReload(host=host, file=str(path)[-500:], problem=problem[:500]))
+
+    return report
 
 
 def watch(develop: Path, scheduler: Scheduler) -> None:

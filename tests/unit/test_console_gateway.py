@@ -9,6 +9,7 @@ import pytest
 
 from fullswarm.messages import (
     CoverageMeasurement,
+    FileReload,
     Interventions,
     SeenObstacles,
     Summary,
@@ -87,6 +88,33 @@ def test_the_fleet_is_the_sign_of_life_and_names_what_to_do(bench: ConsoleBench)
     bench.run(3.0)
     assert page.last("fleet")["silent"] == ["r1", "r2"]
     assert page.log("link")[-1] == "r1, r2: silent"
+
+
+def test_a_control_law_that_fails_is_in_the_log(bench: ConsoleBench) -> None:
+    page, _ = bench.join()
+    why = "law 'glide': NameError: name 'x' is not defined"
+    for stop_reason, stop_code in ((why, Code.LAW), ("", ""), ("the hub is silent", Code.HUB), (why, Code.LAW)):
+        robots = (health(robot, stop_reason=stop_reason, stop_code=stop_code) for robot in ("r1", "r2"))
+        bench.report(*robots)
+        bench.states("r1", "r2")
+        bench.run(0.5)
+    assert page.log("fault") == [f"r1, r2: {why}"] * 2
+
+
+def test_what_became_of_a_changed_file_is_in_the_log_once_for_all_robots(bench: ConsoleBench) -> None:
+    page, _ = bench.join()
+    problem = "/lab/glide.py:3: SyntaxError: invalid syntax"
+
+    def report(problem: str) -> None:
+        for host in ("r1", "r2", "r3"):
+            message = FileReload(host=host, file="/lab/glide.py", problem=problem)
+            bench.bus.publish(KEYS.reload(host), message)
+        bench.run(0.1)
+
+    for each in ("", problem, problem, "", ""):
+        report(each)
+    assert page.log("fault") == [f"glide.py is not loaded, what ran before goes on: {problem}"] * 2
+    assert page.log("reload") == ["glide.py is loaded"] * 3
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,10 @@ class Lab:
         self.folder = folder
         self.law, self.record = folder / "my_lab" / "glide.py", folder / "my_lab" / "glide.toml"
         self.statuses: list[RequestStatus] = []
+        self.reports: list[tuple[str, str]] = []  # name of a file, why it does not load
+
+    def note(self, file: Path, problem: str) -> None:
+        self.reports.append((file.name, problem))
 
     def write(self, file: Path, text: str) -> None:
         before = file.stat().st_mtime_ns if file.exists() else 0
@@ -121,7 +125,7 @@ def on_board(lab: Lab) -> Lab:
 def watch(lab: Lab) -> list[reload.LawReloader]:
     return [
         reload.LawReloader(
-            lab.lockstep.runtime, reload.RobotsOf(agent), lambda: registry.loaded(registry.BEHAVIOUR_GROUP)
+            lab.lockstep.runtime, reload.RobotsOf(agent), lambda: registry.loaded(registry.BEHAVIOUR_GROUP), lab.note
         )
         for agent in lab.lockstep.agents
     ]
@@ -165,9 +169,11 @@ def test_a_file_that_does_not_load_keeps_the_law_and_is_named_with_its_line(on_b
     assert f"{lab.law}:2" in told[0]["error"]
     assert f"{lab.law}:3" in told[1]["error"]
     assert len(told) == 3
+    assert lab.reports == [("glide.py", each["error"]) for each in told]
     lab.write(lab.law, LAW.format(vx=0.5))
     lab.lockstep.run(2.0)
     assert lab.speed == [0.15, 0.15]
+    assert lab.reports[3:] == [("glide.py", "")]
 
 
 def test_memory_starts_afresh(on_board: Lab) -> None:
@@ -194,7 +200,7 @@ def test_a_centralised_law_is_exchanged_as_well(lab: Lab) -> None:
     lab.start()
     lab.ask()
     node = next(each for each in lab.lockstep._nodes if type(each).__name__ == "CentralisedNode")
-    reload.LawReloader(lab.lockstep.runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP))  # type: ignore[arg-type]
+    reload.LawReloader(lab.lockstep.runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), lab.note)  # type: ignore[arg-type]
     lab.lockstep.run(0.5)
     assert lab.speed == [0.3, 0.3]
     lab.write(lab.law, LAW.format(vx=0.5))
@@ -210,10 +216,10 @@ def test_the_core_and_the_robots_take_a_new_record(on_board: Lab) -> None:
     lab = on_board
     store = next(each for each in lab.lockstep._nodes if isinstance(each, Store))
     with capture_logs() as logs:
-        reload.RecordReloader(lab.lockstep.runtime, lambda: store.seed(record_seeds()))
+        reload.RecordReloader(lab.lockstep.runtime, lambda: store.seed(record_seeds()), lab.note)
         from fullswarm.agent.orders.tasks import read_records_again
 
-        reload.RecordReloader(lab.lockstep.runtime, read_records_again)
+        reload.RecordReloader(lab.lockstep.runtime, read_records_again, print)
         lab.ask(speed=0.45)
         assert lab.phase == "refused"
         lab.write(lab.record, RECORD.format(most=0.5, where="") + "colour = 1\n")
@@ -221,9 +227,32 @@ def test_the_core_and_the_robots_take_a_new_record(on_board: Lab) -> None:
         assert any("do not load" in each["event"] and "glide.toml" in each["error"] for each in logs)
         lab.write(lab.record, RECORD.format(most=0.5, where=""))
         lab.lockstep.run(1.0)
+    assert [(file, bool(problem)) for file, problem in lab.reports] == [("glide.toml", True), ("glide.toml", False)]
+    assert "glide.toml" in lab.reports[0][1]
     lab.ask(speed=0.45)
     assert lab.phase == "running"
     assert lab.speed == [0.45, 0.45]
+
+
+def test_a_behaviour_that_is_written_while_the_swarm_runs_can_be_requested(on_board: Lab) -> None:
+    lab, project = on_board, on_board.folder / "pyproject.toml"
+    store = next(each for each in lab.lockstep._nodes if isinstance(each, Store))
+    said: list[str] = []
+    reload.Reporter(lab.lockstep.runtime, said.append)
+    reload.RecordReloader(lab.lockstep.runtime, lambda: store.seed(record_seeds()), lab.note)
+    lab.lockstep.run(1.0)
+    assert (said, lab.reports) == ([], [])
+    lab.law.with_name("slide.py").write_text(LAW.format(vx=0.5))
+    lab.record.with_name("slide.toml").write_text(RECORD.replace("glide", "slide").format(most=0.4, where=""))
+    lab.write(project, project.read_text().replace("glide =", 'slide = "my_lab.slide"\nglide ='))
+    lab.lockstep.run(1.0)
+    assert said == ["slide.py is loaded", "slide.toml is loaded"]
+    assert lab.reports == [("slide.toml", "")]
+    lab.operator.request("slide", (), {}, lab.statuses.append)
+    lab.lockstep.run(2.0)
+    assert lab.phase == "running"
+    assert lab.speed == [0.15, 0.15]
+    assert len(said) == 2
 
 
 def test_a_law_that_was_never_good_is_refused_with_its_line_and_runs_once_it_is(on_board: Lab) -> None:

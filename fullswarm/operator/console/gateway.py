@@ -18,6 +18,7 @@ from fullswarm.messages import (
     CoverageMeasurement,
     EStop,
     EStopReceipt,
+    FileReload,
     Interventions,
     Leases,
     MissionStatus,
@@ -111,6 +112,7 @@ class Gateway:
             bus.subscribe(keys.estop_receipt(), EStopReceipt, self._on_receipt),
             bus.subscribe(keys.leases, Leases, self._on_leases),
             bus.subscribe(keys.mission_status, MissionStatus, self._on_mission),
+            bus.subscribe(keys.reload(), FileReload, self._on_reload),
             bus.subscribe(keys.intervention(), Interventions, self._on_intervention, latest=True),
             bus.subscribe(keys.obstacles(), SeenObstacles, self._on_obstacles, latest=True),
             bus.subscribe(keys.measurement("coverage"), CoverageMeasurement, self._on_coverage, latest=True),
@@ -466,6 +468,10 @@ class Gateway:
         with self._drawing("missions"):
             if text := self._missions.add(status, now_s):
                 self._log_entries.add(now_s, "mission", text, by=status.operator)
+
+    def _on_reload(self, message: FileReload) -> None:
+        with self._drawing("log"):
+            self._changes.reloaded(message, self._scheduler.now_s())
 
     def _on_intervention(self, message: Interventions) -> None:
         with self._drawing("filter"):

@@ -10,14 +10,14 @@ from typing import Any, Literal
 
 import msgspec
 
-from fullswarm.messages import BehaviourRequest, Lease, RequestStatus
+from fullswarm.messages import BehaviourRequest, FileReload, Lease, RequestStatus, RobotHealth
 from fullswarm.operator.console.fleet import core_age_s
 from fullswarm.operator.view import Snapshot
 from fullswarm.reasons import Code
 
 LOG_LENGTH = 200
 
-LogKind = Literal["request", "refused", "stop", "estop", "mission", "lease", "link", "fault"]
+LogKind = Literal["request", "refused", "stop", "estop", "mission", "lease", "link", "reload", "fault"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +205,7 @@ NO_REASON = "a fault without a reason"
 
 @dataclass(slots=True)
 class ChangeLog:
-    """Logs each change of hub, core, robots and leases once."""
+    """Logs each change of hub, core, robots, leases and files under development once."""
 
     log: EventLog
     _hub: bool | None = None
@@ -213,6 +213,7 @@ class ChangeLog:
     _silent: dict[str, bool] = field(default_factory=dict)
     _faults: dict[str, str] = field(default_factory=dict)
     _leases: dict[str, str] = field(default_factory=dict)
+    _reloads: dict[str, tuple[str, set[str]]] = field(default_factory=dict)  # file → problem, hosts that reported it
 
     def update(self, seen: Snapshot, now_s: float) -> None:
         """Log what has changed of hub, core and robots."""
@@ -238,7 +239,7 @@ class ChangeLog:
                 (gone if row.silent else back).append(row.robot)
             self._silent[row.robot] = row.silent
             health = row.health
-            fault = "" if health is None or row.silent else health.fault or NO_REASON * (health.lifecycle == "FAULT")
+            fault = "" if health is None or row.silent else _fault(health)
             if fault and fault != self._faults.get(row.robot):
                 faults.setdefault(fault, []).append(row.robot)
             self._faults[row.robot] = fault
@@ -247,6 +248,19 @@ class ChangeLog:
         for robots, text in ((gone, "silent"), (back, "received again")):
             if robots:
                 self.log.add(now_s, "link", f"{named(robots)}: {text}", tuple(robots))
+
+    def reloaded(self, message: FileReload, now_s: float) -> None:
+        """Log what became of a file that has changed; the other processes with the same report add nothing."""
+        problem, hosts = self._reloads.get(message.file, ("", set()))
+        if hosts and problem == message.problem and message.host not in hosts:
+            hosts.add(message.host)
+            return
+        self._reloads[message.file] = message.problem, {message.host}
+        name = message.file.rpartition("/")[2]
+        if message.problem:
+            self.log.add(now_s, "fault", f"{name} is not loaded, what ran before goes on: {message.problem}")
+        else:
+            self.log.add(now_s, "reload", f"{name} is loaded")
 
     def leased(self, leases: tuple[Lease, ...], now_s: float) -> bool:
         """Log which operator holds which robots; return whether that has changed."""
@@ -263,3 +277,10 @@ class ChangeLog:
             text = f"{new} holds {names}" + (f", taken from {old}" if old else "") if new else f"{old} releases {names}"
             self.log.add(now_s, "lease", text, tuple(robots), by=new or old)
         return True
+
+
+def _fault(health: RobotHealth) -> str:
+    """Return the fault of a robot, or the error of its control law; empty: it has neither."""
+    if health.fault or health.lifecycle == "FAULT":
+        return health.fault or NO_REASON
+    return health.stop_reason if health.stop_code == Code.LAW else ""

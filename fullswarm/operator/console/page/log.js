@@ -4,7 +4,7 @@ import { byId, make } from "./dom.js";
 
 /** @import { Entry } from "./types.d.ts" */
 
-const SIGNS = /** @type {Record<string, string>} */ ({ request: "▸", refused: "✕", stop: "■", estop: "◆", mission: "≡", lease: "●", link: "○", fault: "⚠" });
+const SIGNS = /** @type {Record<string, string>} */ ({ request: "▸", refused: "✕", stop: "■", estop: "◆", mission: "≡", lease: "●", link: "○", reload: "↻", fault: "⚠" });
 
 export class LogView {
   /** @param {import("./store.js").Store} store */
