@@ -10,8 +10,8 @@ A unicycle follows the velocity with a delay, so discs count as larger while it 
 Breitenmoser, Rufli, Beardsley, Siegwart 2010). The robot uses its own pose and motion and the states that its
 neighbours send; nothing is negotiated, and a neighbour that does not take part is still avoided.
 
-What is left of a desired velocity in a crowd is little and jumps: it is smoothed over a few control periods, and a robot
-that keeps hardly any of it turns to where it wants to go instead of following it, so that wheels do not reverse.
+What is left of a desired velocity in a crowd is little and jumps: it is smoothed over a few control periods, and a
+robot that keeps hardly any of it turns to where it wants to go instead of following it, so that wheels do not reverse.
 
 Only the *desired* velocity changes. The safety filter comes after it, so its guarantees hold whatever is computed here.
 """
