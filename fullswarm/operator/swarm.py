@@ -35,7 +35,6 @@ from fullswarm.keys import Keys
 from fullswarm.messages import (
     EStopReceipt,
     MissionOp,
-    MissionPhase,
     MissionReply,
     MissionStatus,
     RequestStatus,
@@ -150,7 +149,7 @@ class MissionHandle:
         return self.status.name
 
     @property
-    def phase(self) -> MissionPhase:
+    def phase(self) -> str:
         """Where it is: running, paused, done, failed, aborted."""
         return self.status.phase
 
