@@ -10,6 +10,7 @@ from fullswarm.messages import (
     EStop,
     EStopReceipt,
     LeaseRequest,
+    Needs,
     StopRequest,
 )
 from fullswarm.operator.console.gateway import KEPT_S, MOST_SESSIONS
@@ -42,6 +43,23 @@ def test_a_request_is_sent_to_all_but_is_mine_only_to_one(bench: ConsoleBench) -
         "console anna@base sess: move_to_goal_bc for r1", "move_to_goal_bc runs on 1 of 1",
     ]  # fmt: skip
     assert [frame["entry"]["mine"] for frame in anna.all("log")] == [True, True]
+
+
+def test_a_request_says_team_needs_and_roles_and_the_page_learns_what_came_of_them(bench: ConsoleBench) -> None:
+    page, session = bench.join()
+    asked = bench.say(
+        session, page, "request", behaviour="move_to_goal_bc", robots=["@scouts"], team="swarm",
+        needs={"speed_m_s": 0.3, "capabilities": ["lamp"]}, roles={"leader": ["r1"], "guard": ["+lamp"]},
+    )  # fmt: skip
+    bench.run(0.01)
+    sent = bench.requests()[0]
+    assert sent.team == "swarm"
+    assert sent.needs == Needs(speed_m_s=0.3, capabilities=("lamp",))
+    assert sent.roles == {"leader": ("r1",), "guard": ("+lamp",)}
+    bench.status(asked["request_id"], "running", robots=("r1",), left_out=("r2",), roles={"r1": "leader"})
+    bench.run(0.01)
+    shown = page.last("request")
+    assert (shown["left_out"], shown["roles"]) == (["r2"], {"r1": "leader"})
 
 
 def test_a_refusal_reaches_log_and_page_with_its_reason(bench: ConsoleBench) -> None:

@@ -33,7 +33,7 @@ of ``index.html`` and a line in ``main.js``:
 ``drive.js``      driving with arrow keys and a gamepad: which button does what
 ``selection.js``  the selected robots
 ``fleet.js``      the table of robots and the groups
-``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters
+``panel.js``      the behaviours; ``forms.js``, ``field.js``: their parameters; ``terms.js``: team, needs and roles
 ``missions.js``   the missions: their steps, and the buttons that pause, resume, abort and confirm
 ``charts.js``, ``log.js``, ``legend.js``, ``banners.js``, ``toolbar.js``: the other panels, one each
 ``map.js``        the map: the loop that draws; ``ground.js``, ``robots.js``, ``sprites.js``: what it draws;

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from fullswarm.messages import Value
+from fullswarm.messages import Needs, Roles, TeamName, Value
 
 MAX_BYTES = 64 * 1024
 LONGEST_INT = 2**53
@@ -41,6 +41,9 @@ class Request(Frame, frozen=True, kw_only=True):
     behaviour: Name
     robots: Robots = ()
     parameters: Parameters = {}
+    team: TeamName = ""
+    needs: Needs = Needs()
+    roles: Roles = {}
     take: bool = False
 
 

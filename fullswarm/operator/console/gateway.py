@@ -426,6 +426,8 @@ class Gateway:
             "running": status.running,
             "missing": status.missing,
             "refused_by": status.refused_by,
+            "left_out": status.left_out,
+            "roles": status.roles,
             "operator": operator,
         }
         self._send_each(lambda session: {**frame, "mine": operator == session.name})

@@ -156,8 +156,9 @@ class OperatorSession:
                 self._leases.hold(status.robots)
 
         pending = self._operator.request(
-            command.behaviour, command.robots, command.parameters, receive, take=command.take
-        )
+            command.behaviour, command.robots, command.parameters, receive, take=command.take,
+            team=command.team, needs=command.needs, roles=command.roles,
+        )  # fmt: skip
         return Answer(ref=command.ref, request_id=pending.request.id)
 
     def _mission(self, command: frames.Mission) -> Answer:

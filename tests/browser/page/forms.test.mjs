@@ -2,7 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { page } from "./page.mjs";
 
-const { behaviourGroup, entryText, fromSlider, listed, parseEntry, parseForm, rangeText, toSlider } = await page("forms.js");
+const { behaviourGroup, entryText, fromSlider, listed, parseEntry, parseForm, parseTerms, rangeText, termFields, toSlider } =
+  await page("forms.js");
 
 const GAIN = { type: "number", unit: "1/s", min: 0.05, max: 5 };
 
@@ -75,4 +76,42 @@ test("the list starts behind the filter and ends with what only sticks can hold"
   assert.deepEqual(listed(behaviours, "FLOCK").map(([name]) => name), ["flocking_bc"]);
   assert.deepEqual(listed(behaviours, "drive stand"), []);
   assert.equal(behaviourGroup(behaviours.stop), "plain");
+});
+
+const fieldsOf = (record, groups = []) => Object.assign({}, ...termFields(record, groups).map(({ fields }) => fields));
+
+test("the terms of a request are read from their fields", () => {
+  const fields = fieldsOf({ summary: "" }, ["west"]);
+  assert.deepEqual(fields.team.choices, ["request", "group", "@west", "swarm"]);
+  assert.deepEqual(parseTerms({}, fields), { terms: {}, errors: {} });
+  const entries = { team: "@west", "needs.speed_m_s": "0,3", "needs.battery": "40", "needs.capabilities": "gripper, lamp", roles: "carrier: r1, +gripper; scout: @west" };
+  assert.deepEqual(parseTerms(entries, fields), {
+    terms: {
+      team: "@west",
+      needs: { speed_m_s: 0.3, battery: 0.4, capabilities: ["gripper", "lamp"] },
+      roles: { carrier: ["r1", "+gripper"], scout: ["@west"] },
+    },
+    errors: {},
+  });
+});
+
+test("roles that a behaviour declares have a field each", () => {
+  const fields = fieldsOf({ roles: { carrier: { needs: ["carry"], at_least: 1, doc: "drives to the goal" }, scout: {} } });
+  assert.match(fields["roles.carrier"].doc, /^drives to the goal · at least 1 · with carry · /);
+  assert.deepEqual(parseTerms({ "roles.carrier": "r1 r2", "roles.scout": "" }, fields).terms, { roles: { carrier: ["r1", "r2"] } });
+});
+
+test("sticks and centralised behaviours offer what they can", () => {
+  assert.deepEqual(fieldsOf({ expires_s: 0.5 }, ["west"]).team.choices, ["request", "swarm"]);
+  assert.equal(fieldsOf({ expires_s: 0.5 }).roles, undefined);
+  assert.deepEqual(fieldsOf({ centralised: true }, ["west"]).team.choices, ["request"]);
+  assert.equal(fieldsOf({ team: "swarm" }).team.unset, "as usual: all robots");
+});
+
+test("what is no term is refused with what to write", () => {
+  const { errors } = parseTerms({ "needs.speed_m_s": "-1", "needs.battery": "140", roles: "carrier r1" }, fieldsOf({}));
+  assert.match(errors["needs.speed_m_s"], /at least 0 m\/s/);
+  assert.match(errors["needs.battery"], /0 to 100 %/);
+  assert.match(errors.roles, /"carrier r1" gives no role: write carrier: r1/);
+  for (const roles of ["carrier:", ": r1", "a: r1: r2"]) assert.ok(parseTerms({ roles }, fieldsOf({})).errors.roles, roles);
 });

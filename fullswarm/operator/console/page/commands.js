@@ -4,7 +4,7 @@ import { Emitter } from "./dom.js";
 import { assign, closestPair, goalRadius } from "./geometry.js";
 
 /** @import { Answer } from "./link.js" */
-/** @import { Mission, MissionReply, Point, RequestStatus } from "./types.d.ts" */
+/** @import { Mission, MissionReply, Point, RequestStatus, Terms } from "./types.d.ts" */
 
 /**
  * @typedef {{behaviour: string, reason?: string, robots?: string[]}} Refused
@@ -39,16 +39,17 @@ export class Commands extends Emitter {
    * @param {string} behaviour
    * @param {string[]} robots
    * @param {Record<string, unknown>} [parameters]
+   * @param {Terms} [terms]
    * @param {boolean} [take]
    * @returns {Promise<Answer | void>}
    */
-  async request(behaviour, robots, parameters = {}, take = false) {
+  async request(behaviour, robots, parameters = {}, terms = {}, take = false) {
     const addressed = robots.length ? robots : this.store.ids();
     const holders = this.store.heldByOthers(addressed);
-    const again = () => this.request(behaviour, robots, parameters, true);
+    const again = () => this.request(behaviour, robots, parameters, terms, true);
     if (holders.size && !take) return this.emit("question", { holders, take: again });
     this.emit("requested", { behaviour, robots });
-    const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, take });
+    const answer = await this.link.ask({ t: "request", behaviour, robots, parameters, ...terms, take });
     if (answer.request_id) this.#remember(answer.request_id, again);
     if (!answer.ok) this.#refuse(behaviour, answer, again, robots);
     return answer;

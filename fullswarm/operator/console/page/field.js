@@ -29,7 +29,7 @@ export function makeField(name, parameter, pick) {
   const control = makeControl(id, name, parameter, pick);
   control.input.setAttribute("aria-describedby", `${id}-doc ${id}-error`);
   const star = parameter.required ? make("span", { class: "required", text: "required" }) : "";
-  const label = make("label", { for: id, class: "field-label" }, make("span", { text: name }), star);
+  const label = make("label", { for: id, class: "field-label" }, make("span", { text: parameter.label ?? name }), star);
   const element = make("div", { class: `field field-${parameter.type}` }, label, control.element, doc, error);
   return {
     element,
@@ -80,8 +80,8 @@ function makeFlag(id, name, parameter) {
  * @param {Parameter} parameter
  */
 function makeChoice(id, name, parameter) {
-  const none = parameter.default === undefined || parameter.default === null ? [make("option", { value: "", text: "not set" })] : [];
-  const options = (parameter.choices ?? []).map((word) => make("option", { value: word, text: word }));
+  const none = parameter.default === undefined || parameter.default === null ? [make("option", { value: "", text: parameter.unset ?? "not set" })] : [];
+  const options = (parameter.choices ?? []).map((word) => make("option", { value: word, text: parameter.words?.[word] ?? word }));
   const input = make("select", { id, name }, ...none, ...options);
   input.value = entryText(parameter.default);
   return { element: input, input, entry: () => input.value };

@@ -1,10 +1,11 @@
 /**
- * Parameters of behaviours: text to value with a reason where it does not fit, sliders, order of the list. Pure.
+ * Parameters of behaviours and the other terms of a request: text to value with a reason where it does not fit, sliders,
+ * order of the list. Pure.
  * @typedef {{ok: true, value: unknown} | {ok: false, reason: string}} Parsed `value` undefined: left to its default
  * @typedef {{min: number, max: number}} Bounds
  */
 
-/** @import { Behaviour, Parameter } from "./types.d.ts" */
+/** @import { Behaviour, Parameter, Terms } from "./types.d.ts" */
 
 const WIDE_RANGE = 50; // above this ratio a slider is logarithmic
 
@@ -75,6 +76,23 @@ function parsePoints(text) {
   return good(points);
 }
 
+/** @param {string} text */
+const namesIn = (text) => text.split(/[\s,;]+/).filter(Boolean);
+
+/** @param {string} text such as "carrier: r1, +gripper; scout: @west" */
+function parseRoles(text) {
+  const roles = /** @type {Record<string, string[]>} */ ({});
+  for (const part of text.split(";").filter((each) => each.trim() !== "")) {
+    const [role, names, more] = part.split(":");
+    const found = namesIn(names ?? "");
+    if (!role.trim() || found.length === 0 || more !== undefined) {
+      return fail(`"${part.trim()}" gives no role: write carrier: r1, +gripper; scout: @west`);
+    }
+    roles[role.trim()] = [...(roles[role.trim()] ?? []), ...found];
+  }
+  return good(roles);
+}
+
 /**
  * Read what was typed for one parameter.
  * @param {string | boolean} entry
@@ -88,6 +106,8 @@ export function parseEntry(entry, parameter) {
   if (parameter.type === "number" || parameter.type === "integer") return parseNumber(text, parameter);
   if (parameter.type === "point") return parsePoint(text);
   if (parameter.type === "points") return parsePoints(text);
+  if (parameter.type === "names") return good(namesIn(text));
+  if (parameter.type === "roles") return parseRoles(text);
   if (parameter.choices?.length && !parameter.choices.includes(text)) {
     return fail(`"${text}" is none of ${parameter.choices.join(", ")}`);
   }
@@ -171,4 +191,72 @@ export function listed(behaviours, search = "") {
   return Object.entries(behaviours)
     .filter(fits)
     .sort((a, b) => rank(a) - rank(b) || a[0].localeCompare(b[0]));
+}
+
+const TEAMS = { request: "the robots of this request", group: "the robots of their group", swarm: "all robots" };
+
+/** What robots must be able to do to take part. */
+const NEEDS = /** @type {Record<string, Parameter>} */ ({
+  speed_m_s: { label: "Speed", type: "number", unit: "m/s", min: 0, doc: "they can drive at least so fast" },
+  turn_rad_s: { label: "Turn rate", type: "number", unit: "rad/s", min: 0, doc: "they can turn at least so fast" },
+  accel_m_s2: { label: "Acceleration", type: "number", unit: "m/s²", min: 0, doc: "they can accelerate at least so hard" },
+  radius_m: { label: "Radius", type: "number", unit: "m", min: 0, doc: "they are at most so large" },
+  battery: { label: "Charge", type: "number", unit: "%", min: 0, max: 100, doc: "their battery has at least so much left" },
+  capabilities: { label: "Capabilities", type: "names", doc: "they have all of these, for example gripper, lamp" },
+  makes: { label: "Makes", type: "names", doc: "they are of one of these, for example create, rover" },
+});
+
+/**
+ * Return the fields for what a request of a behaviour can say beside its parameters, by section; see `parseTerms`.
+ * @param {Behaviour} record
+ * @param {string[]} groups
+ * @returns {{title: string, fields: Record<string, Parameter>}[]}
+ */
+export function termFields(record, groups) {
+  const stick = (record.expires_s ?? 0) > 0;
+  const named = Object.fromEntries(groups.map((name) => [`@${name}`, `the robots of group ${name}`]));
+  const words = /** @type {Record<string, string>} */ ({ ...TEAMS, ...named });
+  let choices = ["request", "group", ...Object.keys(named), "swarm"];
+  if (stick) choices = ["request", "swarm"];
+  if (record.centralised) choices = ["request"];
+  const unset = `as usual: ${words[record.team ?? "request"]}`;
+  const team = { label: "Neighbours", type: "word", choices, words, unset, doc: "which robots each robot reacts to; the safety filter considers all" };
+  const sections = [
+    { title: "Team", fields: { team } },
+    { title: "Only robots that fit", fields: Object.fromEntries(Object.entries(NEEDS).map(([name, field]) => [`needs.${name}`, field])) },
+  ];
+  if (!stick) sections.push({ title: "Roles", fields: roleFields(record) });
+  return sections;
+}
+
+/**
+ * @param {Behaviour} record
+ * @returns {Record<string, Parameter>}
+ */
+function roleFields({ roles = {} }) {
+  const who = "robots, @groups or +capabilities, e.g. r1, @west, +gripper";
+  const found = Object.entries(roles).map(([role, { doc, needs = [], at_least = 0, at_most }]) => {
+    const terms = [at_least > 0 && `at least ${at_least}`, at_most && `at most ${at_most}`, needs.length && `with ${needs.join(", ")}`];
+    return [`roles.${role}`, { label: role, type: "names", doc: [doc, ...terms, who].filter(Boolean).join(" · ") }];
+  });
+  if (found.length) return Object.fromEntries(found);
+  const doc = `the behaviour names no roles of its own; ${who.replace(", e.g. r1, @west, +gripper", "")}, e.g. carrier: r1, +gripper; scout: @west`;
+  return { roles: { label: "Who has which role", type: "roles", doc } };
+}
+
+/**
+ * Read the fields of `termFields`.
+ * @param {Record<string, string | boolean>} entries
+ * @param {Record<string, Parameter>} fields
+ * @returns {{terms: Terms, errors: Record<string, string>}}
+ */
+export function parseTerms(entries, fields) {
+  const { values, errors } = parseForm(entries, fields);
+  const terms = /** @type {Record<string, unknown>} */ ({});
+  for (const [name, value] of Object.entries(values)) {
+    const [table, key] = name.split(".");
+    const given = name === "needs.battery" ? Number(value) / 100 : value;
+    terms[table] = key === undefined ? given : { .../** @type {object} */ (terms[table]), [key]: given };
+  }
+  return { terms: /** @type {Terms} */ (terms), errors };
 }

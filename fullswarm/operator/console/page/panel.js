@@ -4,6 +4,7 @@ import { byId, make, robots, setText } from "./dom.js";
 import { makeField } from "./field.js";
 import { behaviourGroup, listed, parseForm } from "./forms.js";
 import { NOT_REPORTED } from "./selection.js";
+import { makeTerms } from "./terms.js";
 
 /** @import { Behaviour, RequestStatus } from "./types.d.ts" */
 
@@ -43,6 +44,7 @@ export class Panel {
   #partly = false; // the progress names robots that refused
   #hindered = /** @type {Set<string>} */ (new Set()); // what kept them from obeying since
   #fields = /** @type {Record<string, import("./field.js").Field>} */ ({});
+  #terms = /** @type {import("./terms.js").TermsPart | null} */ (null);
   #shown = "";
 
   #world() {
@@ -109,7 +111,8 @@ export class Panel {
     this.#fields = Object.fromEntries(parameters.map(([each, parameter]) => [each, makeField(each, parameter, pick)]));
     const elements = Object.values(this.#fields).map((field) => field.element);
     if (elements.length === 0) elements.push(make("p", { class: "empty", text: "It has no parameters." }));
-    byId("form-fields").replaceChildren(...elements);
+    this.#terms = makeTerms(record, Object.keys(this.store.groups));
+    byId("form-fields").replaceChildren(...elements, this.#terms.element);
     this.#label();
   }
 
@@ -130,21 +133,27 @@ export class Panel {
     const entries = Object.fromEntries(Object.entries(this.#fields).map(([name, field]) => [name, field.entry()]));
     const { values, errors } = parseForm(entries, parameters);
     for (const [name, field] of Object.entries(this.#fields)) field.showError(errors[name] ?? "");
+    const { terms = {}, wrong: more = [] } = this.#terms?.read() ?? {};
     const wrong = Object.keys(errors);
-    if (wrong.length) {
-      this.#refuse(`not sent: ${wrong.map((name) => `${name} ${errors[name]}`).join("; ")}`);
-      return this.#fields[wrong[0]].focus();
+    const words = [...wrong.map((name) => `${name} ${errors[name]}`), ...more];
+    if (words.length) {
+      this.#refuse(`not sent: ${words.join("; ")}`);
+      return wrong.length ? this.#fields[wrong[0]].focus() : undefined;
     }
-    return this.commands.request(chosen, this.selection.list(), values);
+    return this.commands.request(chosen, this.selection.list(), values, terms);
   }
 
   /** @param {RequestStatus} status */
   #progress(status) {
-    const { behaviour, phase, running = [], missing = [], refused_by = [] } = status;
+    const { behaviour, phase, running = [], missing = [], refused_by = [], left_out = [], roles = {} } = status;
     const parts = [`${behaviour}: ${phase}`];
     if (phase === "running" || running.length) parts.push(`${running.length} of ${status.robots.length} run it`);
     if (missing.length) parts.push(`not present: ${missing.join(", ")}`);
     if (refused_by.length) parts.push(`refused by ${refused_by.join(", ")}${status.reason ? `: ${status.reason}` : ""}`);
+    if (left_out.length) parts.push(`left out: ${left_out.join(", ")}${status.reason ? ` (${status.reason})` : ""}`);
+    for (const role of new Set(Object.values(roles))) {
+      parts.push(`${role}: ${Object.keys(roles).filter((id) => roles[id] === role).join(", ")}`);
+    }
     if (behaviour !== "drive_bc") {
       setText(byId("progress"), parts.join(" · "));
       this.#partly = refused_by.length > 0;

@@ -41,12 +41,18 @@ export interface Parameter {
   max?: number | null;
   choices?: string[];
   required?: boolean;
+  label?: string; // instead of its name
+  words?: Record<string, string>; // of the choices
+  unset?: string; // of no choice
 }
 
 export interface Behaviour {
   summary?: string;
   filtered?: boolean;
   expires_s?: number;
+  centralised?: boolean;
+  team?: string;
+  roles?: Record<string, { needs?: string[]; at_least?: number; at_most?: number; doc?: string }>;
   parameters?: Record<string, Parameter>;
 }
 
@@ -136,7 +142,16 @@ export interface RequestStatus {
   running: string[];
   missing: string[];
   refused_by: string[];
+  left_out: string[];
+  roles: Record<string, string>;
   mine: boolean;
+}
+
+/** What a request says beside its parameters. */
+export interface Terms {
+  team?: string;
+  needs?: Record<string, number | string[]>;
+  roles?: Record<string, string[]>;
 }
 
 export interface Receipt {
