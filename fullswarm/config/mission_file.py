@@ -40,6 +40,7 @@ from pydantic_core import ErrorDetails
 from fullswarm.config.models import Section
 from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers, own_errors, parse_toml, validated
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.fitness import needs_of
 from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import (
     MissionPlan,
@@ -127,8 +128,8 @@ class StepSection(Section):
     @classmethod
     def _known(cls, given: dict[str, Any]) -> dict[str, Any]:
         try:
-            msgspec.convert(given, Needs)
-        except msgspec.ValidationError as error:
+            needs_of(given, where="")
+        except ConfigError as error:
             raise ValueError(str(error)) from None
         return given
 
@@ -266,7 +267,7 @@ def _step(number: int, step: StepSection, robots: tuple[str, ...]) -> MissionSte
         robots=robots if step.robots is None else step.robots,
         parameters=msgspec.convert(step.parameters, dict[str, Value]),
         team=step.team,
-        needs=msgspec.convert(step.needs, Needs),
+        needs=needs_of(step.needs),
         roles=dict(step.roles),
         done=StepConditions(
             when=done.when,
