@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from fullswarm.errors import ConfigError
+from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.messages import Needs, RobotProfile
 from fullswarm.reasons import NONE, Code, Reason, reason
 
@@ -19,18 +19,24 @@ ROUNDING = 1e-9
 """Limits go through arithmetic before they are compared."""
 
 
-def needs_of(given: Mapping[str, Any]) -> Needs:
-    """Return what a table needs: ``{"capabilities": ["gripper"], "speed_m_s": 0.3}``.
+def needs_of(given: Mapping[str, Any], where: str = "needs") -> Needs:
+    """Return what a table needs: ``{"capabilities": ["gripper"], "speed_m_s": 0.3}``; `where` names it in errors.
 
     Raises
     ------
     ConfigError
         A key is unknown, or has another value than it can.
     """
+    for name in given:
+        if name not in Needs.__struct_fields__:
+            raise ConfigError(
+                f"unknown key '{name:.64}'", where=where, hint=did_you_mean(name, Needs.__struct_fields__)
+            )
     try:
         return msgspec.convert(dict(given), Needs)
     except msgspec.ValidationError as error:
-        raise ConfigError(str(error), where="needs", hint=f"known: {', '.join(Needs.__struct_fields__)}") from None
+        what, _, key = str(error).partition(" - at `$.")
+        raise ConfigError(f"{key.rstrip('`')}: {what}" if key else what, where=where) from None
 
 
 def both(one: Needs, other: Needs) -> Needs:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from fullswarm.operator.missions import MissionClient
     from fullswarm.operator.session import Session
 
-ENDED = ("done", "failed", "aborted")
 ANSWER_S = 5.0
 
 mission_app = typer.Typer(help="Show and control missions. `fullswarm request FILE.toml` starts one.")
@@ -125,6 +124,8 @@ class _Follower:
         self.client.close()
 
     def _received(self, status: MissionStatus) -> None:
+        from fullswarm.operator.missions import ENDED
+
         if status.mission != self._mission:
             return
         if self._ended:

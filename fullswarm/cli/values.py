@@ -47,20 +47,14 @@ def parse_needs(options: Iterable[str]) -> Needs:
     ConfigError
         No such key, or a value that it cannot have.
     """
-    import msgspec
-
-    from fullswarm.messages import Needs
+    from fullswarm.fitness import needs_of
 
     found: dict[str, Any] = {}
     for option in options:
         key, _, raw = option.partition("=")
         names = key.strip() in ("capabilities", "makes")
         found[key.strip()] = _words(raw) if names else parse_stored(raw, where=f"--needs {key.strip()}")
-    try:
-        return msgspec.convert(found, Needs)
-    except msgspec.ValidationError as error:
-        hint = f"known: {', '.join(Needs.__struct_fields__)}"
-        raise ConfigError(str(error), where="--needs", hint=hint) from None
+    return needs_of(found, where="--needs")
 
 
 def parse_roles(options: Iterable[str]) -> dict[str, tuple[str, ...]]:

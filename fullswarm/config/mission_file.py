@@ -40,6 +40,7 @@ from pydantic_core import ErrorDetails
 from fullswarm.config.models import Section
 from fullswarm.config.toml_errors import KeyPath, dotted, explain, line_numbers, own_errors, parse_toml, validated
 from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.fitness import needs_of
 from fullswarm.keys import ROBOT_ID
 from fullswarm.messages import (
     MissionPlan,
@@ -127,8 +128,8 @@ class StepSection(Section):
     @classmethod
     def _known(cls, given: dict[str, Any]) -> dict[str, Any]:
         try:
-            msgspec.convert(given, Needs)
-        except msgspec.ValidationError as error:
+            needs_of(given, where="")
+        except ConfigError as error:
             raise ValueError(str(error)) from None
         return given
 
@@ -201,7 +202,15 @@ def load_mission(path: Path) -> MissionFile:
 
 def parse_mission(text: str, where: str, name: str) -> MissionFile:
     """Read a mission from TOML `text`; `name` is used if the text has none. Raises as :func:`load_mission`."""
-    data, lines = parse_toml(text, where), line_numbers(text)
+    return _read(parse_toml(text, where), line_numbers(text), where, name)
+
+
+def read_mission(data: Mapping[str, Any]) -> MissionFile:
+    """Read a mission from the tables of a mission file, in a program. Raises as :func:`load_mission`, without lines."""
+    return _read(data, {("steps",): 0} if "steps" in data else {}, "mission", "mission")
+
+
+def _read(data: Mapping[str, Any], lines: Mapping[KeyPath, int], where: str, name: str) -> MissionFile:
     try:
         section = validated(MissionSection, data)
     except ValidationError as error:
@@ -258,7 +267,7 @@ def _step(number: int, step: StepSection, robots: tuple[str, ...]) -> MissionSte
         robots=robots if step.robots is None else step.robots,
         parameters=msgspec.convert(step.parameters, dict[str, Value]),
         team=step.team,
-        needs=msgspec.convert(step.needs, Needs),
+        needs=needs_of(step.needs),
         roles=dict(step.roles),
         done=StepConditions(
             when=done.when,

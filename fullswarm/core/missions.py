@@ -451,7 +451,7 @@ class Missions:
     # ---------------------------------------------------------------- what follows from the state
     def _reconcile(self, mission: Mission) -> None:
         """Request what is to run and is unknown; then stop robots that hold what is not to run."""
-        stale: list[tuple[str, tuple[str, ...]]] = []
+        stale: list[str] = []
         for each in mission.steps():
             if not each.step.behaviour or not each.state.attempt:
                 continue
@@ -460,10 +460,10 @@ class Missions:
                 if not mission.state.ended and not each.state.over and not self._controller.knows(request_id):
                     request = msgspec.structs.replace(_request_of(each.step), robots=each.state.robots)
                     self._request(mission, request_id, request)
-            elif held := self._handler.holders(request_id):
-                stale.append((request_id, held))
-        for request_id, _ in stale:
-            if held := self._handler.holders(request_id):  # the requests above may have replaced it
+            else:
+                stale.append(request_id)
+        for request_id in stale:
+            if held := self._handler.keepers(request_id):  # the requests above may have replaced it
                 self._request(mission, f"{request_id}.stop", BehaviourRequest(id="", behaviour=STOP, robots=held))
 
     def _request(self, mission: Mission, request_id: str, what: BehaviourRequest) -> None:

@@ -129,6 +129,11 @@ class RequestHandler:
         progress = self._requests.get(request_id)
         return progress.holders() if progress else ()
 
+    def keepers(self, request_id: str) -> tuple[str, ...]:
+        """Return the robots that hold the request and are not about to leave it for one that waits for its interval."""
+        waiting = {robot: self._robots[robot].waiting for robot in self.holders(request_id)}
+        return tuple(robot for robot, order in waiting.items() if order is None or order.request_id == request_id)
+
     def order_of(self, robot: str) -> Order | None:
         """Return the present order of `robot`."""
         state = self._robots.get(robot)

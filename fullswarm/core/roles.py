@@ -11,7 +11,7 @@ capabilities.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from fullswarm.core.behaviours import Record
 from fullswarm.core.groups import MARK, Groups
@@ -87,12 +87,8 @@ def _given(
     roles: Mapping[str, Sequence[str]], record: Record, able: Mapping[str, frozenset[str]], groups: Groups
 ) -> dict[str, str]:
     """Return the roles that a request gives: by name first, then by group, then by capability."""
+    check_names(roles, record)
     found: dict[str, str] = {}
-    for role in roles:
-        if not ROBOT_ID.match(role):
-            raise _refusal(f"'{role}' cannot name a role", "letters, digits, '-' and '_', 64 at most")
-        if record.roles and role not in record.roles:
-            raise _refusal(f"'{record.name}' has no role '{role}'", did_you_mean(role, record.roles))
     for role, names in roles.items():
         for robot in (each for each in names if each[:1] not in (MARK, CAPABILITY)):
             if robot not in able:
@@ -108,6 +104,21 @@ def _given(
             for robot in (each for each, capabilities in able.items() if name in capabilities):
                 found.setdefault(robot, role)
     return found
+
+
+def check_names(roles: Iterable[str], record: Record) -> None:
+    """Refuse roles that the behaviour does not have.
+
+    Raises
+    ------
+    RequestRefused
+        It has others, or the name cannot be one.
+    """
+    for role in roles:
+        if not ROBOT_ID.match(role):
+            raise _refusal(f"'{role}' cannot name a role", "letters, digits, '-' and '_', 64 at most")
+        if record.roles and role not in record.roles:
+            raise _refusal(f"'{record.name}' has no role '{role}'", did_you_mean(role, record.roles))
 
 
 def _check(found: Mapping[str, str], record: Record, able: Mapping[str, frozenset[str]], profile: Profiles) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
 import numpy as np
@@ -18,15 +18,24 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.make import emulated
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed, TrialHeld
+from fullswarm.evaluate.swarm import (
+    ALL_ENDED,
+    CHECK_PERIOD_S,
+    Report,
+    Summaries,
+    TrialFailed,
+    TrialHeld,
+    left_out_of,
+)
 from fullswarm.evaluate.trial import configure, drive_in_world, terms
 from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.fitness import ANYTHING
 from fullswarm.keys import Keys
 from fullswarm.launch.network import on_free_ports, on_network
 from fullswarm.launch.nodes import process_id
 from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
-from fullswarm.messages import RequestStatus, Value
+from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.reasons import Code
@@ -175,11 +184,14 @@ class LiveSwarm:
         """The same: bodies move by this clock."""
         return self.passed_s
 
-    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+    def request(
+        self, behaviour: str, parameters: Mapping[str, Value], *, team: str = "", needs: Needs = ANYTHING,
+        roles: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:  # fmt: skip
         """Request a behaviour of all robots."""
         self.summaries.begin()
         self._statuses, self._began_s = [], self.runtime.now_s()
-        self.operator.request(behaviour, (), parameters, self._statuses.append)
+        self.operator.request(behaviour, (), parameters, self._statuses.append, team=team, needs=needs, roles=roles)
 
     def watch(self, on_step: Callable[[], None]) -> None:
         """Call `on_step` after each step of the world, so that none is missed on a busy machine; else by time."""
@@ -215,6 +227,10 @@ class LiveSwarm:
             [(of := health.get(robot)) is not None and of.stop_code == Code.SETTLED for robot in self.config.robots],
             bool,
         )
+
+    def left_out(self) -> NDArray[np.bool_]:
+        """Return which robots do not take part because they are unfit for the request, (n,)."""
+        return left_out_of(self.config.robots, self._statuses)
 
     def stop(self) -> None:
         """Command all robots to stop, and wait until they report that they stand, for `STAND_S` at most."""
@@ -269,7 +285,7 @@ class LiveSwarm:
             return
         if newest is None:
             raise TrialFailed(f"the core did not answer within {CONFIRM_S:.0f} s")
-        absent = sorted(set(self.config.robots) - set(newest.running) - ended)
+        absent = sorted(set(self.config.robots) - set(newest.running) - set(newest.left_out) - ended)
         if absent:
             raise TrialFailed(f"{', '.join(absent)} did not run the behaviour within {CONFIRM_S:.0f} s")
 

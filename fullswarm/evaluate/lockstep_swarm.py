@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from fullswarm.config import SwarmConfig
 from fullswarm.drivers.base import Limits
 from fullswarm.evaluate.experiment.outcomes import TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, scenario_of
-from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed
+from fullswarm.evaluate.swarm import ALL_ENDED, CHECK_PERIOD_S, Report, Summaries, TrialFailed, left_out_of
 from fullswarm.evaluate.trial import TIME_LIMIT, Keeper, configure, drive_in_world
 from fullswarm.evaluate.trial_folder import Measurement
+from fullswarm.fitness import ANYTHING
 from fullswarm.launch.lockstep import Lockstep
-from fullswarm.messages import RequestStatus, Value
+from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator
 
 READY_S = 0.49
@@ -62,10 +63,13 @@ class LockstepSwarm:
         """Let the nodes discover each other."""
         self._runtime.run(READY_S)
 
-    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+    def request(
+        self, behaviour: str, parameters: Mapping[str, Value], *, team: str = "", needs: Needs = ANYTHING,
+        roles: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:  # fmt: skip
         """Request a behaviour of all robots."""
         self._began_s = self._runtime.now_s()
-        self._operator.request(behaviour, (), parameters, self._statuses.append)
+        self._operator.request(behaviour, (), parameters, self._statuses.append, team=team, needs=needs, roles=roles)
 
     def watch(self, on_step: Callable[[], None]) -> None:
         """Call `on_step` after each step of the world."""
@@ -88,6 +92,10 @@ class LockstepSwarm:
     def settled(self) -> NDArray[np.bool_]:
         """Return which robots have settled, (n,)."""
         return np.concatenate([agent.settling.settled for agent in self._lockstep.agents])
+
+    def left_out(self) -> NDArray[np.bool_]:
+        """Return which robots do not take part because they are unfit for the request, (n,)."""
+        return left_out_of(self.config.robots, self._statuses)
 
     def stop(self) -> None:
         """Nothing to wait for: no robot moves while no simulated time passes."""
@@ -130,8 +138,9 @@ class LockstepSwarm:
             for agent in agents
             for robot, task in zip(agent.tasks.ids, agent.tasks.of, strict=True)
         )
-        if ran < len(self.world.ids):
-            raise TrialFailed(f"{ran} of {len(self.world.ids)} robots ran the behaviour to the end")
+        count = len(self.world.ids) - len(newest.left_out)
+        if ran < count:
+            raise TrialFailed(f"{ran} of {count} robots ran the behaviour to the end")
 
 
 def widened(limits: Limits) -> Limits:

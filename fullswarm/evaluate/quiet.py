@@ -42,11 +42,12 @@ def quiet_after_s(trajectory: Trajectory) -> float | None:
     Returns
     -------
     float or None
-        Seconds. None: they moved within the last `QUIET_S`, or every robot is at its goal at the end.
+        Seconds. None: they moved within the last `QUIET_S`, or every robot that has a goal is there at the end.
     """
     time_s, pose, goals = trajectory.time_s, trajectory.pose, trajectory.goals
     goal_m = np.hypot(pose[:, :, 0] - goals[:, 0], pose[:, :, 1] - goals[:, 1])
-    if not len(time_s) or (goal_m[-1] <= trajectory.goal_radius_m).all():
+    aimed = np.isfinite(goals).all(axis=1)
+    if not len(time_s) or (aimed.any() and (goal_m[-1, aimed] <= trajectory.goal_radius_m).all()):
         return None
     motion = _moved(pose[:-1], pose[1:], MOVED_M, TURNED_RAD).any(axis=1)
     last_motion_s = float(time_s[1:][motion][-1]) if motion.any() else 0.0

@@ -7,7 +7,7 @@ function that runs one trial on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from fullswarm.bus.base import Bus
 from fullswarm.config import SwarmConfig
 from fullswarm.errors import FullswarmError
+from fullswarm.fitness import ANYTHING
 from fullswarm.keys import Keys
-from fullswarm.messages import BehaviourMemory, CoverageMeasurement, Summary, Value
+from fullswarm.messages import BehaviourMemory, CoverageMeasurement, Needs, RequestStatus, Summary, Value
 from fullswarm.perf.coverage import GridFrame, unpack_bits
 from fullswarm.perf.metrics import METRICS
 
@@ -114,7 +115,10 @@ class Swarm(Protocol):
         """Return when every robot is ready for a request."""
         ...
 
-    def request(self, behaviour: str, parameters: Mapping[str, Value]) -> None:
+    def request(
+        self, behaviour: str, parameters: Mapping[str, Value], *, team: str = "", needs: Needs = ANYTHING,
+        roles: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:  # fmt: skip
         """Request a behaviour of all robots; time counts from here."""
         ...
 
@@ -134,6 +138,10 @@ class Swarm(Protocol):
         """Return which robots report that they are as near to their goals as they can get, (n,)."""
         ...
 
+    def left_out(self) -> NDArray[np.bool_]:
+        """Return which robots do not take part because they are unfit for the request, (n,)."""
+        ...
+
     def stop(self) -> None:
         """Return when the robots are at standstill, or do not come to it in time."""
         ...
@@ -145,6 +153,12 @@ class Swarm(Protocol):
     def close(self) -> None:
         """End the swarm."""
         ...
+
+
+def left_out_of(robots: Sequence[str], statuses: Sequence[RequestStatus]) -> NDArray[np.bool_]:
+    """Return which of `robots` the newest status of a request leaves out, (n,)."""
+    names = statuses[-1].left_out if statuses else ()
+    return np.array([robot in names for robot in robots], bool)
 
 
 ROBOT_QUANTITY = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from fullswarm.clock import MonotonicClock, wall_time_s
 from fullswarm.config import AgentConfig, BodyConfig, SwarmConfig
 from fullswarm.core.behaviours import all_records, make_record
 from fullswarm.errors import FullswarmError
-from fullswarm.evaluate.experiment.model import EvidenceMode, world_settings
+from fullswarm.evaluate.experiment.model import EvidenceMode, robot_place, world_settings
 from fullswarm.evaluate.experiment.outcomes import Outcome, TrialResult
 from fullswarm.evaluate.experiment.plan import Trial, world_of
 from fullswarm.evaluate.provenance import Provenance, provenance
@@ -39,8 +39,9 @@ from fullswarm.evaluate.trial_folder import (
     write_trial,
 )
 from fullswarm.evaluate.witness import Witness, WorldWitness, in_safe_set
+from fullswarm.fitness import ANYTHING, needs_of
 from fullswarm.kernels import Array
-from fullswarm.messages import Value
+from fullswarm.messages import Needs, Value
 from fullswarm.simulation.world import World
 
 TOLERANCE_S = 1e-9
@@ -68,6 +69,9 @@ class TrialRequest:
     safe_start: bool
     limit_reason: str = TIME_LIMIT
     boxes: tuple[tuple[float, float, float, float, float], ...] = ()
+    team: str = ""
+    needs: Needs = ANYTHING
+    roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # with the names of the swarm's robots
 
 
 def drive_in_world(
@@ -95,8 +99,10 @@ def request_of(
     trial: Trial, scenario: Scenario, goals: Array, config: SwarmConfig, limit: tuple[float, str], safe_start: bool
 ) -> TrialRequest:
     """Return what a trial requests of the swarm `config`, with the time limit in s and its name in the result."""
+    cell, ids = trial.cell, config.robots
+    places = {role: [(name, robot_place(name)) for name in names] for role, names in cell.roles}
     return TrialRequest(
-        behaviour=trial.cell.behaviour,
+        behaviour=cell.behaviour,
         parameters=parameters(trial, scenario, goals),
         scenario=scenario,
         goals=goals,
@@ -104,6 +110,12 @@ def request_of(
         limit_reason=limit[1],
         safe_start=safe_start,
         boxes=config.world_or_default.boxes,
+        team=cell.team,
+        needs=needs_of(dict(cell.needs)),
+        roles={
+            role: tuple(name if place is None else ids[place] for name, place in names)
+            for role, names in places.items()
+        },
     )
 
 
@@ -130,10 +142,13 @@ def drive(
     swarm.settle()
     track = Track(swarm, request, witness)
     try:
-        swarm.request(request.behaviour, request.parameters)
+        swarm.request(
+            request.behaviour, request.parameters, team=request.team, needs=request.needs, roles=request.roles
+        )
         witness.begin()
         track.begin()
         reason = _run(swarm, request, witness, stopped)
+        witness.leave_out(swarm.left_out())
         outcome = _outcome(swarm, request, witness)
         track.end()
         trajectory = track.trajectory()
@@ -172,24 +187,26 @@ def _run(swarm: Swarm, request: TrialRequest, witness: Witness, stopped: Callabl
             raise TrialStopped("it was stopped")
         if reason := swarm.end_reason():
             return reason
-        arrived = _arrived(witness, request)
-        if arrived.all():
+        arrived, left_out = _arrived(swarm, request, witness), swarm.left_out()
+        if (arrived | left_out).all():
             return ALL_ARRIVED
-        if rest.lasts_s(swarm.passed_s, witness.pose) >= END_S and (arrived | swarm.settled()).all():
+        if rest.lasts_s(swarm.passed_s, witness.pose) >= END_S and (arrived | left_out | swarm.settled()).all():
             return ALL_SETTLED
     return request.limit_reason
 
 
-def _arrived(witness: Witness, request: TrialRequest) -> NDArray[np.bool_]:
+def _arrived(swarm: Swarm, request: TrialRequest, witness: Witness) -> NDArray[np.bool_]:
     near: NDArray[np.bool_] = np.hypot(*(witness.pose[:, :2] - request.goals).T) <= request.scenario.goal.radius_m
-    return near  # an unknown pose is not near
+    return near & ~swarm.left_out()  # an unknown pose is not near
 
 
 def _outcome(swarm: Swarm, request: TrialRequest, witness: Witness) -> Outcome:
     """Return how it is now, at the end."""
-    counted, arrived = witness.tally(), _arrived(witness, request)
+    counted, arrived = witness.tally(), _arrived(swarm, request, witness)
+    left_out = int(swarm.left_out().sum())
     return Outcome(
-        robots=len(swarm.config.robots),
+        robots=len(swarm.config.robots) - left_out,
+        left_out=left_out,
         arrived=int(arrived.sum()),
         settled=int((swarm.settled() & ~arrived).sum()),
         robot_events=int(counted.robot_events.sum()),
@@ -252,7 +269,7 @@ class Track:
             time_s=np.array(self._time_s, float),
             pose=np.array(self._pose, np.float32).reshape(-1, len(ids), 3),
             touching=np.array(self._touching, bool).reshape(-1, len(ids)),
-            goals=np.array(request.goals, float),
+            goals=np.where(self._swarm.left_out()[:, None], np.nan, request.goals),
             goal_radius_m=request.scenario.goal.radius_m,
             radius_m=np.array(self._witness.radius_m, float),
             boxes=np.array(request.boxes, float).reshape(-1, 5),

@@ -188,7 +188,11 @@ def trial_id(trial: Trial) -> str:
     cell = trial.cell
     words = (cell.label, cell.scenario, f"n{cell.robots}", cell.engine, cell.limits, f"s{trial.seed}")
     text = re.sub(r"[^A-Za-z0-9_.=]+", "-", "-".join(words)).strip("-.")
-    return f"{text[:ID_WORDS].rstrip('-.')}-{hashlib.sha256(msgspec.json.encode(trial)).hexdigest()[:ID_HASH]}"
+    whole = msgspec.to_builtins(trial)
+    for name in ("team", "needs", "roles"):  # unsaid, they leave the names of trials as they were without them
+        if not whole["cell"][name]:
+            del whole["cell"][name]
+    return f"{text[:ID_WORDS].rstrip('-.')}-{hashlib.sha256(msgspec.json.encode(whole)).hexdigest()[:ID_HASH]}"
 
 
 LAUNCH_FORMAT = "fullswarm.launch/1"
@@ -219,14 +223,18 @@ class _Document(msgspec.Struct, forbid_unknown_fields=True):
     time_limit_s: float | None = None
     agent: Table = {}
     stop: Table = {}
+    sight: Table = {}
     bodies: list[Table] = []
 
 
 def launch_text(trial: Trial, experiment: str) -> str:
     """Return the file of a trial; `ConfigError` when its scenario cannot be read."""
     cell = asdict(trial.cell)
-    # Last in the file: a table within a table; TOML has lists, no tuples.
+    # Last in the file: tables within a table; TOML has lists, no tuples.
     cell["parameters"] = trial.cell.requested()
+    for name in ("needs", "roles"):
+        if given := cell.pop(name):
+            cell[name] = {key: list(value) if isinstance(value, tuple) else value for key, value in given}
     head: dict[str, Any] = {
         "format": LAUNCH_FORMAT,
         "id": trial_id(trial),
@@ -235,7 +243,7 @@ def launch_text(trial: Trial, experiment: str) -> str:
     }
     if trial.time_limit_s is not None:
         head["time_limit_s"] = trial.time_limit_s
-    settings = {name: dict(getattr(trial, name)) for name in ("body", "agent", "stop")}
+    settings = {name: dict(getattr(trial, name)) for name in ("body", "agent", "stop", "sight")}
     try:
         arena = {"scenario": json.loads(trial.arena or _arena(scenario_of(trial)))}
     except ConfigError:
@@ -271,14 +279,15 @@ def parse_trial(text: str, where: str) -> Launch:
         document = msgspec.convert(parse_toml(text, where), _Document)
         if document.format != LAUNCH_FORMAT:
             raise ConfigError(f"format '{document.format}' is not {LAUNCH_FORMAT}", where=where)
-        cell = {**document.cell, "parameters": list(dict(document.cell.get("parameters", {})).items())}
+        cell = {name: list(dict(document.cell.get(name, {})).items()) for name in ("parameters", "needs", "roles")}
         trial = Trial(
-            cell=msgspec.convert(cell, Cell),
+            cell=msgspec.convert({**document.cell, **cell}, Cell),
             seed=document.seed,
             time_limit_s=document.time_limit_s,
             body=tuple(document.body.items()),
             agent=tuple(document.agent.items()),
             stop=tuple(document.stop.items()),
+            sight=tuple(document.sight.items()),
             bodies=tuple(tuple(each.items()) for each in document.bodies),
             arena=_arena(Scenario.model_validate_json(json.dumps(document.scenario), strict=True)),
         )

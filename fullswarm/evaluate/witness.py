@@ -85,7 +85,7 @@ class Standard:
         stated = [ENDLESS if emulated else each.limits for each in world.descriptions]
         return cls(
             limits=np.array([(each.speed_m_s, each.turn_rad_s) for each in stated], float).reshape(-1, 2),
-            goals=goals,
+            goals=np.array(goals, float),
             goal_radius_m=goal_radius_m,
             walls=world.config.walls,
             engine=world.config.engine,
@@ -339,6 +339,10 @@ class ContactTally(NamedTuple):
 class Witness(Protocol):
     """Watches n bodies."""
 
+    def leave_out(self, rows: NDArray[np.bool_]) -> None:
+        """Take their goals from robots that take no part, (n,)."""
+        ...
+
     def begin(self) -> None:
         """Count from now on."""
         ...
@@ -409,6 +413,11 @@ class WorldWitness:
         Referee(world, self._standard).rehearse()
         self.truth: Truth = Truth(*about)
         self._referee = Referee(world, self._standard)
+
+    def leave_out(self, rows: NDArray[np.bool_]) -> None:
+        """Take their goals from robots that take no part, (n,)."""
+        self._standard.goals[rows] = np.nan
+        self.truth.leave_out(rows)
 
     def begin(self) -> None:
         """Watch from where the bodies are now."""
@@ -520,7 +529,7 @@ class ReportedWitness:
         self._began_s, self._steps = now_s(), 0
         self._standard = Standard(
             limits=np.full((count, 2), np.inf),
-            goals=np.full((count, 2), np.nan) if goals is None else goals,
+            goals=np.full((count, 2), np.nan) if goals is None else np.array(goals, float),
             goal_radius_m=goal_radius_m,
             walls=config.world_or_default.walls,
         )
@@ -536,6 +545,10 @@ class ReportedWitness:
             bus.subscribe(keys.pose_fix(), PoseFix, self._on_fix),
             bus.subscribe(keys.health(), HealthReport, self._on_health),
         ]
+
+    def leave_out(self, rows: NDArray[np.bool_]) -> None:
+        """Take their goals from robots that take no part, (n,)."""
+        self._standard.goals[rows] = np.nan
 
     def begin(self) -> None:
         """Forget the contacts from before."""

@@ -11,11 +11,20 @@ from fullswarm.bus.base import Bus
 from fullswarm.config.mission_file import MissionFile
 from fullswarm.errors import ConfigError, RequestRefused
 from fullswarm.keys import Keys
-from fullswarm.messages import MissionOp, MissionPlan, MissionReply, MissionRequest, MissionStatus, StepStatus
+from fullswarm.messages import (
+    MissionOp,
+    MissionPhase,
+    MissionPlan,
+    MissionReply,
+    MissionRequest,
+    MissionStatus,
+    StepStatus,
+)
 from fullswarm.operator.client import RESEND_S, short_id
 from fullswarm.runtime import Scheduler, Timer
 
 ReplyHandler = Callable[[MissionReply], None]
+ENDED: tuple[MissionPhase, ...] = ("done", "failed", "aborted")
 SILENT_S = 3.0
 """The core repeats the state of each mission that has not ended every second."""
 
@@ -49,7 +58,7 @@ class MissionClient:
 
     Attributes
     ----------
-    missions : id → newest status, the oldest mission first
+    missions : id → newest status, in the order in which they were first received
     """
 
     def __init__(

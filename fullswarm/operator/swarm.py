@@ -20,6 +20,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, InvalidStateError
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -27,13 +28,24 @@ from fullswarm.bus.base import OPERATOR, NamedBus
 from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import DEFAULT_HUB
+from fullswarm.config.mission_file import MissionFile, load_mission, read_mission
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, TimedOut, Unreachable
 from fullswarm.fitness import needs_of
 from fullswarm.keys import Keys
-from fullswarm.messages import EStopReceipt, RequestStatus, Result, Value
+from fullswarm.messages import (
+    EStopReceipt,
+    MissionOp,
+    MissionReply,
+    MissionStatus,
+    RequestStatus,
+    Result,
+    Value,
+)
 from fullswarm.operator.client import Operator, PendingRequest
 from fullswarm.operator.estop import LISTEN_S
 from fullswarm.operator.leases import GROUP, LeaseHolder
+from fullswarm.operator.missions import ENDED, SILENT_S, MissionClient, PendingMissionRequest, waiting_steps
+from fullswarm.operator.missions import refusal as mission_refusal
 from fullswarm.operator.outcome import ended, refusal, settled
 from fullswarm.operator.session import operator_name, usual_name
 from fullswarm.operator.view import FleetView, RobotRow, Snapshot
@@ -57,6 +69,8 @@ IDLE_S = 1.0
 NEAR_M = 0.15
 """A robot that is so near to its goal counts as arrived."""
 Names = Iterable[str] | str | None
+MissionSource = str | os.PathLike[str] | Mapping[str, Any]
+"""The path of a mission file, or its tables as a dict."""
 
 _numbers = itertools.count(1)
 
@@ -113,6 +127,54 @@ class Request:
         return f"<{type(self).__name__} {self.behaviour}: {self.phase}; {', '.join(self.robots) or 'all robots'}>"
 
 
+class MissionHandle:
+    """A mission of a live swarm. Its properties never wait: they say what the core has said last.
+
+    Attributes
+    ----------
+    id : the mission's id
+    """
+
+    def __init__(self, client: Client, mission: str) -> None:
+        self._client, self.id = client, mission
+
+    @property
+    def status(self) -> MissionStatus:
+        """All that the core says of it: ``tracks`` with their ``steps``, each with its ``phase`` and ``waits_for``."""
+        return self._client.missions[self.id]
+
+    @property
+    def name(self) -> str:
+        """The name in its file."""
+        return self.status.name
+
+    @property
+    def phase(self) -> str:
+        """Where it is: running, paused, done, failed, aborted."""
+        return self.status.phase
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is done, failed or aborted."""
+        return self.phase in ENDED
+
+    @property
+    def reason(self) -> str:
+        """Why it is paused, failed or aborted; empty: it is not."""
+        return self.status.reason
+
+    @property
+    def questions(self) -> dict[str, str]:
+        """What is to be confirmed now: ``{"track/step": text}``."""
+        return {f"{track}/{step.name}": step.confirm for track, step in waiting_steps(self.status)}
+
+    def __repr__(self) -> str:
+        running = [
+            f"{each.name}/{step.name}" for each in self.status.tracks for step in each.steps if step.phase == "running"
+        ]
+        return f"<{type(self).__name__} {self.name}: {self.phase}; {', '.join(running) or 'no step runs'}>"
+
+
 @dataclass(slots=True)
 class Held:
     """Robots that a program holds: what ``with swarm.lease(...)`` gives.
@@ -160,6 +222,7 @@ class Client:
         self._runtime = runtime
         self._operator = Operator(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
         self._view = FleetView(bus, self.keys, runtime)
+        self._missions = MissionClient(bus, self.keys, runtime, self.source, name=self.name, clock=clock_id())
         self._holder = LeaseHolder(
             bus, self.keys, runtime, self.name, on_lost=self._lost, on_refused=self._note_refused
         )  # fmt: skip
@@ -172,6 +235,7 @@ class Client:
     def _end(self) -> None:
         self._holder.close()
         self._operator.close()
+        self._missions.close()
         self._view.close()
         self._bus.close()
 
@@ -421,6 +485,99 @@ class Client:
 
         return self.until(ready, timeout_s, late)
 
+    # ------------------------------------------------------------ missions
+    @property
+    def missions(self) -> Mapping[str, MissionStatus]:
+        """The newest status of each mission that has been received, by its id."""
+        return self._missions.missions
+
+    def mission(self, op: MissionOp, file: MissionFile | None = None, **more: Any) -> Future[MissionReply]:
+        """Ask the core, until it has answered; fails with what it refuses.
+
+        The answer comes when the status of its mission, if it names one, has been received.
+        """
+        asked: list[PendingMissionRequest] = []
+
+        def ready() -> MissionReply | None:
+            if not asked:
+                asked.append(self._missions.ask(op, plan=file.plan if file is not None else None, **more))
+            reply = asked[0].reply
+            if reply is not None and not reply.ok:
+                raise mission_refusal(reply, file)
+            return reply if reply is not None and (not reply.mission or reply.mission in self.missions) else None
+
+        found = self.until(ready, ANSWER_S, self._no_core)
+        found.add_done_callback(lambda _: self._forget_missions(asked))
+        return found
+
+    def confirm(self, mission: str, path: str) -> Future[MissionReply]:
+        """Confirm a step, "track/step" or its name; empty: the only one that waits."""
+        track, _, step = path.rpartition("/")
+        return self.mission("confirm", mission=mission, track=track, step=step)
+
+    def reached(
+        self, mission: str, look: Callable[[MissionStatus], T | None], what: str, timeout_s: float | None
+    ) -> Future[T]:
+        """Wait until `look` finds something in a mission's status; the core is asked for it when it falls silent."""
+        asked: list[PendingMissionRequest] = []
+        newest, since_s = self.missions[mission], self.call(self._runtime.now_s).result()
+
+        def ready() -> T | None:
+            nonlocal newest, since_s
+            status, now_s = self.missions[mission], self._runtime.now_s()
+            found = look(status)
+            if found is None and status is not newest:
+                newest, since_s = status, now_s
+                asked.clear()
+            elif found is None and now_s - since_s >= SILENT_S:
+                if not asked:
+                    asked.append(self._missions.ask("show"))
+                elif asked[0].reply is None:
+                    since_s = now_s - SILENT_S
+                elif now_s - since_s >= SILENT_S + CORE_S:
+                    hint = "a core keeps missions over a restart if it has a database: [core] store in the fleet file"
+                    raise FullswarmError("the core does not know this mission any more", where=status.name, hint=hint)
+            return found
+
+        def late() -> Exception:
+            status = self.missions[mission]
+            why = f" ({status.reason})" if status.reason else ""
+            return TimedOut(
+                f"the mission {what} within {timeout_s:g} s: it is {status.phase}{why}", where=status.name,
+                hint="it goes on; end it with pause() or abort()",
+            )  # fmt: skip
+
+        found = self.until(ready, timeout_s, late)
+        found.add_done_callback(lambda _: self._forget_missions(asked))
+        return found
+
+    def mission_ended(self, mission: str, timeout_s: float | None) -> Future[MissionStatus]:
+        """Wait until a mission has ended."""
+        return self.reached(
+            mission, lambda status: status if status.phase in ENDED else None, "has not ended", timeout_s
+        )
+
+    def mission_asks(self, mission: str, timeout_s: float | None) -> Future[MissionStatus]:
+        """Wait until a step of a mission is to be confirmed."""
+
+        def look(status: MissionStatus) -> MissionStatus | None:
+            if status.phase in ENDED:
+                why = f": {status.reason}" if status.reason else ""
+                raise FullswarmError(f"the mission is {status.phase} and asks nothing{why}", where=status.name)
+            return status if waiting_steps(status) else None
+
+        return self.reached(mission, look, "has asked nothing", timeout_s)
+
+    def _forget_missions(self, asked: list[PendingMissionRequest]) -> None:
+        """Do not repeat what is not waited for any more: it must not start robots later."""
+
+        def act() -> None:
+            for each in asked:
+                self._missions.forget(each)
+
+        with suppress(FullswarmError):
+            self.call(act)
+
     # ------------------------------------------------------------ leases
     def hold(self, robots: tuple[str, ...], take: bool) -> Future[Held]:
         """Hold robots; fails with the operator that holds one."""
@@ -491,6 +648,10 @@ def _late(pending: PendingRequest, what: str, timeout_s: float | None) -> TimedO
 
 def _names(robots: Names) -> tuple[str, ...]:
     return () if robots is None else (robots,) if isinstance(robots, str) else tuple(robots)
+
+
+def _mission_file(source: MissionSource) -> MissionFile:
+    return read_mission(source) if isinstance(source, Mapping) else load_mission(Path(source))
 
 
 def _plain(robots: Iterable[str]) -> tuple[str, ...]:
@@ -565,6 +726,64 @@ class SwarmRequest(Request):
     def cancel(self) -> None:
         """Stop the robots that still run this request. Those that run something newer go on."""
         _wait(self._client.cancel(self._pending))
+
+
+class Mission(MissionHandle):
+    """What :meth:`Swarm.start_mission` returns."""
+
+    def wait(self, timeout_s: float | None = None) -> MissionStatus:
+        """Wait until the mission has ended; return its last status: ``phase`` is "done", "failed" or "aborted".
+
+        A paused mission waits for :meth:`resume`. Ctrl-C ends the waiting; the mission goes on.
+
+        Raises
+        ------
+        TimedOut
+            It has not ended within `timeout_s`. It goes on.
+        FullswarmError
+            A core that was started again does not know it.
+        """
+        return _wait(self._client.mission_ended(self.id, timeout_s))
+
+    def wait_question(self, timeout_s: float | None = None) -> dict[str, str]:
+        """Wait until a step is to be confirmed; return what is, ``{"track/step": text}``.
+
+        Raises
+        ------
+        TimedOut
+            Nothing is to be confirmed within `timeout_s`.
+        FullswarmError
+            The mission has ended, or a core that was started again does not know it.
+        """
+        _wait(self._client.mission_asks(self.id, timeout_s))
+        return self.questions
+
+    def confirm(self, step: str = "") -> None:
+        """Confirm a step that waits for an operator, "track/step" or its name; empty: the only one that waits.
+
+        Raises
+        ------
+        RequestRefused
+            No such step waits, or several do, or another operator holds its robots.
+        Unreachable
+            The core does not answer within 5 s.
+        """
+        _wait(self._client.confirm(self.id, step))
+
+    def pause(self) -> None:
+        """Pause it: its robots stop. Raises as :meth:`confirm`, also when it does not run."""
+        _wait(self._client.mission("pause", mission=self.id))
+
+    def resume(self, *, take: bool = False) -> None:
+        """Request the steps again that it was paused in, with `take` also of robots that another operator holds.
+
+        Raises as :meth:`confirm`, also when it is not paused.
+        """
+        _wait(self._client.mission("resume", mission=self.id, take=take))
+
+    def abort(self) -> None:
+        """Abort it for good: its robots stop. Raises as :meth:`confirm`, also when it has ended."""
+        _wait(self._client.mission("abort", mission=self.id))
 
 
 class Swarm:
@@ -666,6 +885,40 @@ class Swarm:
         more = _more(parameters, team, needs, roles)
         return SwarmRequest(self._client, _wait(self._client.request(behaviour, _names(robots), take, **more)))
 
+    def start_mission(self, mission: MissionSource, *, take: bool = False) -> Mission:
+        """Start a mission that the core carries out, also after the program has ended.
+
+        Parameters
+        ----------
+        mission : the path of a mission file, or its tables as a dict
+        take : take its robots over from operators that hold them
+
+        Raises
+        ------
+        ConfigError
+            All that is wrong with the mission or does not fit the swarm, of a file each with its line.
+        RequestRefused
+            Another operator holds one of its robots.
+        Unreachable
+            The core does not answer within 5 s. The request is withdrawn then.
+        """
+        return Mission(self._client, _wait(self._client.mission("start", _mission_file(mission), take=take)).mission)
+
+    def check_mission(self, mission: MissionSource) -> None:
+        """Check a mission against this swarm without starting it; raises as :meth:`start_mission`."""
+        _wait(self._client.mission("check", _mission_file(mission)))
+
+    def missions(self) -> tuple[Mission, ...]:
+        """Ask the core for its missions, whoever has started them, also those that have ended; in any order.
+
+        Raises
+        ------
+        Unreachable
+            The core does not answer within 5 s.
+        """
+        _wait(self._client.mission("show"))
+        return tuple(Mission(self._client, each) for each in list(self._client.missions))
+
     def stop(self, robots: Names = None) -> None:
         """Stop robots, whatever they do; None: all. They start again on the next request.
 
@@ -741,6 +994,35 @@ class AsyncSwarmRequest(Request):
         await asyncio.wrap_future(self._client.cancel(self._pending))
 
 
+class AsyncMission(MissionHandle):
+    """What :meth:`AsyncSwarm.start_mission` returns; see :class:`Mission`."""
+
+    async def wait(self, timeout_s: float | None = None) -> MissionStatus:
+        """See :meth:`Mission.wait`. A task that is cancelled leaves the mission running."""
+        return await asyncio.wrap_future(self._client.mission_ended(self.id, timeout_s))
+
+    async def wait_question(self, timeout_s: float | None = None) -> dict[str, str]:
+        """See :meth:`Mission.wait_question`."""
+        await asyncio.wrap_future(self._client.mission_asks(self.id, timeout_s))
+        return self.questions
+
+    async def confirm(self, step: str = "") -> None:
+        """See :meth:`Mission.confirm`."""
+        await asyncio.wrap_future(self._client.confirm(self.id, step))
+
+    async def pause(self) -> None:
+        """See :meth:`Mission.pause`."""
+        await asyncio.wrap_future(self._client.mission("pause", mission=self.id))
+
+    async def resume(self, *, take: bool = False) -> None:
+        """See :meth:`Mission.resume`."""
+        await asyncio.wrap_future(self._client.mission("resume", mission=self.id, take=take))
+
+    async def abort(self) -> None:
+        """See :meth:`Mission.abort`."""
+        await asyncio.wrap_future(self._client.mission("abort", mission=self.id))
+
+
 class AsyncSwarm:
     """A live swarm for asyncio: as :class:`Swarm`, with ``await``, ``async with`` and ``async for``.
 
@@ -812,6 +1094,20 @@ class AsyncSwarm:
         """Request a behaviour; see :meth:`Swarm.request`."""
         asked = self._client.request(behaviour, _names(robots), take, **_more(parameters, team, needs, roles))
         return AsyncSwarmRequest(self._client, await asyncio.wrap_future(asked))
+
+    async def start_mission(self, mission: MissionSource, *, take: bool = False) -> AsyncMission:
+        """Start a mission; see :meth:`Swarm.start_mission`."""
+        asked = self._client.mission("start", _mission_file(mission), take=take)
+        return AsyncMission(self._client, (await asyncio.wrap_future(asked)).mission)
+
+    async def check_mission(self, mission: MissionSource) -> None:
+        """Check a mission without starting it; see :meth:`Swarm.check_mission`."""
+        await asyncio.wrap_future(self._client.mission("check", _mission_file(mission)))
+
+    async def missions(self) -> tuple[AsyncMission, ...]:
+        """Ask the core for its missions; see :meth:`Swarm.missions`."""
+        await asyncio.wrap_future(self._client.mission("show"))
+        return tuple(AsyncMission(self._client, each) for each in list(self._client.missions))
 
     async def stop(self, robots: Names = None) -> None:
         """Stop robots; see :meth:`Swarm.stop`."""

@@ -152,6 +152,11 @@ class Truth:
             dt_s, coverage.marked, coverage.grid, frame.origin_x_m, frame.origin_y_m, frame.cell_m,
         )  # fmt: skip
 
+    def leave_out(self, rows: NDArray[np.bool_]) -> None:
+        """Take their goals from robots, (n,): they cannot arrive, and have not."""
+        self._goals[rows] = math.nan
+        self._state[rows, ENTERED] = math.nan
+
     @property
     def distance_m(self) -> NDArray[np.float64]:
         """The way of each robot, (n,) m."""
@@ -225,7 +230,7 @@ class Truth:
     def _arrival(self) -> dict[str, float]:
         times_s = self._state[self.arrived, ENTERED]
         goal_m = self._goal_m()
-        values = {"arrival.fraction": len(times_s) / len(self.ids)}
+        values = {"arrival.fraction": len(times_s) / int(np.isfinite(self._goals).all(axis=1).sum())}
         if np.isfinite(goal_m).any():
             values["formation.error_m"] = math.sqrt(float(np.nanmean(goal_m * goal_m)))
         if len(times_s):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from fullswarm.errors import ConfigError
 from fullswarm.evaluate.experiment import scenario_of
 from fullswarm.evaluate.live_swarm import LiveSwarm, measure_live, with_make
 from fullswarm.evaluate.swarm import TrialFailed, TrialHeld
-from fullswarm.evaluate.trial import TrialRequest, configure, drive, parameters
+from fullswarm.evaluate.trial import TrialRequest, configure, drive, drive_in_world, parameters, terms
 from fullswarm.evaluate.trial_folder import Measurement
 from fullswarm.evaluate.witness import WorldWitness
 from fullswarm.launch.network import on_free_ports
@@ -70,6 +71,24 @@ def test_a_live_trial_measures_what_happened(robots: int, emulate: str | None) -
     found = measure_live(trial(robots), emulate)
     assert clock.now_s() - began_s < LIMIT_S
     check(found, robots)
+
+
+def test_a_live_trial_carries_team_needs_and_roles() -> None:
+    usual = trial(3)
+    slow = tuple({**dict(usual.body), "speed_limit_m_s": 0.1}.items())
+    cell = replace(usual.cell, team="swarm", needs=(("speed_m_s", 0.3),), roles=(("leader", ("r1",)),))
+    asked = replace(usual, cell=cell, bodies=(usual.body, usual.body, slow))
+    scenario = scenario_of(asked)
+    config, goals = configure(asked, scenario)
+    config, limit = terms(asked, scenario, on_free_ports(config, prefer_configured=False))
+    with LiveSwarm(config) as swarm:
+        swarm.start()
+        found = drive_in_world(swarm, swarm.bodies, asked, scenario, goals, limit)
+        newest = swarm._statuses[-1]
+    assert found.end_reason == "all arrived"
+    assert (found.outcome.robots, found.outcome.left_out, found.outcome.arrived) == (2, 1, 2)
+    assert found.per_robot["truth work.distance_m"]["r2s3"] == pytest.approx(0.0, abs=0.01)
+    assert (newest.robots, newest.roles) == (("r0s3", "r1s3"), {"r1s3": "leader"})
 
 
 @pytest.mark.slow

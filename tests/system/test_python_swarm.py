@@ -19,6 +19,7 @@ import pytest
 
 from fullswarm import AsyncSwarm, Swarm
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, TimedOut, Unreachable
+from fullswarm.messages import MissionStatus
 from tests.system.live import LiveSwarm
 
 ROBOTS = ("r1", "r2", "r3")
@@ -187,6 +188,121 @@ def test_the_end_of_a_request_is_learnt_although_it_was_missed(swarm: Swarm) -> 
     assert behaviours(swarm) == ["", "", ""], "asking is not requesting"
 
 
+WALK: dict[str, Any] = {
+    "name": "walk",
+    "robots": ["r1", "r2"],
+    "steps": [
+        {"name": "flock", "behaviour": "flocking_bc", "done": {"confirm": "Enough?"}},
+        {"name": "meet", "behaviour": "rendezvous_bc", "done": {"time_s": 0.5}},
+    ],
+}
+
+
+def test_a_mission_is_paused_resumed_confirmed_and_waited_for(swarm: Swarm) -> None:
+    mission = swarm.start_mission(WALK)
+    assert (mission.name, mission.phase, mission.ended) == ("walk", "running", False)
+    assert mission.wait_question(10.0) == {"main/flock": "Enough?"}
+    until(lambda: behaviours(swarm) == ["flocking_bc", "flocking_bc", ""])
+    mission.pause()
+    assert (mission.phase, mission.reason) == ("paused", "by anna")
+    until(lambda: behaviours(swarm) == ["", "", ""])
+    with pytest.raises(RequestRefused, match="does not run: it is paused"):
+        mission.confirm()
+    with pytest.raises(TimedOut, match=r"has not ended within 0\.1 s: it is paused \(by anna\)"):
+        mission.wait(0.1)
+    mission.resume()
+    assert mission.phase == "running"
+    until(lambda: behaviours(swarm) == ["flocking_bc", "flocking_bc", ""])
+    with pytest.raises(RequestRefused, match="no step of mission 'walk' waits"):
+        mission.confirm("main/meet")
+    mission.confirm("main/flock")
+    ended = mission.wait(20.0)
+    assert (ended.phase, mission.ended, mission.questions) == ("done", True, {})
+    assert [step.phase for track in ended.tracks for step in track.steps] == ["done", "done"]
+    with pytest.raises(RequestRefused, match="has ended already: done"):
+        mission.abort()
+    with pytest.raises(FullswarmError, match="is done and asks nothing"):
+        mission.wait_question(5.0)
+
+
+def test_a_mission_of_another_program_is_found_and_aborted(swarm: Swarm, hub: str, tmp_path: Path) -> None:
+    file = tmp_path / "roam.toml"
+    file.write_text('[[steps]]\nbehaviour = "flocking_bc"\nrobots = ["r3"]\ndone = { time_s = 600 }\n')
+    mine = swarm.start_mission(file)
+    until(lambda: behaviours(swarm) == ["", "", "flocking_bc"])
+    with Swarm(hub, operator="bert") as other:
+        (found,) = (each for each in other.missions() if not each.ended)
+        assert (found.id, found.name, found.phase) == (mine.id, "roam", "running")
+        mine.pause()
+        with other.lease("r3"), pytest.raises(RequestRefused, match="r3 is held by bert"):
+            mine.resume()
+        mine.resume()
+        found.abort()
+    ended = mine.wait(5.0)
+    assert (ended.phase, ended.reason) == ("aborted", "by bert")
+    until(lambda: behaviours(swarm) == ["", "", ""])
+
+
+def test_a_wrong_mission_starts_nothing_and_names_all_that_is_wrong(swarm: Swarm, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text('[[steps]]\nbehaviour = "flockign_bc"\nrobots = ["r9"]\ndone = { time_s = 1 }\n')
+    for act in (swarm.start_mission, swarm.check_mission):
+        with pytest.raises(ConfigError, match=r"wrong.toml:2: .*flockign_bc") as caught:
+            act(file)
+        assert "wrong.toml:3" in str(caught.value)
+    with pytest.raises(ConfigError, match=r"mission: steps\[0\].robots: .*r9"):
+        swarm.start_mission({"steps": [{"robots": ["r9"], "done": {"time_s": 1.0}}]})
+    with pytest.raises(ConfigError, match="no such file"):
+        swarm.start_mission("missing.toml")
+    before = len(swarm.missions())
+    swarm.check_mission(WALK)
+    assert len(swarm.missions()) == before
+    assert behaviours(swarm) == ["", "", ""]
+
+
+def test_the_end_of_a_mission_is_learnt_although_it_was_missed(swarm: Swarm, hub: str) -> None:
+    mission = swarm.start_mission(WALK)
+    client = swarm._client
+    *_, statuses = client._missions._subscriptions
+    client.call(statuses.close).result()  # deaf to what the core says of it by itself
+    with Swarm(hub, operator="bert") as other:
+        next(each for each in other.missions() if each.id == mission.id).abort()
+        waiting = client.mission_ended(mission.id, 20.0)
+        with pytest.raises(FullswarmError, match="does not know this mission any more"):
+            waiting.result()  # asked, and heard nothing
+        assert mission.phase == "running"
+        client.call(
+            lambda: client._bus.subscribe(client.keys.mission_status, MissionStatus, client._missions._received)
+        ).result()
+        assert mission.wait(10.0).phase == "aborted"
+
+
+def test_missions_with_asyncio(hub: str) -> None:
+    async def program() -> None:
+        async with AsyncSwarm(hub, operator="anna") as swarm:
+            await swarm.stop()
+            await swarm.check_mission(WALK)
+            mission = await swarm.start_mission(WALK)
+            assert await mission.wait_question(10.0) == {"main/flock": "Enough?"}
+            await mission.pause()
+            assert mission.phase == "paused"
+            await mission.resume()
+            waiting = asyncio.create_task(mission.wait())
+            await asyncio.sleep(0.1)
+            waiting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await waiting
+            assert mission.phase == "running"
+            await mission.confirm()
+            assert (await mission.wait(20.0)).phase == "done"
+            assert mission.id in [each.id for each in await swarm.missions()]
+            other = await swarm.start_mission(WALK)
+            await other.abort()
+            assert other.phase == "aborted"
+
+    asyncio.run(program())
+
+
 def test_without_hub_or_core_there_is_an_error_that_says_so(hub: str, live: LiveSwarm) -> None:
     threads = threading.active_count()
     with pytest.raises(Unreachable, match="no hub answers"):
@@ -195,6 +311,8 @@ def test_without_hub_or_core_there_is_an_error_that_says_so(hub: str, live: Live
         Swarm("127.0.0.1")
     with Swarm(hub, swarm="another") as swarm, pytest.raises(Unreachable, match="'another' did not answer"):
         swarm.request("flocking_bc")
+    with Swarm(hub, swarm="another") as swarm, pytest.raises(Unreachable, match="'another' did not answer"):
+        swarm.start_mission(WALK)
     until(lambda: threading.active_count() <= threads)
 
 
@@ -261,7 +379,9 @@ def test_a_program_that_does_not_close_it_ends(hub: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
 
 
-def test_the_examples_of_the_documentation_run(swarm: Swarm, hub: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_of_the_documentation_run(
+    swarm: Swarm, hub: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = (Path(__file__).parents[2] / "docs" / "how-to-use-from-python.md").read_text(encoding="utf-8")
     section = page.partition("## A live swarm\n")[2].partition("\n## ")[0]
     first, second = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
@@ -269,3 +389,9 @@ def test_the_examples_of_the_documentation_run(swarm: Swarm, hub: str, monkeypat
     exec(first, {})
     assert all(math.dist(places(swarm)[robot], (5.0, 5.0)) < 1.0 for robot in ("r1", "r2"))
     compile(second, "asyncio", "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+    (example,) = re.findall(
+        r"```python\n(.*?)```", page.partition("## A mission\n")[2].partition("\n## ")[0], re.DOTALL
+    )
+    assert example.count("\n") <= 40
+    exec(example, {})
+    assert capsys.readouterr().out.splitlines()[-2:] == ["main/look: Are the pictures taken?", "done "]

@@ -103,6 +103,41 @@ def test_a_confirmation_is_waited_for_and_given_once(lab: MissionLab) -> None:
     lab.until("done")
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.2])
+def test_a_step_that_is_over_at_once_is_followed_by_the_next_one(lab: MissionLab, delay_s: float) -> None:
+    text = """
+robots = ["r0", "r1"]
+[[steps]]
+name = "flock"
+behaviour = "flocking_bc"
+done = { confirm = "Enough?" }
+[[steps]]
+name = "meet"
+behaviour = "rendezvous_bc"
+done = { time_s = 0.5 }
+"""
+    assert lab.ask("start", text).ok
+    lab.run(delay_s)
+    assert lab.ask("confirm").ok  # requests of a robot are spread over 0.05 s: the next step's waits for that
+    lab.run(0.3)
+    assert lab.swarm.behaviours() == ["rendezvous_bc", "rendezvous_bc", ""]
+    lab.until("done", 2.0)
+    lab.run(0.3)
+    assert lab.swarm.behaviours() == ["", "", ""]
+
+
+def test_a_pause_while_a_step_waits_to_begin_stops_its_robots(lab: MissionLab) -> None:
+    text = ONE.format(more='done = { confirm = "Well?" }') + TWO_QUESTIONS
+    text = text.replace('name = "a"', 'name = "a"\nrobots = ["r0"]\nbehaviour = "flocking_bc"')
+    assert lab.ask("start", text).ok
+    assert lab.ask("confirm").ok
+    assert lab.ask("pause").ok
+    lab.run(0.5)
+    assert lab.status is not None
+    assert (lab.status.phase, lab.status.reason) == ("paused", "by anna")
+    assert lab.swarm.behaviours() == ["", "", ""]
+
+
 def test_a_copy_of_a_confirmation_after_a_restart_confirms_nothing_else(lab: MissionLab) -> None:
     text = (
         '[[steps]]\nname = "a"\ndone = { confirm = "Clear?" }\n[[steps]]\nname = "b"\ndone = { confirm = "And now?" }'

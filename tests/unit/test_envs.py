@@ -448,7 +448,7 @@ def test_the_examples_of_the_documentation_run(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     linear_model(tmp_path / "net.onnx", Spaces().size)
     page = (Path(__file__).parents[2] / "docs" / "how-to-use-from-python.md").read_text(encoding="utf-8")
-    page = re.sub(r"## A live swarm\n.*?(?=\n## )", "", page, flags=re.DOTALL)  # run against a live one elsewhere
+    page = re.sub(r"## A (live swarm|mission)\n.*?(?=\n## )", "", page, flags=re.DOTALL)  # run elsewhere
     *blocks, package = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     model = SimpleNamespace(predict=lambda observations: (observations[:, :2], None))
     names: dict[str, Any] = {"np": np, "model": model, "spaces": Spaces()}

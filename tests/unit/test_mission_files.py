@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from fullswarm.config.mission_file import load_mission, parse_comparison, parse_mission, plan_problems
+from fullswarm.config.mission_file import load_mission, parse_comparison, parse_mission, plan_problems, read_mission
 from fullswarm.errors import ConfigError
-from fullswarm.messages import MissionPlan, MissionStep, MissionTrack, StepConditions
+from fullswarm.messages import MissionPlan, MissionProblem, MissionStep, MissionTrack, StepConditions
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "missions" / "survey.toml"
 
@@ -108,3 +109,33 @@ def test_a_comparison(text: str, value: float, holds: bool) -> None:
 def test_what_is_no_comparison(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_comparison(text)
+
+
+def test_a_dict_is_read_as_the_same_tables_of_a_file() -> None:
+    step: dict[str, Any] = {
+        "name": "go", "behaviour": "move_to_goal_bc", "parameters": {"goal": (1.0, 2.0)}, "done": {"arrived": "all"},
+    }  # fmt: skip
+    text = """robots = ["@a"]
+[[steps]]
+name = "go"
+behaviour = "move_to_goal_bc"
+parameters = { goal = [1.0, 2.0] }
+done = { arrived = "all" }
+"""
+    read = read_mission({"robots": ("@a",), "steps": [step]})
+    assert read.plan == parse_mission(text, "m.toml", "mission").plan
+    tracks = read_mission({"name": "two", "tracks": {each: {"steps": [step]} for each in ("east", "west")}}).plan
+    assert (tracks.name, [track.name for track in tracks.tracks]) == ("two", ["east", "west"])
+
+
+def test_errors_of_a_dict_name_the_key() -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_mission({"steps": [{"done": {"tim_s": 3}}, {"behaviour": 3, "done": {"time_s": 1}}]})
+    first, second = str(caught.value).splitlines()
+    assert first.startswith("mission: steps[0].done.tim_s: unknown key, did you mean 'time_s'")
+    assert second.startswith("mission: steps[1].behaviour: ")
+    with pytest.raises(ConfigError, match=r"mission: steps\[0\].done: is missing"):
+        read_mission({"steps": [{"name": "x"}]})
+    problem = MissionProblem(track="main", step="x", key="robots", text="no robot 'r9'")
+    read = read_mission({"steps": [{"name": "x", "done": {"time_s": 1}}]})
+    assert str(read.errors([problem])) == "mission: steps[0].robots: no robot 'r9'"

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from fullswarm.bus.network_faults import parse_network
 from fullswarm.config import (
@@ -23,6 +34,7 @@ from fullswarm.config import (
 from fullswarm.config.toml_errors import parse_section
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.evaluate.scenarios.model import package_names, read_named, scenario_names
+from fullswarm.fitness import needs_of
 
 EvidenceMode = Literal["always", "contacts", "never"]
 """Of which trials the motion is kept: of all, of those with a contact, or of none."""
@@ -30,6 +42,7 @@ Parameter = bool | int | float | str
 Requested = bool | int | float | str | tuple[float | tuple[float, float], ...]
 """A parameter of a request: also a point or a list of points, as tuples so that cells can be keys of a dictionary."""
 T = TypeVar("T")
+TEAMS, TERMS = ("request", "swarm"), ("team", "needs", "roles")
 LARGEST_SEED, MOST_SEEDS = 2**63 - 1, 100_000
 """What a file of results can hold, and a table of trials."""
 
@@ -55,6 +68,16 @@ def _seeds(text: str) -> str:
 
 
 Seeds = Annotated[str, AfterValidator(_seeds)]
+
+
+ROBOT = re.compile(r"r(0|[1-9][0-9]*)\Z")
+"""A robot in an experiment file, by its place in a trial; a trial's robots have its seed in their names."""
+
+
+def robot_place(name: str) -> int | None:
+    """Return the place of the robot that an experiment file calls `name`; None: it names none."""
+    found = ROBOT.match(name)
+    return int(found[1]) if found else None
 
 
 def _check_network(text: str) -> None:
@@ -94,8 +117,48 @@ def world_settings(body: Mapping[str, Parameter]) -> dict[str, object]:
     return {**others, "drivetrain": drivetrain} if drivetrain else others
 
 
-class Behaviour(Section):
-    """A behaviour and the parameters of its request, besides the goal."""
+def _team(name: str) -> str:
+    if name not in TEAMS:
+        raise ValueError(f"the robots of a trial have {' or '.join(TEAMS)}, and no groups; {did_you_mean(name, TEAMS)}")
+    return name
+
+
+def _role_holder(name: str) -> str:
+    capability = name.startswith("+") and len(name) > 1
+    if not capability and robot_place(name) is None:
+        raise ValueError(f"'{name:.64}' names no robot of a trial: write r0, r1, … or +capability")
+    return name
+
+
+class RequestTerms(Section):
+    """What a request says beside its parameters, as in `fullswarm.messages.BehaviourRequest`; None: nothing."""
+
+    team: Annotated[str, AfterValidator(_team)] | None = None  # robots that the law counts as neighbours
+    needs: dict[str, Any] | None = None  # robots that cannot are left out
+    roles: dict[str, tuple[Annotated[str, AfterValidator(_role_holder)], ...]] | None = Field(None, max_length=64)
+
+    @field_validator("needs")
+    @classmethod
+    def _known_needs(cls, given: dict[str, Any] | None) -> dict[str, Any] | None:
+        try:
+            needs_of(given or {}, where="")
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+        return given
+
+    @model_serializer(mode="wrap")
+    def _only_what_is_said(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is unsaid: a file without these keys is the same version of an experiment as ever."""
+        return {key: value for key, value in serialize(self).items() if value is not None or key not in TERMS}
+
+    def places(self) -> set[int]:
+        """Return the places of the robots that the roles name."""
+        found = (robot_place(name) for names in (self.roles or {}).values() for name in names)
+        return {each for each in found if each is not None}
+
+
+class Behaviour(RequestTerms):
+    """A behaviour and the parameters of its request, besides the goal; its terms count before those of the group."""
 
     name: str = Field(min_length=1)
     parameters: dict[str, Requested] = Field(default_factory=dict)
@@ -111,10 +174,10 @@ def _no_twins(values: tuple[T, ...]) -> tuple[T, ...]:
 
 
 def _no_twin_behaviours(values: tuple[Behaviour, ...]) -> tuple[Behaviour, ...]:
-    known = [(each.name, each.parameters) for each in values]
-    for place, (name, parameters) in enumerate(known):
-        if (name, parameters) in known[:place]:
-            words = " ".join((name, *(f"{key}={value}" for key, value in parameters.items())))
+    known = [each.model_copy(update={"collisions_expected": False}) for each in values]
+    for place, each in enumerate(known):
+        if each in known[:place]:
+            words = " ".join((each.name, *(f"{key}={value}" for key, value in each.parameters.items())))
             raise ValueError(f"'{words}' is given twice")
     return values
 
@@ -122,7 +185,7 @@ def _no_twin_behaviours(values: tuple[Behaviour, ...]) -> tuple[Behaviour, ...]:
 Unique = AfterValidator(_no_twins)
 
 
-class Group(Section):
+class Group(RequestTerms):
     """Cells: every combination of what is listed here."""
 
     name: str = Field(min_length=1)
@@ -146,6 +209,11 @@ class Group(Section):
         for scenario in self.scenarios:
             if scenario not in known and not scenario.endswith(".toml"):
                 raise ValueError(f"there is no scenario '{scenario}'; {did_you_mean(scenario, known)}")
+        least = min(self.robots)
+        terms: tuple[RequestTerms, ...] = (self, *self.behaviours)
+        for place in sorted(place for each in terms for place in each.places()):
+            if place >= least:
+                raise ValueError(f"roles: there is no r{place} in a trial of {least} robots: r0 to r{least - 1}")
         AgentConfig.model_validate(self.agent)
         if self.network:
             _check_network(self.network)

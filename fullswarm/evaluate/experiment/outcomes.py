@@ -18,7 +18,7 @@ from fullswarm.evaluate.experiment.plan import Cell, Trial, differ_by_group
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """What one trial measured. An event: contact after at least 0.25 s without; a meeting is one for each robot."""
 
-    robots: int
+    robots: int  # that took part
     arrived: int  # inside the goal disc at the end
     robot_events: int  # a robot touched another robot
     obstacle_events: int  # a robot touched a box or a wall
@@ -42,6 +42,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     mover_events: int = 0  # a robot touched a mover by its own motion
     mover_hits: int = 0  # a mover touched a robot that stood or went away from it: no collision of the robot's
+    left_out: int = 0  # robots that took no part, being unfit for the request
 
     @property
     def events(self) -> int:
@@ -147,6 +148,9 @@ class CellResult:
             "group": cell.group,
             "behaviour": cell.behaviour,
             "parameters": dict(cell.parameters),
+            "team": cell.team,
+            "needs": dict(cell.needs),
+            "roles": dict(cell.roles),
             "scenario": cell.scenario,
             "robots": cell.robots,
             "seeds": len(self.results),
@@ -169,6 +173,7 @@ class CellResult:
             "longest_s": max((each.simulated_s for each in outcomes), default=None),
             "deadlocks": sum(each.deadlocks for each in outcomes) if known else None,
             "deadlock_s": round(sum(each.deadlock_s for each in outcomes), 3) if known else None,
+            "left_out": sum(each.left_out for each in outcomes) if known else None,
             "settled": sum(each.settled for each in outcomes) if known else None,
             "quiet_s": max((each.quiet_s for each in outcomes if each.quiet_s is not None), default=None),
             "never_quiet": sum(each.arrived < each.robots and each.quiet_s is None for each in outcomes),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -26,10 +26,17 @@ from fullswarm.evaluate.experiment.model import (
     world_settings,
 )
 from fullswarm.evaluate.scenarios import Scenario, load_scenario
+from fullswarm.fitness import ANYTHING, needs_of
+from fullswarm.messages import Needs
 
+T = TypeVar("T")
 Settings = tuple[tuple[str, Parameter], ...]
 """Names and values; a tuple, so that a cell can be the key of a dictionary."""
 Parameters = tuple[tuple[str, Requested], ...]
+NeedsTable = tuple[tuple[str, float | tuple[str, ...]], ...]
+"""What differs from `Needs()`, in the order of its fields."""
+Roles = tuple[tuple[str, tuple[str, ...]], ...]
+"""Roles and who has them: r0, r1, … or +capability."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,30 +54,40 @@ class Cell:
     noise_m: float = 0.0
     noise_rad: float = 0.0
     collisions_expected: bool = False
+    team: str = ""  # as in a request: empty: as the behaviour's record says
+    needs: NeedsTable = ()
+    roles: Roles = ()
 
     @property
     def label(self) -> str:
-        """The behaviour with its parameters, for people."""
-        return " ".join((self.behaviour, *(f"{name}={_words(value)}" for name, value in self.parameters)))
+        """The behaviour with its parameters and the other terms of its request, for people."""
+        terms = {"team": self.team} if self.team else {}
+        words = (*self.parameters, *terms.items(), *self._terms())
+        return " ".join((self.behaviour, *(f"{name}={_words(value)}" for name, value in words)))
+
+    def _terms(self) -> tuple[tuple[str, float | tuple[str, ...]], ...]:
+        """Return needs and roles, each with a name of its own."""
+        needs = ((f"needs.{name}", value) for name, value in self.needs)
+        return (*needs, *((f"roles.{role}", names) for role, names in self.roles))
 
     def requested(self) -> dict[str, Any]:
         """Return the parameters as a request and a TOML file have them: points are lists."""
         found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(dict(self.parameters)))
         return found
 
-    def fields(self) -> dict[str, Requested]:
+    def fields(self) -> dict[str, Requested | tuple[str, ...]]:
         """Return what a filter can match."""
-        fields: dict[str, Requested] = asdict(self)
-        del fields["parameters"]
-        return {**dict(self.parameters), **fields}
+        plain = (name for name in self.__slots__ if name not in ("parameters", "needs", "roles"))
+        return {**dict(self.parameters), **{name: getattr(self, name) for name in plain}, **dict(self._terms())}
 
 
-def _words(value: Requested | tuple[float, float]) -> str:
-    """Return a value for people; of points ``3 16, 9 4``."""
+def _words(value: Requested | tuple[float, float] | tuple[str, ...]) -> str:
+    """Return a value for people; of points ``3 16, 9 4``, of names ``r0 r1``."""
     if not isinstance(value, tuple):
         return str(value)
     points = any(isinstance(each, tuple) for each in value)
-    return (", " if points else " ").join(_words(each) if isinstance(each, tuple) else f"{each:g}" for each in value)
+    words = (f"{each:g}" if isinstance(each, int | float) else _words(each) for each in value)
+    return (", " if points else " ").join(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +223,9 @@ def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
             noise_m=group.noise.position_m,
             noise_rad=group.noise.heading_rad,
             collisions_expected=group.collisions_expected or behaviour.collisions_expected,
+            team=_first(behaviour.team, group.team) or "",
+            needs=_needs(_first(behaviour.needs, group.needs) or {}),
+            roles=tuple((_first(behaviour.roles, group.roles) or {}).items()),
         )
         for each, limits, behaviour, scenario, robots in product(
             group.engines if engine is None else (engine,),
@@ -218,7 +238,17 @@ def _cells(group: Group, small: Small | None, engine: str | None) -> list[Cell]:
     ]
 
 
-def fits(fields: dict[str, Requested], text: str) -> bool:
+def _needs(given: dict[str, Any]) -> NeedsTable:
+    needs = needs_of(given)
+    values = ((name, getattr(needs, name)) for name in Needs.__struct_fields__)
+    return tuple((name, value) for name, value in values if value != getattr(ANYTHING, name))
+
+
+def _first(own: T | None, usual: T | None) -> T | None:
+    return usual if own is None else own
+
+
+def fits(fields: Mapping[str, object], text: str) -> bool:
     """Return whether a cell's fields fit a filter: ``field=pattern``, or a pattern that any field fits."""
     name, equals, pattern = text.partition("=")
     if equals:

@@ -15,7 +15,10 @@ from rich.table import Table
 from fullswarm import output
 from fullswarm.clock import MonotonicClock
 from fullswarm.core.behaviours import Library
+from fullswarm.core.groups import Groups
+from fullswarm.core.roles import check_names
 from fullswarm.core.settings import seeds
+from fullswarm.core.teams import team_of
 from fullswarm.errors import ConfigError, FullswarmError, RequestRefused, did_you_mean
 from fullswarm.evaluate.experiment import (
     Experiment,
@@ -56,6 +59,7 @@ from fullswarm.evaluate.trial_folder import (
     trial_id,
     write_trial,
 )
+from fullswarm.messages import BehaviourRequest
 from fullswarm.store import Store
 
 PROGRESS_S = 5.0
@@ -356,7 +360,11 @@ def _refusal(trial: Trial) -> str:
         store.seed(seeds(config))
         library = Library(store)
         record = library.get(trial.cell.behaviour)
-        library.resolve(record, parameters(trial, scenario, goals), [each.id for each in config.robot])
+        wanted = parameters(trial, scenario, goals)
+        library.resolve(record, wanted, config.robots)
+        check_names(dict(trial.cell.roles), record)
+        asked = BehaviourRequest(id="0", behaviour=record.name, parameters=wanted, team=trial.cell.team)
+        team_of(asked, record, config.robots, Groups(store))
     except RequestRefused as error:
         return f"behaviour '{trial.cell.label}': {error.what}{f' ({error.hint})' if error.hint else ''}"
     finally:

@@ -440,7 +440,8 @@ def _arrivals(motion: Motion, stored: Mapping[str, NDArray[Any]], found: Recount
         return
     there = far <= 0.0
     found.arrived = Range(int((far[-1] <= -2.0 * GRAIN).sum()), int((far[-1] <= 2.0 * GRAIN).sum()))
-    everyone = np.flatnonzero(there[1:].all(axis=1))
+    aimed = np.isfinite(stored["goals"]).all(axis=1)  # robots that take no part have no goal
+    everyone = np.flatnonzero((there[1:] | ~aimed).all(axis=1) & aimed.any())
     if len(everyone) and motion.count:
         found.all_arrived_s = (int(everyone[0]) + 1) * motion.step_s
     for robot in np.flatnonzero(there[-1]).tolist():

@@ -8,9 +8,8 @@ from typing import Any
 import msgspec
 
 from fullswarm.messages import MissionStatus
-from fullswarm.operator.missions import SILENT_S
+from fullswarm.operator.missions import ENDED, SILENT_S
 
-ENDED = ("done", "failed", "aborted")
 SHOWN_S = 60.0
 """A mission that has ended is shown for so long."""
 MOST = 16
