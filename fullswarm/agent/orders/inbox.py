@@ -273,8 +273,8 @@ class Inbox:
         self._folder = folder
         self.estops.remember(folder)
         for row, robot in enumerate(self._fleet.ids):
-            self.halts[row] = folder.halt_of(robot, self._scheduler.now_s())
-            if self._state.estop[row] and not (self.halts[row] and self.halts[row].estop):
+            self.halts[row] = halt = folder.halt_of(robot, self._scheduler.now_s())
+            if self._state.estop[row] and (halt is None or not halt.estop):
                 self._note_halt(row, "", "", estop=True)
 
     def _halt(self, row: int, why: Reason) -> None:
