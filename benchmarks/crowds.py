@@ -122,7 +122,7 @@ def case(kind: str, limits: str, count: int, seed: int) -> Case:
         kind, limits, seed, world, starts,
         goals=np.ascontiguousarray(goals[:, :2]),
         goal_radius_m=0.3 if kind == "random" else scenario.goal.radius_m,
-        limit_s=200.0 if kind in ("dense", "thousand") else 120.0,
+        limit_s={"dense": 200.0, "thousand": 300.0}.get(kind, 120.0),
     )  # fmt: skip
 
 

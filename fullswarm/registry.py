@@ -25,7 +25,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
-from fullswarm.errors import ConfigError, did_you_mean
+from fullswarm.errors import ConfigError, FullswarmError, did_you_mean
 
 DRIVER_GROUP = "fullswarm.drivers"
 BEHAVIOUR_GROUP = "fullswarm.behaviours"
@@ -387,5 +387,14 @@ def _import(module: str, where: str) -> Any:
     except ImportError as error:
         raise ConfigError(f"'{module}' does not import: {error}", where=where) from error
     except Exception as error:  # of an outside module, whatever it raises
-        what = f"'{module}' does not import: {type(error).__name__}: {_message(error)}"
-        raise ConfigError(what, where=line_of(error, Path(module.replace(".", "/")))) from error
+        why = str(error) if isinstance(error, FullswarmError) else f"{type(error).__name__}: {_message(error)}"
+        raise ConfigError(f"'{module}' does not import: {why}", where=line_of(error, _file(module))) from error
+
+
+def _file(module: str) -> Path:
+    """Return the file of a module that does not import; if its package does not either, where it is to be."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except Exception:  # of an outside package, whatever it raises
+        spec = None
+    return Path(spec.origin) if spec is not None and spec.origin else Path(module.replace(".", "/"))

@@ -95,7 +95,8 @@ def write_safety(document: dict[str, Any]) -> None:
     lines = [
         "# Safety: the table",
         "",
-        "`fullswarm experiment run safety --json`, seeds 0-19, two processes on a 2-core machine. " + counts(document),
+        "`fullswarm experiment run safety --json`, seeds 0-19 or fewer, two processes on a 2-core machine. "
+        + counts(document),
         "Scenarios and what counts: `evaluate/experiment/safety.toml`; pairs and robots touched beside collisions, and",
         "how contacts are judged: [decision 21](../decisions/0021-contacts.md). Written by `docs/results/write.py`.",
         "",

@@ -158,7 +158,7 @@ def _next_steps(law: str, project: Path, *, centralised: bool) -> str:
     values = "--set start=2,4 --set end=6,4" if centralised else "--set goal=4,4"
     return (
         f"Next:\n{where}"
-        f"  {Path(sys.executable).name} -m pytest tests/test_{law}.py\n"
+        f"  {Path(sys.executable).name} -m pytest tests/test_{law}.py    # if there is no pytest: pip install pytest\n"
         "  fullswarm up lab.toml --reload        # loads the law again whenever you save it; --console: shows a page\n"
         "and in another terminal\n"
         f"  fullswarm request {law}_bc {values} --wait\n"

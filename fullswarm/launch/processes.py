@@ -15,7 +15,7 @@ import platformdirs
 from fullswarm import registry
 from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
 from fullswarm.bus.endpoint import host_of, is_loopback
-from fullswarm.clock import MonotonicClock
+from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
@@ -108,7 +108,7 @@ def agent(config: SwarmConfig, robot: str, with_parent: bool) -> int:
         identity = Identity(robot, process_id(robot))
         board = OnBoard.from_environment(runtime, config.agent)
         node = nodes.agent(bus, board or runtime, config, fleet, identity, runtime.stats)
-        node.inbox.remember_latches(LatchFolder(latch_folder(config, entry)))
+        node.inbox.remember_latches(LatchFolder(latch_folder(config, entry), clock_id()))
         if board:
             return [node, board.watch(node)]
         if not reload.wanted():

@@ -11,7 +11,9 @@ from fullswarm.errors import ConfigError
 from fullswarm.kernels import Array
 from fullswarm.simulation.obstacles import obstacle_gap, static_obstacles, with_trigonometry
 
-SPACINGS_RADII = (3.5, 2.6)  # 0.6 m for a Create; tighter only when the arena asks for it
+# From robot to robot, and between a rim and whatever stands; 0.6 and 0.05 m for a Create. Tighter only when the arena
+# asks for it: a robot must not start within the safety filter's margin, or count as touching.
+SPACINGS_RADII = ((3.5, 0.3), (2.6, 0.3), (2.6, 0.0))
 JITTER = 0.1  # of the gap between neighbours: breaks the symmetry that deadlocks a swarm
 SLACK_M = 1e-6  # bodies that just touch do not overlap
 
@@ -41,13 +43,14 @@ def default_starts(
     x_min, y_min, x_max, y_max = config.bounds_m
     middle = (x_min + x_max) / 2, (y_min + y_max) / 2
     for high_x, high_y in (middle, (x_max, y_max)):
-        for spacing_radii in SPACINGS_RADII:
+        for spacing_radii, gap_radii in SPACINGS_RADII:
+            room_m = (1.0 + gap_radii) * radius_m
             found: list[tuple[float, float, float]] = []
             occupied = np.array([pose[:2] for pose in taken], dtype=float).reshape(-1, 2)
-            for x, y in _grid(config, high_x, high_y, spacing_radii * radius_m, radius_m):
+            for x, y in _grid(config, high_x, high_y, spacing_radii * radius_m, radius_m, room_m):
                 if len(found) == n:
                     break
-                if _free(x, y, radius_m, obstacles, occupied, others_m):
+                if _free(x, y, room_m, obstacles, occupied, others_m):
                     found.append((x, y, 0.0))
             if len(found) == n:
                 return np.array(found, dtype=float).reshape(-1, 3)
@@ -59,11 +62,11 @@ def default_starts(
 
 
 def _grid(
-    config: WorldConfig, high_x: float, high_y: float, spacing: float, radius_m: float
+    config: WorldConfig, high_x: float, high_y: float, spacing: float, radius_m: float, room_m: float
 ) -> Iterator[tuple[float, float]]:
     rng = np.random.default_rng(config.seed)
     jitter = JITTER * (spacing - 2 * radius_m)
-    margin = radius_m + jitter + SLACK_M
+    margin = room_m + jitter + SLACK_M
     x_min, y_min = config.bounds_m[:2]
     for y in np.arange(y_min + margin, high_y - margin, spacing):
         for x in np.arange(x_min + margin, high_x - margin, spacing):
@@ -71,10 +74,10 @@ def _grid(
             yield float(x + dx), float(y + dy)
 
 
-def _free(x: float, y: float, radius_m: float, obstacles: Array, occupied: Array, others_m: Array) -> bool:
-    if len(occupied) and np.min(np.hypot(occupied[:, 0] - x, occupied[:, 1] - y) - others_m) < radius_m:
+def _free(x: float, y: float, room_m: float, obstacles: Array, occupied: Array, others_m: Array) -> bool:
+    if len(occupied) and np.min(np.hypot(occupied[:, 0] - x, occupied[:, 1] - y) - others_m) < room_m:
         return False
-    return not any(_overlap_m(x, y, radius_m, obstacles, k) > 0.0 for k in range(len(obstacles)))
+    return not any(_overlap_m(x, y, room_m, obstacles, k) > 0.0 for k in range(len(obstacles)))
 
 
 def _overlap_m(x: float, y: float, radius_m: float, obstacles: Array, k: int) -> float:

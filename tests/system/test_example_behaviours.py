@@ -47,14 +47,14 @@ TASKS: list[float | list[float]] = [[2.0, 5.0], [4.0, 3.0], [6.0, 5.0]]
 
 
 class Up:
-    """`fullswarm up` with the examples under development, and its bus."""
+    """`fullswarm up` with a package under development, the examples, and its bus."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, package: Path = EXAMPLES) -> None:
         hub, self.log = free_port(), folder / "up.log"
         (folder / "lab.toml").write_text(FLEET.format(hub=hub, world=free_port()))
         with self.log.open("w") as sink:
             command = [sys.executable, "-m", "fullswarm", "up", "lab.toml"]
-            environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), DEVELOP: str(EXAMPLES)}
+            environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), DEVELOP: str(package)}
             self.process = subprocess.Popen(command, cwd=folder, stderr=sink, env=environment)
         self.clock = MonotonicClock()
         self.runtime = Runtime(self.clock, Mailbox())

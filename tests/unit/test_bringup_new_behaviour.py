@@ -63,6 +63,7 @@ def test_without_a_package_it_makes_a_lab(tmp_path: Path, monkeypatch: pytest.Mo
     code, _, stderr = new("orbit_all")
     assert code == 0, stderr
     assert "fullswarm up lab.toml --reload" in stderr
+    assert "pip install pytest" in stderr
     project = tmp_path / "orbit-all-lab"
     assert (project / "lab.toml").is_file()
     assert entry_points(project)["fullswarm.behaviours"]["orbit_all"] == "orbit_all_lab.orbit_all"

@@ -54,7 +54,7 @@ class Lab:
     """A whole swarm with a mission, and an operator whose stops reach the robots and no core."""
 
     def __init__(self, path: Path) -> None:
-        self.whole = Whole(path=path)
+        self.whole = Whole(path=path, latches=path.with_suffix(".latches"))
         self.missions = MissionClient(
             self.whole.bus, KEYS, self.whole.runtime, "anna", clock="lab", on_status=self._received
         )
@@ -119,6 +119,62 @@ def test_a_stop_of_one_robot_pauses_the_mission_of_all(lab: Lab) -> None:
     assert lab.whole.drives_within(4.0) == []
     assert lab.status is not None
     assert lab.status.phase == "paused"
+
+
+@pytest.mark.parametrize("act", [Lab.stop, Lab.estop])
+@pytest.mark.parametrize("silent_s", [0.1, 1.4])
+def test_a_stop_outlives_the_agents_as_well(lab: Lab, act: Callable[[Lab], None], silent_s: float) -> None:
+    """Core and agents are killed around the stop; both come back in either order."""
+    lab.start()
+    lab.whole.kill_core()
+    lab.whole.run(silent_s)
+    act(lab)
+    lab.whole.run(0.3)
+    for robot in list(lab.whole.agents):
+        lab.whole.kill_agent(robot)
+        lab.whole.start_agent(robot)
+    lab.whole.run(0.5)
+    lab.whole.start_core()
+    assert lab.whole.drives_within(5.0) == []
+    assert lab.status is not None
+    assert lab.status.phase == "paused", lab.status
+
+
+@pytest.mark.parametrize("act", [Lab.stop, Lab.estop])
+def test_a_stop_of_a_behaviour_outlives_core_and_agents(lab: Lab, act: Callable[[Lab], None]) -> None:
+    whole = lab.whole
+    whole.operator.request("move_to_goal_bc", (), {"goal": [40.0, 10.0]}, lambda _status: None)
+    whole.run(2.0)
+    assert whole.driven()
+    whole.kill_core()
+    act(lab)
+    whole.run(0.1)
+    for robot in list(whole.agents):
+        whole.kill_agent(robot)
+    whole.run(0.5)
+    for robot in whole.worlds:
+        whole.start_agent(robot)
+    whole.start_core()
+    assert whole.drives_within(5.0) == []
+
+
+@pytest.mark.parametrize("rebooted", [False, True])
+def test_what_was_asked_for_after_a_stop_outlives_an_agent(lab: Lab, tmp_path: Path, rebooted: bool) -> None:
+    """The agent is down while it is asked; the core knows the stop, also when the time that is kept means nothing."""
+    whole = lab.whole
+    whole.operator.stop()
+    whole.run(0.5)
+    whole.kill_agent("r1")
+    whole.run(0.5)
+    whole.operator.request("move_to_goal_bc", ("r1",), {"goal": [40.0, 10.0]}, lambda _status: None)
+    whole.run(0.5)
+    if rebooted:
+        for file in whole.latches.glob("*.stop") if whole.latches else ():
+            file.write_text(file.read_text().replace('"clock":"lab"', '"clock":"boot before"'))
+    whole.start_agent("r1")
+    assert whole.drives_within(3.0) == ["r1"]
+    assert whole.latches is not None
+    assert sorted(file.name for file in whole.latches.iterdir()) == ["r0.stop", "r2.stop"]
 
 
 def test_a_core_killed_at_any_write_of_a_stop_does_not_undo_it(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from fullswarm.agent.orders.estops import SETTLE_TIMEOUT_S, LatchFolder
 from fullswarm.config import SwarmConfig
 from fullswarm.launch.processes import RUN, STATE, latch_folder
-from fullswarm.messages import EStop
+from fullswarm.messages import EStop, StopRequest
 from tests.unit.agent_bench import TICK_S, Bench
 
 ORDER = EStop(id="e", engaged=True, source="ann", reason="smoke")
@@ -130,6 +130,40 @@ def test_a_latch_of_one_robot_is_not_anothers(tmp_path: Path) -> None:
     again = Bench([(5.0, 5.0, 0.0), (8.0, 5.0, 0.0)])
     again.agent.inbox.remember_latches(folder)
     assert again.agent.controller.estop.tolist() == [False, True]
+
+
+def test_a_stop_is_kept_until_something_is_started(tmp_path: Path) -> None:
+    folder = LatchFolder(tmp_path, "boot 1")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.remember_latches(folder)
+    driving(bench)
+    bench.bus.publish(bench.keys.stop, StopRequest(id="s", source="ann"))
+    bench.run(1.0)
+    kept = folder.halt_of("r1", bench.runtime.now_s())
+    assert kept is not None
+    assert (kept.id, kept.source, kept.estop) == ("s", "ann", False)
+    assert kept.stamp_s == pytest.approx(bench.runtime.now_s() - 1.0, abs=0.05)
+    rebooted = LatchFolder(tmp_path, "boot 2").halt_of("r1", 7.0)
+    assert rebooted is not None
+    assert (rebooted.id, rebooted.stamp_s) == ("s", 7.0)
+    (tmp_path / "r1.stop").write_bytes(b'{"clock"')
+    unread = folder.halt_of("r1", 9.0)
+    assert unread is not None
+    assert unread.stamp_s == 9.0
+    driving(bench)
+    assert folder.halt_of("r1", 9.0) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_cannot_be_written_stops_nobody_less(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    bench = Bench([(5.0, 5.0, 0.0)])
+    bench.agent.inbox.remember_latches(LatchFolder(tmp_path / "file" / "latches", "boot"))
+    driving(bench)
+    bench.bus.publish(bench.keys.stop, StopRequest(id="s", source="ann"))
+    bench.run(1.0)
+    assert not bench.commanded.any()
+    driving(bench)
 
 
 def test_what_is_in_the_file_does_not_matter(tmp_path: Path) -> None:

@@ -257,10 +257,15 @@ def test_a_behaviour_that_is_written_while_the_swarm_runs_can_be_requested(on_bo
 
 def test_a_law_that_was_never_good_is_refused_with_its_line_and_runs_once_it_is(on_board: Lab) -> None:
     lab = on_board
-    lab.law.write_text("x = 1\ny = = 2\n")
-    lab.ask()
-    assert lab.phase != "running"
-    assert "glide.py:2" in lab.statuses[-1].reason
+    for text, why in (
+        ("x = 1\ny = = 2\n", "SyntaxError: invalid syntax"),
+        ("x = 1\ny = int('z')\n", "ValueError: invalid literal"),
+        ("from fullswarm.envs import policy\n_law = policy('none.onnx')\n", "none.onnx: no such file"),
+    ):
+        lab.write(lab.law, text)
+        lab.ask()
+        assert lab.phase != "running"
+        assert f"{lab.law}:2: 'my_lab.glide' does not import: {why}" in lab.statuses[-1].reason
     lab.write(lab.law, LAW.format(vx=1.0))
     lab.ask()
     assert lab.phase == "running"

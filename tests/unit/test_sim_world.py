@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fullswarm.clock import SimClock
-from fullswarm.config import NoiseConfig, WorldConfig
+from fullswarm.config import AgentConfig, NoiseConfig, WorldConfig
 from fullswarm.drivers.base import Fleet, Hazard, Lifecycle, Limits
 from fullswarm.errors import ConfigError
 from fullswarm.simulation.fleet import SimFleet
@@ -137,6 +137,22 @@ def test_default_starts_are_apart_and_repeat(n: int) -> None:
     if n <= 100:
         assert starts[:, :2].max() < 10.0
     World(config, tuple(map(str, range(n))), starts).close()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_default_starts_leave_the_filters_margin_to_walls_boxes_and_robots(seed: int) -> None:
+    box = (2.0, 2.0, 1.0, 1.0, 0.0)
+    config = KINEMATIC.model_copy(update={"boxes": (box,), "seed": seed})
+    given = (0.6, 1.4, 0.0)
+    x, y, _ = default_starts(config, 60, [given]).T
+    radius_m = config.radius_m
+    least_m = radius_m + AgentConfig().safety_margin_m
+    assert min(x.min(), y.min(), 10.0 - x.max(), 10.0 - y.max()) >= least_m
+    outside = np.hypot(np.maximum(np.abs(x - 2.0) - 0.5, 0.0), np.maximum(np.abs(y - 2.0) - 0.5, 0.0))
+    assert outside.min() >= least_m
+    assert np.hypot(x - given[0], y - given[1]).min() >= radius_m + least_m
+    apart = np.hypot(x[:, None] - x, y[:, None] - y) + 10.0 * np.eye(len(x))
+    assert apart.min() >= radius_m + least_m
 
 
 def test_robots_without_a_pose_stand_beside_the_others() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fullswarm.agent.node import AgentNode
+from fullswarm.agent.orders.estops import LatchFolder
 from fullswarm.agent.state import Identity
 from fullswarm.bus.local import LocalBus
 from fullswarm.clock import SimClock
@@ -90,6 +91,7 @@ class Whole:
     seed: int = 0
     count: int = 3
     path: Path | None = None
+    latches: Path | None = None  # of the agents, if they keep any
     statuses: dict[str, RequestStatus] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -151,6 +153,8 @@ class Whole:
         self.agents[robot] = AgentNode(
             self.bus, self.runtime, self.config, fleet, identity, world.pose.copy(), self.runtime.stats
         )
+        if self.latches is not None:
+            self.agents[robot].inbox.remember_latches(LatchFolder(self.latches, "lab"))
 
     def kill_agent(self, robot: str) -> None:
         self._note_end(robot)

@@ -1,4 +1,8 @@
-"""Latches and releases e-stops: carries each order out once, confirms it whenever asked for, keeps latches on disk."""
+"""Latches and releases e-stops: carries each order out once, confirms it whenever asked for, keeps latches on disk.
+
+The newest stop of each robot is kept beside them, until the robot starts something: a core that was down when it was
+sent must learn of it from the robot, also when the robot's agent has been restarted in between.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ from fullswarm.bus.base import Bus
 from fullswarm.drivers.base import Fleet
 from fullswarm.kernels import Array
 from fullswarm.keys import Keys
-from fullswarm.messages import EStop, EStopReceipt
+from fullswarm.messages import EStop, EStopReceipt, Halt
 
 REMEMBERED = 256
 SETTLE_TIMEOUT_S = 5.0
@@ -180,14 +184,60 @@ class EStops:
 log = structlog.get_logger()
 
 
+class KeptHalt(msgspec.Struct, frozen=True):
+    """What a file ``<robot>.stop`` holds; `clock`: on which the stamp of the halt is, see ``clock_id``."""
+
+    clock: str
+    halt: Halt
+
+
 class LatchFolder:
     """Files ``<robot>.estop``. What is in them is for people; that a file is there is the latch.
 
-    So a file that was cut short by a power loss, or that cannot be read, still holds the robot.
+    So a file that was cut short by a power loss, or that cannot be read, still holds the robot. The newest stop or
+    e-stop of a robot that has started nothing since is in ``<robot>.stop``.
+
+    Parameters
+    ----------
+    clock : the name of this process's clock, see ``clock_id``; empty: it has none, all kept stops are as of now
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, clock: str = "") -> None:
+        self._folder, self._clock = folder, clock
+
+    def keep_halt(self, robot: str, halt: Halt) -> None:
+        """Keep a stop. It does not wait for the disk: what it guards against is the end of the process."""
+        file = self._folder / f"{robot}.stop"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            part = file.with_suffix(".part")
+            part.write_bytes(msgspec.json.encode(KeptHalt(self._clock, halt)) + b"\n")
+            part.replace(file)
+        except OSError as error:
+            log.error("a restart of this agent would not know of the stop", robot=robot, error=str(error))
+
+    def halt_of(self, robot: str, now_s: float) -> Halt | None:
+        """Return the stop that was kept; as of `now_s` where its time is not known, which is the safe side."""
+        file = self._folder / f"{robot}.stop"
+        try:
+            kept = msgspec.json.decode(file.read_bytes(), type=KeptHalt)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+            log.error("cannot read its last stop: it is taken for stopped", robot=robot, error=str(error))
+            return Halt(id=f"unread {now_s:.3f}", stamp_s=now_s)
+        halt = kept.halt
+        if self._clock and kept.clock == self._clock and halt.stamp_s <= now_s:
+            return halt
+        return msgspec.structs.replace(halt, stamp_s=now_s)
+
+    def forget_halt(self, robot: str) -> None:
+        """Take the stop away: the robot has started something."""
+        try:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                (self._folder / f"{robot}.stop").unlink()
+        except OSError as error:
+            log.error("a restart of this agent would take the stop for a new one", robot=robot, error=str(error))
 
     def holds(self, robot: str) -> bool:
         """Tell whether `robot` was latched and never released; when in doubt it was."""

@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Literal
 
-import numpy as np
-
 from fullswarm.agent.message_delay import MessageDelay
 from fullswarm.agent.motion.robot_controller import RobotController, explain_hazards
 from fullswarm.agent.orders.estops import EStops, LatchFolder
@@ -80,6 +78,7 @@ class Inbox:
         self._command_sequence: list[tuple[str, str, int]] = [("", "", -1)] * len(ids)
         self._delays = [MessageDelay() for _ in ids]
         self._stops: Recent[str, None] = Recent(REMEMBERED_STOPS)
+        self._folder: LatchFolder | None = None
         self.estops = EStops(bus, keys, config.control_rate_hz, fleet, state, controller.speed_limit, wake)
         robot = ids[0] if len(ids) == 1 else "*"
         self._subscriptions = [
@@ -175,6 +174,8 @@ class Inbox:
             self._tasks.enable(row, task)
         except FullswarmError as error:
             return given(str(error))
+        if self.halts[row] is not None and self._folder is not None:
+            self._folder.forget_halt(self._fleet.ids[row])
         self.halts[row] = None
         self._controller.law_failed[row] = False
         self.ended[row], self.results[row] = NONE, None
@@ -244,10 +245,12 @@ class Inbox:
             return
         if stop.id:
             self._stops[stop.id] = None
-        for row in self._addressed(stop.robots):
+        rows = self._addressed(stop.robots)
+        for row in rows:
             self._halt(row, reason(Code.STOPPED, by=stop.source or "an operator"))
             self._note_halt(row, stop.id, stop.source, estop=False)
         self._wake()
+        self._keep_halts(rows)
 
     def _on_estop(self, order: EStop) -> None:
         if self.estops.repeats(order):
@@ -262,12 +265,17 @@ class Inbox:
             if order.engaged:  # its release starts nothing, so the e-stop itself remains what the core must know
                 self._note_halt(row, order.id, order.source, estop=True)
         self.estops.carry_out(order, rows, self._scheduler.now_s())
+        if order.engaged:
+            self._keep_halts(rows)
 
     def remember_latches(self, folder: LatchFolder) -> None:
-        """Keep latches in `folder`, and latch the robots that it names."""
+        """Keep latches and stops in `folder`, latch the robots that it names, and take up the stops it has kept."""
+        self._folder = folder
         self.estops.remember(folder)
-        for row in np.flatnonzero(self._state.estop).tolist():
-            self._note_halt(row, "", "", estop=True)
+        for row, robot in enumerate(self._fleet.ids):
+            self.halts[row] = halt = folder.halt_of(robot, self._scheduler.now_s())
+            if self._state.estop[row] and (halt is None or not halt.estop):
+                self._note_halt(row, "", "", estop=True)
 
     def _halt(self, row: int, why: Reason) -> None:
         """Stop a robot and void all its requests, also for a core that does not receive the stop."""
@@ -279,6 +287,16 @@ class Inbox:
         now_s = self._scheduler.now_s()
         # Without an id it cannot be known again: each one counts.
         self.halts[row] = Halt(id=order_id or f"unnamed {now_s:.3f}", source=source, estop=estop, stamp_s=now_s)
+
+    def _keep_halts(self, rows: Iterable[int]) -> None:
+        """Keep the stops of these robots on disk; the wheels come first."""
+        folder = self._folder
+        if folder is None:
+            return
+        for row in rows:
+            halt = self.halts[row]
+            if halt is not None:
+                folder.keep_halt(self._fleet.ids[row], halt)
 
     def watch_estops(self, now_s: float) -> None:
         """Confirm the e-stops of robots that have come to a standstill."""

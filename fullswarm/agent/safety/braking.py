@@ -124,6 +124,8 @@ def fitting_turn(
     left, right = free_fan(heading, distance, planes, count)
     if left < 0.0:
         return turn, False
+    if left == right == math.inf:
+        return turn, True
     fastest_left = math.inf
     fastest_right = math.inf
     if left < math.inf:

@@ -307,14 +307,16 @@ def guard(
                 speed = twists[i, 0]
                 turn = twists[i, 1]
                 desired_speed = speed
-            desired_speed = clamp(desired_speed, low, top)
-            turn = clamp(turn, -turn_limit, turn_limit)
+            # Written out: in plain Python three calls of `clamp` take 0.3 µs.
+            desired_speed = low if desired_speed < low else (top if desired_speed > top else desired_speed)
+            turn = -turn_limit if turn < -turn_limit else (turn_limit if turn > turn_limit else turn)
             if count == 0:
                 speed = desired_speed
             else:
                 low, high = interval(ahead_x, ahead_y, low, top, planes, count)
+                speed = low if speed < low else (high if speed > high else speed)
                 speed, turn, fits = stoppable(
-                    heading, clamp(speed, low, high), turn, speed_now, turn_now, accel, turn_accels[i], period_s,
+                    heading, speed, turn, speed_now, turn_now, accel, turn_accels[i], period_s,
                     planes, count,
                 )  # fmt: skip
                 why = FREE if fits else TOO_FAST
