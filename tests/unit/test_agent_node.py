@@ -204,6 +204,15 @@ def test_a_law_that_fails_makes_its_robots_stand_and_say_why(bench: Bench) -> No
     driving(bench)
 
 
+def test_a_law_that_raises_is_named_with_its_line(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    driving(bench)
+    monkeypatch.delattr(move_to_goal, "np")
+    bench.enable("move_to_goal", {"goal": [1.0, 1.0], "gain": 1.0, "arrive_radius_m": 0.1})
+    bench.run(0.2)
+    said = bench.agent.desired.law_error[0].text
+    assert re.fullmatch(r"law 'move_to_goal': NameError: name '\w+' is not defined \(move_to_goal.py:\d+\)", said)
+
+
 def test_a_law_that_answers_nan_makes_its_robots_stand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     law = move_to_goal.velocity
     broken: list[bool] = []

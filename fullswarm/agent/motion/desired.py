@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import structlog
 
+from fullswarm import registry
 from fullswarm.agent.motion.actuation import Actuation
 from fullswarm.agent.motion.coordination import Coordinator, Crowd
 from fullswarm.agent.motion.evade import Evasion
@@ -24,6 +26,7 @@ from fullswarm.agent.state import AgentState
 from fullswarm.agent.view import Context, Ending, RequestsDiffer, View
 from fullswarm.config import AgentConfig
 from fullswarm.drivers.base import FleetReading
+from fullswarm.errors import FullswarmError
 from fullswarm.kernels import Array, Index, sum_of
 from fullswarm.reasons import NONE, Code, Reason, reason
 
@@ -212,10 +215,25 @@ class DesiredMotion:
                 log.info("a robot knows a way to its goal again", robot=robot)
 
     def _law_failed(self, group: Group, error: Exception) -> None:
-        why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}")
+        why = reason(Code.LAW, law=group.law, error=f"{type(error).__name__}: {error}{_place(group.law, error)}")
         self._controller.law_failed[group.rows] = True
         for row in group.rows:
             self.law_error[row] = why
         if why.text not in self._logged_errors:
             self._logged_errors.add(why.text)
             log.error("a control law failed; its robots are stopped", law=group.law, error=str(error), exc_info=error)
+
+
+def _place(law: str, error: Exception) -> str:
+    """Return the line of the law's own file that an error came by, in brackets; empty where none did."""
+    file = getattr(registry.law_module(law), "__file__", None)
+    if file is None or isinstance(error, FullswarmError):
+        return ""
+    # By hand, because it may be in each control period: `traceback` reads the source as well.
+    line = 0
+    entry = error.__traceback__
+    while entry is not None:
+        if entry.tb_frame.f_code.co_filename == file:
+            line = entry.tb_lineno
+        entry = entry.tb_next
+    return f" ({Path(file).name}:{line})" if line else ""
