@@ -31,6 +31,7 @@ key                                                     message                w
 ``<swarm>/mission/reply/<id>``                          MissionReply           core → the asker
 ``<swarm>/mission/status``                              MissionStatus          core → all
 ``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
+``<swarm>/actuators/<host>``                            ActuatorReport         agent → operators
 ``<swarm>/reload/<host>``                               FileReload             agent, core → operators
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
@@ -194,6 +195,10 @@ class Keys:
     def memory(self, host: str = ANY) -> str:
         """What control laws remember."""
         return f"{self.swarm}/memory/{host}"
+
+    def actuators(self, host: str = ANY) -> str:
+        """What was asked of the actuators of robots."""
+        return f"{self.swarm}/actuators/{host}"
 
     def reload(self, host: str = ANY) -> str:
         """What became of changed files of behaviours under development."""

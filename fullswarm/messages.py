@@ -616,6 +616,21 @@ class BehaviourMemory(Message, frozen=True, kw_only=True):
     stamp_s: Stamp = 0.0
 
 
+class RobotActuators(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What was asked of the actuators of one robot, in words for people; part of ActuatorReport."""
+
+    robot: str
+    values: Annotated[dict[ShortText, ShortText], Meta(max_length=64)]
+
+
+class ActuatorReport(Message, frozen=True, kw_only=True):
+    """What was asked last of the actuators of a host's robots and taken, 1 Hz once there is any: for people."""
+
+    host: str
+    robots: Annotated[tuple[RobotActuators, ...], Meta(max_length=MOST)] = ()
+    stamp_s: Stamp = 0.0
+
+
 class FileReload(Message, frozen=True, kw_only=True):
     """What became in one process of a changed file of a behaviour under development (`up --reload`): for people."""
 

@@ -34,6 +34,7 @@ from fullswarm.agent.safety.deadlock import Deadlocks
 from fullswarm.agent.safety.filter import SafetyFilter, Tuning, robot_params
 from fullswarm.agent.safety.startup import check_stopping, vaguest_fix_m
 from fullswarm.agent.state import AgentState, Identity
+from fullswarm.agent.telemetry.actuated import ActuatorReporter
 from fullswarm.agent.telemetry.interventions import PERIOD_S as INTERVENTION_PERIOD_S
 from fullswarm.agent.telemetry.interventions import InterventionReporter
 from fullswarm.agent.telemetry.metrics import MetricSampler
@@ -187,6 +188,7 @@ class AgentNode:
             bus, keys, scheduler, identity.host, fleet.ids, state, self.tasks, self.filter, self.neighbours.names
         )
         self._remembered = MemoryReporter(bus, keys, scheduler, identity.host, fleet.ids, self.tasks)
+        self._actuated = ActuatorReporter(bus, keys, scheduler, identity.host, fleet)
         self._reports = Reports(
             identity, fleet, state, self.tasks, self.filter, self.calculators, self.fixes, self.pose_conflicts,
             law_error=self.desired.law_error, blocked=self.desired.blocked, ended=self.inbox.ended,
@@ -215,7 +217,7 @@ class AgentNode:
             every(1.0 / settings.measurement_rate_hz, partial(self.publish_measurements, whole=False)),
             every(FOLLOW_PERIOD_S, self._follow, first_s=0.0),
             every(INTERVENTION_PERIOD_S, self.interventions.publish),
-            every(MEMORY_PERIOD_S, self._remembered.publish),
+            every(MEMORY_PERIOD_S, self._publish_for_people),
             every(SENSE_PERIOD_S, self._sense_obstacles, first_s=0.0),
         ]
 
@@ -329,12 +331,17 @@ class AgentNode:
         self._state.setpoints = self._fleet.command(twists, self.controller.drive_on)
         if self.desired.asked:
             self.actuators.carry_out(self.desired.asked, self.controller.drive_on)
+            self._actuated.note(self.desired.asked, self.controller.drive_on, self.actuators.refused)
             self.desired.asked.clear()
         if self.desired.news:
             self.desired.news, self._dirty = False, True
         if self.controller.changed or not self._state.driver_ready[0]:
             self._dirty |= self.controller.changed
             self._drivers.end_unsafe_tasks(reading.hazards)
+
+    def _publish_for_people(self) -> None:
+        self._remembered.publish()
+        self._actuated.publish()
 
     def _end_tasks(self) -> None:
         """End the behaviours that have ended themselves, before anything is commanded: their robots stand."""

@@ -74,6 +74,17 @@ class Actuator:
         both = ", ".join(_range(span, unit) for span, unit in zip(self.span, self.unit, strict=True))
         return f"up to {self.longest} pairs ({both})"
 
+    def shown(self, value: object) -> str:
+        """Return a value that it takes in words: ``on``, ``0.5 m``, ``red``, ``3 pairs``."""
+        found = self.check(value)
+        if isinstance(found, bool):
+            return "on" if found else "off"
+        if isinstance(found, float):
+            return f"{found:.4g} {self.unit[0]}".rstrip()
+        if isinstance(found, str):
+            return found.strip() or "blank"
+        return f"{len(found)} pair{'' if len(found) == 1 else 's'}" if found else "silent"
+
     def _word(self, value: object) -> str | None:
         if not isinstance(value, str):
             return None

@@ -71,6 +71,11 @@ def footer_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"SILENT, no longer reporting: {_names(snapshot.silent)}")
     if len(snapshot.robots) <= _MEMORIES_SHOWN:
         lines += [f"{row.robot} remembers {text}" for row in snapshot.robots if (text := memory_text(row.memory))]
+        lines += [
+            f"{row.robot}: {', '.join(f'{name} {value}' for name, value in row.actuators.items())}"
+            for row in snapshot.robots
+            if row.actuators
+        ]
     if snapshot.request is not None:
         request = snapshot.request
         reason = f", {request.reason}" if request.reason else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import msgspec
@@ -11,6 +11,7 @@ import msgspec
 from fullswarm.bus.base import Bus
 from fullswarm.keys import Keys
 from fullswarm.messages import (
+    ActuatorReport,
     BehaviourMemory,
     HealthReport,
     Heartbeat,
@@ -37,7 +38,7 @@ ASK_S = 0.5
 """Between two queries for profiles that have not been received."""
 
 MEMORY_S = 3.0
-"""What a control law remembers is reported each second; older: it has ended."""
+"""What a control law remembers, and what it asks of actuators, is reported each second; older: it has ended."""
 
 _NO_STATE = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
@@ -58,6 +59,7 @@ class RobotRow:
     version: str = ""  # of the software there
     profile: RobotProfile | None = None  # None: not received yet
     memory: RobotMemory | None = None  # None: its control law remembers nothing
+    actuators: Mapping[str, str] = field(default_factory=dict)  # what was asked of each last, in words
 
     @property
     def silent(self) -> bool:
@@ -138,6 +140,7 @@ class FleetView:
         self._states: dict[str, tuple[float, tuple[float, float, float, float, float]]] = {}
         self._profiles: dict[str, RobotProfile] = {}
         self._memories: dict[str, tuple[float, dict[str, RobotMemory]]] = {}  # by host
+        self._actuators: dict[str, tuple[float, dict[str, dict[str, str]]]] = {}  # by host
         self._nodes: dict[str, tuple[float, Heartbeat]] = {}
         self._summaries: dict[str, Summary] = {}
         self._request: RequestStatus | None = None
@@ -147,6 +150,7 @@ class FleetView:
             bus.subscribe(keys.state(), RobotStates, self._on_states, latest=True),
             bus.subscribe(keys.profile(), RobotProfiles, self._on_profiles),
             bus.subscribe(keys.memory(), BehaviourMemory, self._on_memory, latest=True),
+            bus.subscribe(keys.actuators(), ActuatorReport, self._on_actuators, latest=True),
             bus.subscribe(keys.heartbeat(), Heartbeat, self._on_heartbeat, latest=True),
             bus.subscribe(keys.summary(), Summary, self._on_summary, latest=True),
             bus.subscribe(keys.behaviour_status, RequestStatus, self._on_status),
@@ -211,17 +215,25 @@ class FleetView:
             version="" if report is None else report.version,
             profile=self._profiles.get(robot),
             memory=self._memory("" if report is None else report.host, robot, now_s),
+            actuators=self._actuators_of("" if report is None else report.host, robot, now_s),
         )
 
     def _memory(self, host: str, robot: str, now_s: float) -> RobotMemory | None:
         arrived_s, found = self._memories.get(host, (-math.inf, {}))
         return found.get(robot) if now_s - arrived_s <= MEMORY_S else None
 
+    def _actuators_of(self, host: str, robot: str, now_s: float) -> Mapping[str, str]:
+        arrived_s, found = self._actuators.get(host, (-math.inf, {}))
+        return found.get(robot, {}) if now_s - arrived_s <= MEMORY_S else {}
+
     def _on_profiles(self, message: RobotProfiles) -> None:
         self._profiles |= {each.robot: each for each in message.robots}
 
     def _on_memory(self, message: BehaviourMemory) -> None:
         self._memories[message.host] = self._scheduler.now_s(), {each.robot: each for each in message.robots}
+
+    def _on_actuators(self, message: ActuatorReport) -> None:
+        self._actuators[message.host] = self._scheduler.now_s(), {each.robot: each.values for each in message.robots}
 
     def _on_health(self, report: HealthReport) -> None:
         now_s = self._scheduler.now_s()
@@ -265,6 +277,7 @@ def _robot_as_dict(row: RobotRow) -> dict[str, object]:
     more: dict[str, object] = {
         "capabilities": [] if row.profile is None else list(row.profile.capabilities),
         "memory": {} if row.memory is None else {name: list(values) for name, values in row.memory.fields.items()},
+        "actuators": dict(row.actuators),
     }
     return {"robot": row.robot, "silent": row.silent, **numbers, **health, **more}
 

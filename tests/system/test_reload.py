@@ -50,7 +50,7 @@ PROMPT_S = 2.0
 class UnderDevelopment:
     """`fullswarm up lab.toml --reload` in a lab that is not installed, and its bus."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
+    def __init__(self, folder: Path, *options: str, fleet: str = FLEET) -> None:
         write({folder / path: text for path, text in lab_files("my-lab").items()})
         self.law, self.log = folder / "my_lab" / "glide.py", folder / "up.log"
         self.law.write_text(LAW.format(speed=0.3))
@@ -58,7 +58,7 @@ class UnderDevelopment:
         project = folder / "pyproject.toml"
         project.write_text(project.read_text().replace('ring = "my', 'glide = "my_lab.glide"\nring = "my'))
         hub = free_port()
-        (folder / "lab.toml").write_text(FLEET.format(hub=hub, world=free_port()))
+        (folder / "lab.toml").write_text(fleet.format(hub=hub, world=free_port()))
         with self.log.open("w") as sink:
             command = [sys.executable, "-m", "fullswarm", "up", "lab.toml", "--reload", *options]
             environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

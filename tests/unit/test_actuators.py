@@ -27,6 +27,10 @@ from fullswarm.drivers.sim.session import Session as SimSession
 from fullswarm.drivers.sim.settings import parse_url
 from fullswarm.errors import DriverError
 from fullswarm.kernels import Array
+from fullswarm.messages import ActuatorReport
+from fullswarm.operator.console.fleet import fleet as fleet_frame
+from fullswarm.operator.render import footer_lines
+from fullswarm.operator.view import FleetView
 from fullswarm.simulation.fleet import SimFleet
 from fullswarm.simulation.world import World
 from fullswarm.testing.actuators import bad_values, good_values
@@ -265,3 +269,58 @@ def test_what_a_robot_does_not_have_is_logged_once_with_the_reason_and_it_drives
     assert "takes off | white" in told[1]["reason"]
     assert bench.simulated.actuators[0] == {"lamp": "off", "gripper": "closed"}
     assert bench.commanded[0, 0] > 0.25
+
+
+# ---------------------------------------------------------------- what operators see of it
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("lamp", True, "on"),
+        ("lamp", np.False_, "off"),
+        ("arm", 0.5, "0.5 rad"),
+        ("gripper", "closed", "closed"),
+        ("display", "   ", "blank"),
+        ("song", [], "silent"),
+        ("song", [(60, 1.0)], "1 pair"),
+        ("song", [(60, 1.0), (62, 1.0)], "2 pairs"),
+    ],
+)
+def test_a_value_in_words(name: str, value: object, words: str) -> None:
+    (actuator,) = (each for each in EVERY if each.name == name)
+    assert actuator.shown(value) == words
+
+
+def test_operators_see_what_was_asked_last_and_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    lamp = ["red"]
+
+    def signalling(view: View, params: Params) -> Array:
+        view.actuate(view.id == "r2", "lamp", lamp[0])
+        view.actuate(view.id == "r2", "gripper", "welded")  # is refused
+        return np.zeros((len(view.position), 2))
+
+    install(monkeypatch, signalling=signalling)
+    bench, sent = Bench([(1.0, 1.0, 0.0), (5.0, 1.0, 0.0)]), list[ActuatorReport]()
+    bench.bus.subscribe(bench.keys.actuators(), ActuatorReport, sent.append)
+    view = FleetView(bench.bus, bench.keys, bench.runtime)
+    bench.run(2.1)
+    assert sent == []  # nothing until something is asked
+    bench.enable("signalling")
+    bench.run(1.1)
+    assert [(each.robot, each.values) for each in sent[-1].robots] == [("r2", {"lamp": "red"})]
+    seen = view.snapshot()
+    assert [dict(row.actuators) for row in seen.robots] == [{}, {"lamp": "red"}]
+    assert seen.as_dict()["robots"][1]["actuators"] == {"lamp": "red"}  # type: ignore[index]
+    assert fleet_frame(seen, 0.0)["robots"][1]["actuators"] == {"lamp": "red"}
+    assert "r2: lamp red" in footer_lines(seen)
+    lamp[0] = "green"
+    bench.run(1.1)
+    assert view.snapshot().robots[1].actuators == {"lamp": "green"}
+    bench.stop("s")
+    bench.run(4.0)
+    assert view.snapshot().robots[1].actuators == {"lamp": "green"}  # a value holds until another is asked
+    before = len(sent)
+    bench.estop(True, "e1")
+    lamp[0] = "blue"
+    bench.run(1.1)
+    assert len(sent) == before + 1
+    assert sent[-1].robots[0].values == {"lamp": "green"}  # a robot that may not drive gets none

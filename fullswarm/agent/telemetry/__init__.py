@@ -5,5 +5,6 @@
 ``waiting.py``        Which silent robots a robot that stands waits for
 ``interventions.py``  What the safety filter changes, in which direction, and because of what
 ``remembered.py``     What control laws remember, for recordings and operators
+``actuated.py``       What was asked of the robots' actuators, for operators
 ``health_file.py``    The result of the health check of a new release, as a file
 """

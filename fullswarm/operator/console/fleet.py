@@ -92,6 +92,7 @@ def _robot(row: RobotRow) -> dict[str, Any]:
         "deviation_m_s": _finite(health.deviation_m_s),
         "filter_note": health.filter_note,
         "capabilities": [] if row.profile is None else row.profile.capabilities,
+        "actuators": dict(row.actuators),
         "memory": memory_text(row.memory)[:LONGEST_MEMORY],
     }
 

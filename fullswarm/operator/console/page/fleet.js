@@ -2,7 +2,7 @@
 
 import { byId, make, setFlag, setText } from "./dom.js";
 import { OLD_S, seconds } from "./link.js";
-import { IDLE } from "./palette.js";
+import { IDLE, actuatorText } from "./palette.js";
 import { byNumber } from "./store.js";
 
 /** @import { Robot } from "./types.d.ts" */
@@ -143,8 +143,9 @@ export class FleetTable {
     const { head, rest } = stateWords(info, alert);
     row.element.classList.toggle("attention", alert);
     setText(row.state, head);
-    setText(row.behaviour, info.behaviour || "no behaviour");
-    row.behaviour.title = info.memory ? `remembers ${info.memory}` : "";
+    const parts = actuatorText(info);
+    setText(row.behaviour, [info.behaviour || "no behaviour", parts].filter(Boolean).join(" · "));
+    row.behaviour.title = [info.behaviour, parts, info.memory && `remembers ${info.memory}`].filter(Boolean).join("\n");
     setText(row.advice, rest);
     row.advice.title = rest;
     row.state.title = info.state ?? "";

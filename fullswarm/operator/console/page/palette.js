@@ -6,6 +6,8 @@ const PATTERNS = ["plain", "stripes", "dots", "rings"];
 
 export const IDLE = { colour: "#9AA3AD", pattern: "plain" };
 
+/** @import { Robot } from "./types.d.ts" */
+
 /** @typedef {{colour: string, pattern: string}} Look */
 /** @typedef {(typeof MAP_COLOURS)["light"]} Colours */
 
@@ -65,3 +67,24 @@ export const MAP_COLOURS = {
     dim: "rgba(11, 16, 21, 0.62)",
   },
 };
+
+const LAMPS = /** @type {Record<string, string>} */ ({
+  white: "#FFFFFF", red: "#E5202B", yellow: "#F5D000", green: "#18B13C", blue: "#2A7BFF",
+});
+
+/**
+ * Return the colour of a robot's lamp; undefined: it is off, or has none.
+ * @param {Partial<Robot>} robot
+ */
+export function lampColour({ actuators = {} }) {
+  const lamp = Object.values(actuators).find((value) => Object.hasOwn(LAMPS, value));
+  return lamp && LAMPS[lamp];
+}
+
+/**
+ * Name what was asked last of a robot's actuators: "lamp red, gripper closed".
+ * @param {Partial<Robot>} robot
+ */
+export function actuatorText({ actuators = {} }) {
+  return Object.entries(actuators).map((each) => each.join(" ")).join(", ");
+}

@@ -1,6 +1,6 @@
 /** Draws what moves: robots with their state, goals, the filter's arrows, sensing radii. CSS pixels. */
 
-import { kindOf } from "./palette.js";
+import { actuatorText, kindOf, lampColour } from "./palette.js";
 import { outline } from "./sprites.js";
 import { seconds } from "./link.js";
 
@@ -12,6 +12,7 @@ import { seconds } from "./link.js";
 /** @import { Viewport } from "./viewport.js" */
 
 const LEAST_RADIUS_PX = 7;
+const LEAST_LAMP_PX = 3.5;
 const MOST_DASHED = 12;
 const ARROW_PX_PER_M_S = 90;
 
@@ -56,6 +57,7 @@ export function drawRobots(scene, placed, selection, hovered) {
   for (const robot of placed) drawRobot(scene, robot, selection.has(robot.id));
   for (const robot of placed) {
     const chosen = selection.has(robot.id) || robot.id === hovered;
+    drawActuators(scene, robot, chosen);
     if (chosen || !crowded || robot.info.attention) drawLabel(scene, robot, chosen, mixed);
   }
 }
@@ -215,6 +217,32 @@ function drawLabel(scene, robot, chosen, mixed) {
   });
   const [x, y] = [px + radius_px + (info.estop || chosen ? 6 : 2), py - radius_px - 10];
   context.drawImage(sprite, x, y, sprite.width / dpr, sprite.height / dpr);
+}
+
+/**
+ * A lamp that is on, in its colour, on any robot; all actuators in words below a robot that is selected or hovered.
+ * @param {Scene} scene
+ * @param {Placed} robot
+ * @param {boolean} inWords
+ */
+function drawActuators({ context, sprites, store, colours, dpr }, robot, inWords) {
+  const { px, py, radius_px, info } = robot;
+  const lamp = lampColour(info);
+  if (lamp && !info.silent) {
+    const back = 0.45 * radius_px; // behind the arrow
+    context.beginPath();
+    context.arc(px - back * Math.cos(robot.heading), py + back * Math.sin(robot.heading), Math.max(LEAST_LAMP_PX, radius_px * 0.35), 0, 2 * Math.PI);
+    context.fillStyle = lamp;
+    context.fill();
+    context.lineWidth = 1.5;
+    context.strokeStyle = "#14202B";
+    context.stroke();
+  }
+  const words = inWords ? actuatorText(info) : "";
+  if (!words) return;
+  const sprite = sprites.text(words, { size: Math.round(13 * dpr), ink: colours.ink, halo: colours.halo });
+  const y = py + (store.filter.has(robot.id) ? 22 : 4); // below the filter's reason
+  context.drawImage(sprite, px + radius_px + 4, y, sprite.width / dpr, sprite.height / dpr);
 }
 
 /**

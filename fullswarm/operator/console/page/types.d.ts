@@ -29,6 +29,7 @@ export interface Robot {
   radius_m: number | null;
   filter_note: string;
   capabilities: string[];
+  actuators: Record<string, string>;
   memory: string;
 }
 
