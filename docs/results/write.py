@@ -62,15 +62,19 @@ def quiet(cells: list[Cell]) -> str:
     """Return the longest motion after the last progress, of the trials in which not all arrived."""
     longest = [cell["quiet_s"] for cell in cells if cell.get("quiet_s") is not None]
     restless = sum(cell.get("never_quiet") or 0 for cell in cells)
-    return ", ".join([f"{max(longest):.1f}"] * bool(longest) + [f"{restless} never"] * bool(restless)) or "-"
+    return (
+        ", ".join([f"{max(longest, default=0.0):.1f}"] * bool(longest) + [f"{restless} never"] * bool(restless)) or "-"
+    )
 
 
 def counts(document: dict[str, Any]) -> str:
     """Return the sentence with which a document begins."""
     cells = document["cells"]
+    expected = total((cell for cell in cells if cell["collisions_expected"]), "collisions")
     return (
         f"{document['trials_done']} trials, {document['trials_failed']} failed, {total(cells, 'collisions')} "
-        f"collisions ({total(cells, 'pairs_touched')} pairs, {total(cells, 'robots_touched')} robots touched), "
+        f"collisions ({total(cells, 'pairs_touched')} pairs, {total(cells, 'robots_touched')} robots touched), {expected} "
+        "of them\nin rows outside the assumptions, "
         f"{total(cells, 'commands_above_limits')} commands above\nthe limits, {total(cells, 'unsafe_starts')} starts "
         f"outside the safe set; {document['simulated_s']:.0f} s simulated in {document['wall_s']:.0f} s."
     )
