@@ -73,8 +73,8 @@ def counts(document: dict[str, Any]) -> str:
     expected = total((cell for cell in cells if cell["collisions_expected"]), "collisions")
     return (
         f"{document['trials_done']} trials, {document['trials_failed']} failed, {total(cells, 'collisions')} "
-        f"collisions ({total(cells, 'pairs_touched')} pairs, {total(cells, 'robots_touched')} robots touched), {expected} "
-        "of them\nin rows outside the assumptions, "
+        f"collisions ({total(cells, 'pairs_touched')} pairs, {total(cells, 'robots_touched')} robots touched), "
+        f"{expected} of them\nin rows outside the assumptions, "
         f"{total(cells, 'commands_above_limits')} commands above\nthe limits, {total(cells, 'unsafe_starts')} starts "
         f"outside the safe set; {document['simulated_s']:.0f} s simulated in {document['wall_s']:.0f} s."
     )
