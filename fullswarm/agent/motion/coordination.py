@@ -10,8 +10,8 @@ A unicycle follows the velocity with a delay, so discs count as larger while it 
 Breitenmoser, Rufli, Beardsley, Siegwart 2010). The robot uses its own pose and motion and the states that its
 neighbours send; nothing is negotiated, and a neighbour that does not take part is still avoided.
 
-What is left of a desired velocity in a crowd is little and jumps: it is smoothed over a few control periods, and a
-robot that keeps hardly any of it turns to where it wants to go instead of following it, so that wheels do not reverse.
+What is left of a desired velocity in a jam is little and jumps: a robot that keeps hardly any of it turns to where it
+wants to go instead of following it, so that wheels do not reverse.
 
 Only the *desired* velocity changes. The safety filter comes after it, so its guarantees hold whatever is computed here.
 """
@@ -37,25 +37,20 @@ SHARE = 0.8
 LATE_SHARE = 0.5
 """The same where the sensing radius is less than what a robot drives in the horizon: both see each other late, and two
 that overdo a strong change swing to and fro."""
-HELD_SHARE = 0.18
+HELD_SHARE = 0.25
 """A robot is held while less than this of its desired speed is left: the direction of what little is left jumps with
-each millimetre. A held robot desires to creep where it desired to go, so that it turns there."""
+each millimetre. A held robot desires to go where it did at `CREEP_SHARE` of that speed, so that it turns there."""
 CREEP_SHARE = 0.02
 RESTS_M_S = 0.02
 """A robot that desires less only gives way. It is held, and stands, while it is to give way by less."""
 RELEASED = 2.0
 """A held robot is released by so many times what it is held below."""
-SMOOTH_S = 0.07
-"""Time constant of the answer: in a crowd it jumps from one control period to the next."""
 MAX_LINES = 16
 """Half-planes per robot at most; of more neighbours, those that restrict the robot most count."""
 
 
 class Rules(NamedTuple):
-    """How robots avoid each other; `period_s`: in which those that overlap shall part, `reach_m`: sensing radius.
-
-    `blend`: share of a new answer, the rest is the last one's.
-    """
+    """How robots avoid each other; `period_s`: in which those that overlap shall part, `reach_m`: sensing radius."""
 
     horizon_s: float
     enlarged_m: float
@@ -63,21 +58,16 @@ class Rules(NamedTuple):
     late_share: float
     period_s: float
     reach_m: float
-    blend: float
 
 
 class Crowd(NamedTuple):
-    """The own robots, (n,) each; `takes_part`: others keep their desired velocity.
-
-    `held`, `last`: in and out, whether it is held, see `HELD_SHARE`, and (n, 2) its last velocity, m/s, NaN: none.
-    """
+    """The own robots, (n,) each; `takes_part`: others keep their desired velocity; `held`: in and out, see above."""
 
     takes_part: Flags
     radius: Array
     margin_m: Array
     speed_limit: Array
     held: Flags
-    last: Array
 
 
 class Motion(NamedTuple):
@@ -241,16 +231,11 @@ def reciprocal(
 
 
 @kernel
-def steady(
-    i: int, x: float, y: float, aim_x: float, aim_y: float, top: float, blend: float, crowd: Crowd
-) -> tuple[float, float]:
-    """Return the velocity (x, y) that robot `i` is to have instead of its aim, without what changes in each tick."""
-    held, last = crowd.held, crowd.last
-    if math.isfinite(last[i, 0]):
-        x = last[i, 0] + blend * (x - last[i, 0])
-        y = last[i, 1] + blend * (y - last[i, 1])
-    last[i, 0] = x
-    last[i, 1] = y
+def hold(i: int, x: float, y: float, aim_x: float, aim_y: float, top: float, held: Flags) -> tuple[float, float]:
+    """Return the velocity (x, y) that is left for robot `i` or, while it is held, hardly any of its aim; all in m/s.
+
+    `top`: speed limit, m/s; an aim may be faster.
+    """
     wanted = min(math.hypot(aim_x, aim_y), top)
     rests = wanted <= RESTS_M_S
     least = RESTS_M_S if rests else HELD_SHARE * wanted
@@ -259,7 +244,9 @@ def steady(
     held[i] = math.hypot(x, y) < least and (x != aim_x or y != aim_y)
     if not held[i]:
         return x, y
-    creep = 0.0 if rests else CREEP_SHARE
+    if rests:
+        return 0.0, 0.0
+    creep = CREEP_SHARE * wanted / math.hypot(aim_x, aim_y)
     return creep * aim_x, creep * aim_y
 
 
@@ -271,8 +258,8 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
     ----------
     lines : room for one robot's half-planes
     """
-    most_s, enlarged_m, usual_share, late_share, period_s, reach_m, blend = rules
-    takes_part, radius, margin_m, speed_limit, _, _ = crowd
+    most_s, enlarged_m, usual_share, late_share, period_s, reach_m = rules
+    takes_part, radius, margin_m, speed_limit, held = crowd
     start, other, places, states, spread_m, _, _ = near
     normal_x, normal_y, limits, _, _, _ = lines
     desired, pose, twist = motion
@@ -283,8 +270,7 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
         y = pose[i, 1]
         speed = twist[i, 0]
         if not takes_part[i] or not math.isfinite(aim_x + aim_y + x + y + pose[i, 2] + speed):
-            crowd.held[i] = False
-            crowd.last[i, 0] = math.nan
+            held[i] = False
             continue
         vx = speed * math.cos(pose[i, 2])
         vy = speed * math.sin(pose[i, 2])
@@ -326,13 +312,9 @@ def coordinate(rules: Rules, crowd: Crowd, near: Nearby, lines: Lines, motion: M
             new_x, new_y, fulfilled = nearest(count, normal_x, normal_y, limits, top, aim_x, aim_y, False)
             if fulfilled < count:
                 new_x, new_y = least_violation(fulfilled, count, top, new_x, new_y, lines)
-            new_x, new_y = steady(i, new_x, new_y, aim_x, aim_y, top, blend, crowd)
-            desired[i, 0] = new_x
-            desired[i, 1] = new_y
+            desired[i, 0], desired[i, 1] = hold(i, new_x, new_y, aim_x, aim_y, top, held)
         else:
-            crowd.held[i] = False
-            crowd.last[i, 0] = aim_x
-            crowd.last[i, 1] = aim_y
+            held[i] = False
 
 
 class Coordinator:
@@ -345,8 +327,7 @@ class Coordinator:
     """
 
     def __init__(self, crowd: Crowd, reach_m: float, period_s: float) -> None:
-        blend = period_s / (period_s + SMOOTH_S)
-        self._rules, self._crowd = Rules(HORIZON_S, ENLARGED_M, SHARE, LATE_SHARE, period_s, reach_m, blend), crowd
+        self._rules, self._crowd = Rules(HORIZON_S, ENLARGED_M, SHARE, LATE_SHARE, period_s, reach_m), crowd
         scratch = np.zeros((len(Lines._fields), MAX_LINES))
         # Plain Python reads lists and views faster than arrays.
         self._lines, self._listed = Lines(*scratch), Lines._make(scratch.tolist())

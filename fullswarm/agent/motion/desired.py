@@ -67,10 +67,8 @@ class DesiredMotion:
         self._standing = Standing(neighbours, evasion.objects)
         self._measured = Measured(state.pose, state.twist, np.zeros(count), state.sigma)  # kept while they are the same
         self._logged_errors: set[str] = set()
-        crowd = Crowd(
-            tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit, np.zeros(count, bool),
-            np.full((count, 2), math.nan),
-        )  # fmt: skip
+        held = np.zeros(count, bool)
+        crowd = Crowd(tasks.coordinated, state.radius, tasks.margin_m, controller.speed_limit, held)
         self._coordinator = Coordinator(crowd, settings.sensing_radius_m, 1.0 / settings.control_rate_hz)
         self.context = Context(
             neighbours.ids, neighbours.names, state, tasks.since_s, tasks.index, self._contacts_read, tasks.generator
