@@ -230,7 +230,7 @@ class Truth:
     def _arrival(self) -> dict[str, float]:
         times_s = self._state[self.arrived, ENTERED]
         goal_m = self._goal_m()
-        values = {"arrival.fraction": len(times_s) / int(np.isfinite(self._goals).all(axis=1).sum())}
+        values = {"arrival.fraction": len(times_s) / max(1, int(np.isfinite(self._goals).all(axis=1).sum()))}
         if np.isfinite(goal_m).any():
             values["formation.error_m"] = math.sqrt(float(np.nanmean(goal_m * goal_m)))
         if len(times_s):

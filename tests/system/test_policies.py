@@ -55,7 +55,8 @@ class Policies(Up):
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         page = PAGE.read_text(encoding="utf-8")
-        law, record = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1], re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0]  # fmt: skip  # noqa: E501  (one page)
+        law = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1]
+        record = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0]
         for name in ("homing", "unsound"):
             (folder / f"{name}.py").write_text(law.replace("net.onnx", f"{name}.onnx"))
             (folder / f"{name}.toml").write_text(record.replace("homing", name))

@@ -309,7 +309,8 @@ def test_operators_see_what_was_asked_last_and_taken(monkeypatch: pytest.MonkeyP
     assert [(each.robot, each.values) for each in sent[-1].robots] == [("r2", {"lamp": "red"})]
     seen = view.snapshot()
     assert [dict(row.actuators) for row in seen.robots] == [{}, {"lamp": "red"}]
-    assert seen.as_dict()["robots"][1]["actuators"] == {"lamp": "red"}  # type: ignore[index]
+    robots: Any = seen.as_dict()["robots"]
+    assert robots[1]["actuators"] == {"lamp": "red"}
     assert fleet_frame(seen, 0.0)["robots"][1]["actuators"] == {"lamp": "red"}
     assert "r2: lamp red" in footer_lines(seen)
     lamp[0] = "green"

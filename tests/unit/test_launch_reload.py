@@ -15,6 +15,7 @@ from structlog.testing import capture_logs
 from fullswarm import registry
 from fullswarm.bringup.init import lab_files, write
 from fullswarm.config import SwarmConfig
+from fullswarm.core.centralised.node import CentralisedNode
 from fullswarm.core.settings import record_seeds
 from fullswarm.launch import reload
 from fullswarm.launch.lockstep import Lockstep
@@ -199,8 +200,8 @@ def test_a_centralised_law_is_exchanged_as_well(lab: Lab) -> None:
     lab.record.write_text(RECORD.format(most=0.4, where="centralised = true"))
     lab.start()
     lab.ask()
-    node = next(each for each in lab.lockstep._nodes if type(each).__name__ == "CentralisedNode")
-    reload.LawReloader(lab.lockstep.runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), lab.note)  # type: ignore[arg-type]
+    node = next(each for each in lab.lockstep._nodes if isinstance(each, CentralisedNode))
+    reload.LawReloader(lab.lockstep.runtime, node, lambda: registry.loaded(registry.CENTRALISED_GROUP), lab.note)
     lab.lockstep.run(0.5)
     assert lab.speed == [0.3, 0.3]
     lab.write(lab.law, LAW.format(vx=0.5))
