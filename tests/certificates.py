@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 import ipaddress
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from cryptography.x509.oid import NameOID
 
 from fullswarm.identity import Credentials, Grant, Role
 
-HOUR = datetime.timedelta(hours=1)
+HOUR = dt.timedelta(hours=1)
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
@@ -31,7 +31,7 @@ class Authority:
         self.certificate = folder / "authority.pem"
         self._key = ec.generate_private_key(ec.SECP256R1())
         self._name = _name(common_name)
-        now = datetime.datetime.now(datetime.UTC)
+        now = dt.datetime.now(dt.UTC)
         own = (
             x509.CertificateBuilder()
             .subject_name(self._name)
@@ -52,13 +52,13 @@ class Authority:
         *,
         generation: int = 1,
         hosts: Sequence[str] = LOOPBACK,
-        starts: datetime.timedelta = -HOUR,
-        ends: datetime.timedelta = 24 * HOUR,
+        starts: dt.timedelta = -HOUR,
+        ends: dt.timedelta = 24 * HOUR,
         common_name: str | None = None,
     ) -> Credentials:
         """Make a certificate and its key; valid from `starts` to `ends` after now, for a hub at `hosts`."""
         key = ec.generate_private_key(ec.SECP256R1())
-        now = datetime.datetime.now(datetime.UTC)
+        now = dt.datetime.now(dt.UTC)
         common_name = f"{name}.{generation}" if common_name is None else common_name
         issued = (
             x509.CertificateBuilder()

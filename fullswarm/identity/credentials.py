@@ -92,7 +92,9 @@ def check_grants(grants: Iterable[Grant], where: str) -> None:
     for grant in grants:
         if not ROBOT_ID.match(grant.name):
             raise ConfigError(
-                f"'{grant.name}' cannot name a process", where=where, hint="use letters, digits, '-' and '_', 64 at most"
+                f"'{grant.name}' cannot name a process",
+                where=where,
+                hint="use letters, digits, '-' and '_', 64 at most",
             )
         if not grant.common_name or grant.common_name in seen:
             raise ConfigError(f"the common name '{grant.common_name}' is empty or listed twice", where=where)

@@ -9,6 +9,8 @@ import pytest
 from fullswarm.errors import ConfigError
 from fullswarm.identity import Grant, read_grants
 
+TWICE = {"common_name": "a.1", "name": "r1", "role": "robot"}
+
 
 def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
     grants = (Grant("r1.1", "r1", "robot"), Grant("anna.2", "anna", "operator"))
@@ -22,7 +24,7 @@ def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
         ([{"common_name": "r1.1", "name": "r1", "role": "king"}], "king"),
         ([{"common_name": "r1.1", "name": "r1"}], "role"),
         ([{"common_name": "r1.1", "name": "*", "role": "robot"}], "'*'"),
-        ([{"common_name": "a.1", "name": "r1", "role": "robot"}, {"common_name": "a.1", "name": "b", "role": "core"}], "a.1"),
+        ([TWICE, {**TWICE, "role": "core"}], "a.1"),
         ([{"common_name": "", "name": "r1", "role": "robot"}], "common name"),
         ({"r1": "robot"}, "array"),
     ],
