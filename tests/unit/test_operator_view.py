@@ -80,13 +80,13 @@ def test_ages_count_from_the_newest_message_of_a_robot(listening: Listening) -> 
     listening.report("h", health("r1"), health("r2"))
     listening.runtime.run(0.5)
     listening.states("h", "r2", "r3", x_m=4.0)
-    listening.runtime.run(1.75)
+    listening.runtime.run(0.75)
     snapshot = listening.view.snapshot()
     assert [(each.robot, each.age_s, each.x_m) for each in snapshot.robots if each.robot != "r1"] == [
-        ("r2", 1.75, 4.0),
-        ("r3", 1.75, 4.0),
+        ("r2", 0.75, 4.0),
+        ("r3", 0.75, 4.0),
     ]
-    assert snapshot.robots[0].age_s == 2.25
+    assert snapshot.robots[0].age_s == 1.25
     assert math.isnan(snapshot.robots[0].x_m)
     assert snapshot.robots[2].health is None
     assert snapshot.silent == ("r1",)  # heard, but too long ago
