@@ -468,6 +468,18 @@ class ClockReply(Message, frozen=True, kw_only=True):
     core_s: Stamp
 
 
+class Version(Message, frozen=True, kw_only=True, forbid_unknown_fields=False):
+    """Which messages a process speaks, 1 Hz. Its form never changes, so that processes of any release can read it.
+
+    Later releases may add fields; a reader ignores those that it does not know.
+    """
+
+    name: ShortText  # of the process: a robot's id, "core", …
+    software: ShortText
+    kinds: Annotated[dict[ShortText, Annotated[int, Meta(ge=0, le=2**31)]], Meta(max_length=512)]  # → version
+    stamp_s: Stamp = 0.0
+
+
 # ---------------------------------------------------------------- agents -> all
 class RobotStates(Message, frozen=True, kw_only=True, tag="RobotStates/3"):
     """Kinematic states of the robots that one host carries: one on board, all of them in lockstep.
@@ -877,6 +889,20 @@ class ParamChanged(Message, frozen=True, kw_only=True):
 
     layer: str
     entry: ParamEntry
+
+
+DRIVING: tuple[type[Message], ...] = (
+    ControlRequest, ControlAck, CentralisedRequest, CentralisedCommands, Command, StopRequest, EStop, EStopReceipt,
+    PoseFix, ObjectFix, Heartbeat, ClockProbe, ClockReply, RobotStates, Reception, RelayedStates, BehaviourBroadcast,
+    RobotProfiles, SearchedDiscs, SeenObstacles, HealthReport,
+)  # fmt: skip
+"""What must be of one version in all processes that drive robots; the rest is shown to people."""
+
+
+def versions() -> dict[str, int]:
+    """Return the messages of `DRIVING` with their versions, as :class:`Version` states them."""
+    tags = (str(kind.__struct_config__.tag).partition("/") for kind in DRIVING)
+    return {name: int(number) for name, _, number in tags}
 
 
 FITS: dict[type[Message], Callable[[Any], bool]] = {

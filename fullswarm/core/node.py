@@ -83,7 +83,7 @@ class CoreNode:
         self.remapper.restore(self.handler.holders)
         groups, roster = Groups(store), self.roster
         authority = Authority(bus, keys, scheduler, process, lambda names: groups.known(names, roster.known()))
-        controller = MainController(
+        self.controller = controller = MainController(
             bus, keys, self.library, roster, board, self.handler, self.remapper, groups, authority, request_order,
             scheduler,
         )  # fmt: skip
