@@ -4,6 +4,7 @@ import io
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -284,3 +285,16 @@ def test_repeated_values_are_not_shown_and_a_share_is_labelled() -> None:
 def test_trouble_stays_on_a_small_screen() -> None:
     lines = [line.rstrip() for line in text_of(full_snapshot(), max_rows=3, max_lines=2).splitlines()]
     assert lines[-2:] == ["MISSING, never reported: r4", "SILENT, no longer reporting: r3"]
+
+
+def test_a_clock_that_is_apart_is_named_with_what_to_do() -> None:
+    listening = Listening()
+    report = HealthReport(host="h", process="p", version="1", robots=(health("r1"),), wall_offset_s=-7.3)
+    listening.bus.publish(KEYS.health("h"), report)
+    near = HealthReport(host="g", process="p", version="1", robots=(health("r2"),), wall_offset_s=0.4)
+    listening.bus.publish(KEYS.health("g"), near)
+    listening.runtime.run(0.1)
+    (line,) = [each for each in footer_lines(listening.view.snapshot()) if "CLOCK" in each]
+    assert line.startswith("CLOCK of r1 is 7.3 s behind the core's: set it")
+    robots: Any = listening.view.snapshot().as_dict()["robots"]
+    assert [each["wall_offset_s"] for each in robots] == [-7.3, 0.4]
