@@ -33,6 +33,7 @@ key                                                     message                w
 ``<swarm>/memory/<host>``                               BehaviourMemory        agent → operators, trials
 ``<swarm>/actuators/<host>``                            ActuatorReport         agent → operators
 ``<swarm>/reload/<host>``                               FileReload             agent, core → operators
+``<swarm>/processes/<host>``                            ProcessReport          supervisor → operators
 ``<swarm>/intervention/<host>``                         Interventions          agent → operators
 ``<swarm>/stop``                                        StopRequest            any → agents, core
 ``<swarm>/estop``                                       EStop                  any → agents, core
@@ -203,6 +204,10 @@ class Keys:
     def reload(self, host: str = ANY) -> str:
         """What became of changed files of behaviours under development."""
         return f"{self.swarm}/reload/{host}"
+
+    def processes(self, host: str = ANY) -> str:
+        """The processes that a supervisor keeps running."""
+        return f"{self.swarm}/processes/{host}"
 
     def intervention(self, host: str = ANY) -> str:
         """What the safety filter changes."""

@@ -639,6 +639,30 @@ class FileReload(Message, frozen=True, kw_only=True):
     problem: Text = ""  # why it does not load, and what ran before goes on; empty: it was loaded
 
 
+ProcessPhase = Literal["starting", "running", "frozen", "ended", "given_up"]
+ProcessEnd = Literal["", "exit", "signal", "frozen"]
+
+
+class ProcessState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One process that a supervisor keeps running; part of ProcessReport."""
+
+    name: ShortText  # "hub", "core", …, a robot's id
+    phase: ProcessPhase
+    since_s: Duration = 0.0  # in this phase
+    starts: Count = 0
+    ended: ProcessEnd = ""  # how it ended last: by itself, by a signal, killed as frozen
+    code: Annotated[int, Meta(ge=0, le=2**31)] = 0  # of that end: exit code or number of the signal
+    text: Text = ""  # what it wrote last, if it was given up
+
+
+class ProcessReport(Message, frozen=True, kw_only=True):
+    """The processes that one supervisor (`up`, `demo`) keeps running, on change and 2 Hz: for people."""
+
+    host: str  # the computer
+    processes: Annotated[tuple[ProcessState, ...], Meta(max_length=MOST)]
+    stamp_s: Stamp = 0.0
+
+
 class Interventions(Message, frozen=True, kw_only=True):
     """What the safety filter changes now, at 5 Hz while it changes anything, then once empty. Columns of equal length.
 

@@ -20,6 +20,7 @@ from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames, in_frame
 from fullswarm.errors import ConfigError, did_you_mean
 from fullswarm.keys import Keys
+from fullswarm.launch.liveness import report_alive
 from fullswarm.launch.nodes import Node, process_id
 from fullswarm.output import INTERRUPTED
 from fullswarm.runtime import Mailbox, Runtime
@@ -187,6 +188,7 @@ def _serve(runtime: Runtime, nodes: Iterable[Node], with_parent: bool) -> int:
                 runtime.stop()
 
         runtime.every(PARENT_CHECK_S, leave_with_parent)
+        report_alive(runtime)
     gc.collect()
     gc.freeze()  # what is built once need not be collected, which would cost 20 ms each time
     try:

@@ -63,8 +63,8 @@ def fleet_table(snapshot: Snapshot, max_rows: int | None = None, max_lines: int 
 
 
 def footer_lines(snapshot: Snapshot) -> list[str]:
-    """Return what concerns the whole swarm: missing or silent robots, the newest request, summaries."""
-    lines = []
+    """Return what concerns the whole swarm: processes, missing or silent robots, the newest request, summaries."""
+    lines = [row.text for row in snapshot.processes if row.text]
     if snapshot.missing:
         lines.append(f"MISSING, never reported: {_names(snapshot.missing)}")
     if snapshot.silent:
