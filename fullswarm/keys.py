@@ -25,6 +25,7 @@ key                                                     message                w
 ``<swarm>/heartbeat/<node>``                            Heartbeat              core, centralised nodes
 ``<swarm>/clock/<host>/probe``                          ClockProbe             agent → core
 ``<swarm>/clock/<host>/reply``                          ClockReply             core → agent
+``<swarm>/version/<process>``                           Version                agents, core, world → all
 ``<swarm>/lease/request``                               LeaseRequest           operator → core
 ``<swarm>/lease/holders``                               Leases                 core → all
 ``<swarm>/mission/request``                             MissionRequest         operator → core
@@ -168,6 +169,10 @@ class Keys:
     def clock_reply(self, host: str = ANY) -> str:
         """The core's time."""
         return f"{self.swarm}/clock/{host}/reply"
+
+    def version(self, process: str = ANY) -> str:
+        """Which versions of messages a process speaks."""
+        return f"{self.swarm}/version/{process}"
 
     @property
     def lease_request(self) -> str:

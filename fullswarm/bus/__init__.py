@@ -15,6 +15,7 @@ Files:
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
 ``tls.py``             settings of a secured link, and why a client and a secured hub do not connect
+``versions.py``        finds processes of another release, whose messages this one cannot read
 ``zenoh_bus.py``       the live bus: a client's session with the hub, its settings and subscriptions
 """
 

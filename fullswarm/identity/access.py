@@ -55,6 +55,7 @@ from fullswarm.messages import (
     SeenObstacles,
     StopRequest,
     Summary,
+    Version,
     WorldHold,
 )
 
@@ -148,6 +149,12 @@ TOPICS: tuple[Topic, ...] = (
         _CORE_BEATS | _CORE | _PEOPLE,
     ),
     Topic("processes/<host>", (ProcessReport,), _CORE, _PEOPLE),
+    Topic(
+        "version/<name>",
+        (Version,),
+        _own("robot", "core", "centralised", "world"),
+        _any("robot", "core", "centralised", "world") | _PEOPLE,
+    ),
     Topic("clock/<host>/probe", (ClockProbe,), _OWN_ROBOT, _any("core", "observer")),
     Topic("clock/<host>/reply", (ClockReply,), _CORE, _OWN_ROBOT | _any("observer")),
     Topic("lease/request", (LeaseRequest,), _OPERATORS, _CORE | _PEOPLE),

@@ -11,6 +11,7 @@ from typing import Any
 
 from fullswarm.identity.access import OWN, Topic, topic_of
 from fullswarm.identity.credentials import FIXED, Role
+from fullswarm.identity.folder import certificate_name
 from fullswarm.keys import ANY
 from fullswarm.messages import (
     ActuatorReport,
@@ -63,7 +64,7 @@ ROBOTS: dict[type[Message], Callable[[Any], Iterable[str]]] = {
 """What a robot's agent reports of robots: each of them must be the sender."""
 
 OPERATORS: frozenset[type[Message]] = frozenset({BehaviourRequest, LeaseRequest, MissionRequest})
-"""Types with a field `operator`: a person at a computer, ``anna@lab1``, or empty; the person must be the sender."""
+"""Types with a field `operator`: a person at a computer, ``anna@lab1``, or empty; must be the sender."""
 
 SPEAKS_FOR_OTHERS: frozenset[str] = frozenset({"core", "console"})
 """Senders that may name any operator: the core in the steps of missions, the console after its own check of tokens."""
@@ -125,7 +126,7 @@ def _refusal(message: Message, sender: str, fields: tuple[tuple[str, str], ...],
                 return f"'{sender}' reports the robot '{robot:.64}'"
     if kind in OPERATORS and sender not in SPEAKS_FOR_OTHERS:
         operator: str = message.operator  # type: ignore[attr-defined]
-        if operator and operator.partition("@")[0] != sender:
+        if operator and sender not in (certificate_name(operator), operator.partition("@")[0]):
             return f"'{sender}' names the operator '{operator:.64}'"
     if isinstance(message, EStop) and not message.engaged and sender in MAY_NOT_RELEASE:
         return f"'{sender}' may not release an e-stop"

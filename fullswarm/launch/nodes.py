@@ -55,7 +55,7 @@ def core(
     extra: list[Node] = [CoverageSummarizer(bus, keys, scheduler, conditions)]
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
-    return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
+    return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)]
 
 
 def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> CentralisedNode:
@@ -72,13 +72,14 @@ def agent(
     fleet: Fleet,
     identity: Identity,
     loop: Callable[[], LoopStats],
+    wall_s: Callable[[], float] = wall_time_s,
 ) -> AgentNode:
     """Build the agent that carries the robots of `fleet`."""
     from fullswarm.agent.node import AgentNode
 
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
-    return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
+    return AgentNode(bus, scheduler, config, fleet, identity, start, loop, wall_s=wall_s)
 
 
 def start_poses(

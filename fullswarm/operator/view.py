@@ -65,6 +65,8 @@ class RobotRow:
     radius_m: float = math.nan
     host: str = ""  # that carries it; empty: no health report yet
     version: str = ""  # of the software there
+    wall_offset_s: float | None = None  # the time of day there less the core's; None: not known
+    round_trip_s: float = -1.0  # from there to the core and back; -1: not known
     profile: RobotProfile | None = None  # None: not received yet
     memory: RobotMemory | None = None  # None: its control law remembers nothing
     actuators: Mapping[str, str] = field(default_factory=dict)  # what was asked of each last, in words
@@ -264,6 +266,8 @@ class FleetView:
             radius_m=radius_m,
             host="" if report is None else report.host,
             version="" if report is None else report.version,
+            wall_offset_s=None if report is None else report.wall_offset_s,
+            round_trip_s=-1.0 if report is None else report.round_trip_s,
             profile=self._profiles.get(robot),
             memory=self._memory("" if report is None else report.host, robot, now_s),
             actuators=self._actuators_of("" if report is None else report.host, robot, now_s),
@@ -332,6 +336,8 @@ def _robot_as_dict(row: RobotRow) -> dict[str, object]:
         "capabilities": [] if row.profile is None else list(row.profile.capabilities),
         "memory": {} if row.memory is None else {name: list(values) for name, values in row.memory.fields.items()},
         "actuators": dict(row.actuators),
+        "wall_offset_s": row.wall_offset_s,
+        "round_trip_s": None if row.round_trip_s < 0.0 else row.round_trip_s,
     }
     return {"robot": row.robot, "silent": row.silent, **numbers, **health, **more}
 

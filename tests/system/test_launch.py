@@ -13,15 +13,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fullswarm.bus.zenoh_bus import ZenohBus
-from fullswarm.clock import MonotonicClock
-from fullswarm.keys import Keys
-from fullswarm.launch.liveness import PERIOD_S
-from fullswarm.launch.supervisor import SILENT_S
-from fullswarm.operator.view import FleetView, ProcessRow
-from fullswarm.runtime import Mailbox, Runtime
-from tests.waiting import until
-
 FLEET = """
 [hub]
 endpoint = "tcp/127.0.0.1:{port}"
@@ -126,39 +117,6 @@ def test_a_port_that_is_taken_ends_all_with_a_reason(fleet: Path, started: list[
     assert "another program listens on this port" in complaint
     assert "Traceback" not in complaint
     assert all_gone(children, 1.0)
-
-
-def test_a_frozen_core_is_started_again_and_operators_learn_why(
-    fleet: Path, started: list[subprocess.Popen[str]]
-) -> None:
-    """SIGSTOP: the system lists the process as before, but its loop stands."""
-    process = start(started, "up", str(fleet))
-    runtime = Runtime(MonotonicClock(), Mailbox())
-    bus = ZenohBus(runtime.mailbox, hub=fleet.read_text().split('"')[1])
-    view = FleetView(bus, Keys(), runtime)
-
-    def rows() -> dict[str, ProcessRow]:
-        runtime.run(0.05)
-        return {row.state.name: row for row in view.snapshot().processes}
-
-    def running() -> bool:
-        found = rows()
-        return len(found) == 5 and all(row.state.phase == "running" for row in found.values())
-
-    try:
-        until(running, 60.0, "all processes running")
-        core = next(each for each in psutil.Process(process.pid).children() if "core" in each.cmdline())
-        core.suspend()
-        took_s = until(lambda: rows()["core"].state.phase == "frozen", 20.0, "the core is reported as frozen")
-        until(lambda: rows()["core"].state.starts == 2 and running(), 30.0, "the core runs again")
-        assert took_s > SILENT_S - 2 * PERIOD_S
-        assert rows()["core"].text.startswith("core was frozen and was killed and runs again")
-        assert rows()["hub"].text == ""
-    finally:
-        view.close()
-        bus.close()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=20)
 
 
 @pytest.mark.parametrize("setting", ["hub.endpoint=foo", "hub.endpoint=tcp/127.0.0.1:99999", "world.address=foo"])
