@@ -8,6 +8,7 @@ Further files:
 
 ``__main__.py``    ``python -m fullswarm``: the same entry point as the ``fullswarm`` command, and that of a robot's
                    unit
+``audit/``         The audit log: who asked what of which robots, when, in a chain of hashes
 ``bringup/``       Brings up a robot: find it, test it, check this machine and the robot's computer
 ``bus/``           Publish and subscribe
 ``cli/``           The ``fullswarm`` command: one file per noun that parses, calls and prints
