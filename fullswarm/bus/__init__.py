@@ -14,6 +14,7 @@ Files:
 ``local.py``           the bus within one process: every message is delivered once, in the order of publishing
 ``network_faults.py``  injected faults of the network: their text, and a bus that loses, delays, doubles, reorders and
                        partitions
+``versions.py``        finds processes of another release, whose messages this one cannot read
 ``zenoh_bus.py``       the live bus: a client's session with the hub, its settings and subscriptions
 """
 

@@ -68,13 +68,13 @@ def core(
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
     if audit is None:
-        return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
+        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)]
     from fullswarm.audit.log import AuditLog
     from fullswarm.core.audit import AuditRecorder, noted_head
 
     log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
     recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
-    node = CoreNode(recorder.bus, scheduler, config, store, process, extra=tuple(extra))
+    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s)
     return [store, recorder, node]
 
 
@@ -92,13 +92,14 @@ def agent(
     fleet: Fleet,
     identity: Identity,
     loop: Callable[[], LoopStats],
+    wall_s: Callable[[], float] = wall_time_s,
 ) -> AgentNode:
     """Build the agent that carries the robots of `fleet`."""
     from fullswarm.agent.node import AgentNode
 
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
-    return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
+    return AgentNode(bus, scheduler, config, fleet, identity, start, loop, wall_s=wall_s)
 
 
 def start_poses(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fullswarm.audit.log import unlocked
 from fullswarm.bus.endpoint import check_endpoint
+from fullswarm.bus.zenoh_bus import ZenohBus
 from fullswarm.clock import MonotonicClock
 from fullswarm.config import SwarmConfig
 from fullswarm.drivers.fleet_file import check_frames
@@ -74,6 +75,8 @@ def run(
     runtime = Runtime(MonotonicClock())
     runtime.stop_on_signals()
     supervisor = Supervisor(config, runtime, insecure_network=insecure_network, develop=develop)
+    bus = ZenohBus(runtime.mailbox, hub=config.hub.endpoint)
+    supervisor.report_to(bus)
     try:
         if develop is not None:
             reload.watch(develop, runtime)
@@ -83,5 +86,6 @@ def run(
         runtime.after(SETTLED_S, lambda: progress(_hint(config, supervisor.folder)))
         runtime.run()
     finally:
+        bus.close()  # while the hub is there: without it that takes longer
         supervisor.close()
     return INTERRUPTED if runtime.exit_signal == signal.SIGINT else 0
