@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -474,7 +474,7 @@ def noted_head(store: Store) -> Head:
 
 
 def _with(event: Event, result: str, *, act: str = "", what: dict[str, object] | None = None,
-          robots: tuple[str, ...] | None = None) -> Event:  # fmt: skip
+          robots: Sequence[str] | None = None) -> Event:  # fmt: skip
     """Return an entry with its result, and with what is known in addition."""
     return Event(
         act or event.act,

@@ -27,7 +27,7 @@ def log_in(folder: Path, clock: SimClock | None = None, **options: object) -> Au
 
 
 def written(folder: Path, count: int = 6, **options: object) -> Path:
-    audit = log_in(folder, **options)
+    audit = log_in(folder, None, **options)
     for number in range(count):
         audit.append(Event("request", {"id": f"q{number}"}, ("r1",), "accepted", "operator", "anna@lab", "cli"))
     audit.close()
