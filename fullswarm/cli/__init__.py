@@ -19,7 +19,8 @@ file               commands
 ``results.py``     `results list|show|export|map|compare|report|index`
 ``scenario.py``    `scenario list|show|import|export`
 ``study.py``       `study check|run|status|export|unblind`
-``bundle.py``      `bundle`, `keys`
+``bundle.py``      `bundle`
+``keys.py``        `keys`, `keys init|issue|renew|revoke|list`
 ``deploy.py``      `deploy`, `update`, `rollback`, `fleet`, `logs`, `shell`, `reboot`
 ``flash.py``       `flash`
 ``options.py``     the decorator of all commands; options that several commands have

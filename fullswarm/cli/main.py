@@ -14,6 +14,7 @@ from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
+from fullswarm.cli.keys import keys_app
 from fullswarm.cli.leases import leases_app
 from fullswarm.cli.mission import mission_app
 from fullswarm.cli.options import Json, shell_command
@@ -52,10 +53,11 @@ for group, name, text in (
 ):
     app.add_typer(group, name=name, rich_help_panel=EVALUATE, help=text)
 for command in (
-    bundle.bundle, bundle.keys, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
+    bundle.bundle, deploy.deploy, deploy.update, deploy.rollback, deploy.logs, deploy.shell,
     deploy.reboot, deploy.fleet, flash.flash,
 ):  # fmt: skip
     app.command(rich_help_panel=DEPLOY)(command)
+app.add_typer(keys_app, name="keys", rich_help_panel=DEPLOY)
 app.add_typer(robots.robots_app, name="robots", rich_help_panel=HARDWARE)
 for command in (robots.doctor, robots.emulate):
     app.command(rich_help_panel=HARDWARE)(command)

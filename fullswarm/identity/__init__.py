@@ -2,7 +2,10 @@
 
 Files:
 
-``credentials.py``  roles, the files by which a process proves its name, the list of valid certificates
+``credentials.py``   roles, the files by which a process proves its name, the list of valid certificates
+``folder.py``        where these files lie, and whether they are private and whole
+``certificates.py``  what a certificate states; keys and signing requests
+``authority.py``     issues, renews, revokes and lists certificates
 """
 
 from fullswarm.identity.credentials import ROLES, Credentials, Grant, Role, read_grants
