@@ -10,6 +10,7 @@ import typer
 
 from fullswarm import __version__
 from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
+from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
@@ -41,6 +42,7 @@ for command in (
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
+    (audit_app, "audit"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
