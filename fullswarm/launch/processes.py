@@ -14,7 +14,7 @@ import platformdirs
 import structlog
 
 from fullswarm import registry
-from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus
+from fullswarm.bus.base import CENTRALISED, CORE, WORLD, Bus, SenderBus
 from fullswarm.bus.endpoint import host_of, is_loopback
 from fullswarm.clock import MonotonicClock, clock_id
 from fullswarm.config import RobotConfig, SwarmConfig
@@ -43,11 +43,33 @@ def latch_folder(config: SwarmConfig, robot: RobotConfig) -> Path:
     run = os.environ.get(RUN, "")
     if robot.simulated and run:
         return Path(run) / "estop"
-    state = os.environ.get(STATE, "")
-    folder = (Path(state) if state else platformdirs.user_state_path("fullswarm")) / "estop" / config.swarm
+    folder = state_folder() / "estop" / config.swarm
     if not robot.simulated:
         return folder
     return folder / re.sub(r"[^A-Za-z0-9.-]", "_", config.world_or_default.address)
+
+
+def state_folder() -> Path:
+    """Return the folder for what must survive every process and a power cut."""
+    state = os.environ.get(STATE, "")
+    return Path(state) if state else platformdirs.user_state_path("fullswarm")
+
+
+def audit_folder(config: SwarmConfig) -> Path:
+    """Return the folder for the audit log of a core."""
+    from fullswarm.audit.log import unlocked
+
+    core, run = config.core, os.environ.get(RUN, "")
+    if core.audit is not None:
+        return core.audit
+    if core.store is not None and not (run and core.store.is_relative_to(run)):
+        return core.store.with_name(f"{core.store.stem}-audit")
+    return Path(run) / "audit" if run else unlocked(usual_audit_folder(config.swarm))
+
+
+def usual_audit_folder(swarm: str) -> Path:
+    """Return where the audit log of a swarm is unless its fleet file says otherwise."""
+    return state_folder() / "audit" / swarm
 
 
 def hub(endpoint: str, insecure_network: bool, with_parent: bool) -> int:
@@ -71,8 +93,8 @@ def core(config: SwarmConfig, with_parent: bool) -> int:
     from fullswarm.launch import nodes, reload
     from fullswarm.store import Store
 
-    def build(bus: Bus, runtime: Runtime) -> list[Node]:
-        built = nodes.core(bus, runtime, config, process_id("core"))
+    def build(bus: SenderBus, runtime: Runtime) -> list[Node]:
+        built = nodes.core(bus, runtime, config, process_id("core"), audit=audit_folder(config))
         node = next(each for each in built if isinstance(each, CoreNode))
         watch = VersionWatch(bus, Keys(config.swarm), runtime, CORE, log_versions)
         node.controller.version_problem = watch.problem_of
@@ -187,7 +209,7 @@ def _entry(config: SwarmConfig, robot: str) -> RobotConfig:
 
 
 def serve_on_bus(
-    config: SwarmConfig, with_parent: bool, build: Callable[[Bus, Runtime], Iterable[Node]], name: str
+    config: SwarmConfig, with_parent: bool, build: Callable[[SenderBus, Runtime], Iterable[Node]], name: str
 ) -> int:
     """Serve the nodes that `build` makes, on the fleet's bus and the machine's clock; return the exit code.
 
