@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
@@ -359,13 +358,13 @@ class LiveSwarm:
             self.operator.close()
             self.view.close()
             self.summaries.close()
+            if self.kept:
+                self.supervisor.kept_folder()
             self.supervisor.close()
         finally:
             if self.world is not None:
                 self.world.close()
             self.bus.close()
-            if not self.kept:
-                shutil.rmtree(self.supervisor.folder, ignore_errors=True)
 
     def _ended_text(self, dead: tuple[str, ...]) -> str:
         """Say which processes ended, with their last output."""

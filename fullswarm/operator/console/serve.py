@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import importlib
 import ipaddress
 import json
@@ -186,6 +187,8 @@ async def _serve(
         address = url(host, port, token, options.allow_hosts)
         loop.call_soon(on_start, address, runtime, lambda: setattr(server, "should_exit", True))
         loop.call_soon(runtime_loop.wake)
+        gc.collect()
+        gc.freeze()  # what is built once need not be collected, least of all at the end, which would take longest
         await server.serve([listener])
         gateway.close()
         runtime_loop.close()
