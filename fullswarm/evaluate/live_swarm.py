@@ -36,6 +36,7 @@ from fullswarm.launch.supervisor import USAGE, Supervisor
 from fullswarm.launch.world import WorldNode
 from fullswarm.messages import Needs, RequestStatus, Value
 from fullswarm.operator.client import Operator
+from fullswarm.operator.session import own_credentials
 from fullswarm.operator.view import FleetView, RobotRow
 from fullswarm.reasons import Code
 from fullswarm.runtime import Mailbox, Runtime, Timer
@@ -87,7 +88,8 @@ class LiveSwarm:
         )
         self.config = config = self.supervisor.config
         self.keys = Keys(config.swarm)
-        self.bus = ZenohBus(self.runtime.mailbox, hub=config.hub.endpoint)
+        hub = config.hub.endpoint
+        self.bus = ZenohBus(self.runtime.mailbox, hub=hub, credentials=own_credentials(hub, config.swarm))
         self.operator = Operator(
             on_network(self.bus, self.runtime, config, OPERATOR),
             self.keys,

@@ -116,7 +116,9 @@ def on_free_ports(config: SwarmConfig, *, prefer_configured: bool = True) -> Swa
     world_port = _free(socket.SOCK_DGRAM, parse_address(world.address, where="world.address")[1], prefer_configured)
     free = config.model_copy(
         update={
-            "hub": config.hub.model_copy(update={"endpoint": f"tcp/{LOOPBACK}:{hub_port}"}),
+            "hub": config.hub.model_copy(
+                update={"endpoint": f"{config.hub.endpoint.partition('/')[0]}/{LOOPBACK}:{hub_port}"}
+            ),
             "world": world.model_copy(update={"address": f"{LOOPBACK}:{world_port}"}),
         }
     )

@@ -135,7 +135,7 @@ class Supervisor:
         write_swarm(self._with_memory(), fleet)
         network = ("--insecure-network",) if self.insecure_network else ()
         file = ("--fleet", str(fleet))
-        self.add("hub", "hub", "--listen", self.config.hub.endpoint, *network)
+        self.add("hub", "hub", "--listen", self.config.hub.endpoint, "--swarm", self.config.swarm, *network)
         self.add("core", "core", *file)
         self.add("centralised", "centralised", *file)
         if self.world and any(each.simulated for each in self.config.robot):
