@@ -135,6 +135,7 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
                 for sender in (name, "core" if name != "core" else "r1", "r2" if name != "r2" else "anna"):
                     key = f"test/{sender}/{rest}"
                     session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
+                    session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)  # never passed on
                     if sender == name and allowed(topic.publish, name, chunk):
                         others = (each for each in NAMES if each != name)
                         expected |= {(each, key, name) for each in others if allowed(topic.receive, each, chunk)}
@@ -148,6 +149,25 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
     assert got == expected
     assert {receiver for receiver, _, _ in got} == set(NAMES)
     assert {publisher for _, _, publisher in got} == set(NAMES) - {"eve"}
+
+
+def test_nobody_queries_answers_or_watches_anything_else(secured: SecuredHub) -> None:
+    seen: list[str] = []
+    with secured.session("core") as core, secured.session("r1") as robot, secured.session("anna") as anna:
+        for session in (core, robot):
+            session.declare_queryable("test/**", zenoh.handlers.Callback(lambda query: query.drop(), indirect=False))
+            session.declare_queryable(ACCESS_KEY, zenoh.handlers.Callback(lambda query: query.drop(), indirect=False))
+            session.liveliness().declare_token("test/core/alive")
+        watch = zenoh.handlers.Callback(lambda sample: seen.append(str(sample.key_expr)), indirect=False)
+        anna.liveliness().declare_subscriber("**", watch, history=True)
+        assert _admitted(robot)
+        assert _admitted(anna)
+        for key in ("test/**", "**", "test/core/heartbeat/core"):
+            assert not list(anna.get(key, timeout=0.5)), key
+            assert not list(anna.liveliness().get(key, timeout=0.5)), key
+        own = f"@/{anna.zid()}/"
+        assert all(str(reply.ok.key_expr).startswith(own) for reply in anna.get("@/**", timeout=0.5) if reply.ok)
+    assert not seen
 
 
 def _admitted(session: zenoh.Session) -> bool:

@@ -237,6 +237,20 @@ def test_a_hub_under_another_name_is_not_trusted(tmp_path: Path) -> None:
         assert "the hub's certificate is not for '127.0.0.1'" in refused(hub.endpoint, robot)
 
 
+def test_a_hub_whose_certificate_has_expired_is_not_trusted(tmp_path: Path) -> None:
+    authority = Authority(tmp_path)
+    robot = authority.issue("r1", "robot")
+    own = authority.issue("hub", "hub", ends=-dt.timedelta(minutes=1))
+    with Hub(f"tls/127.0.0.1:{free_port()}", credentials=own, swarm="test", grants=(grant_of(robot),)) as hub:
+        assert "the hub's certificate has expired" in refused(hub.endpoint, robot)
+
+
+def test_a_robots_certificate_does_not_make_a_hub(secured: SecuredHub) -> None:
+    r1, r2 = secured.identities["r1"], secured.identities["r2"]
+    with Hub(f"tls/127.0.0.1:{free_port()}", credentials=r2, swarm="test", grants=secured.grants()) as hub:
+        assert "the hub's certificate is" in refused(hub.endpoint, r1)
+
+
 def test_a_program_at_the_port_that_is_no_secured_hub_is_named(tmp_path: Path) -> None:
     robot = Authority(tmp_path).issue("r1", "robot")
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -297,6 +311,22 @@ def test_a_revoked_certificate_ends_and_all_others_come_back(tmp_path: Path) -> 
 
 def hosts(messages: list[Message]) -> set[str]:
     return {each.host for each in messages if isinstance(each, Reception)}
+
+
+def test_a_certificate_that_was_renewed_on_disk_is_used_when_the_old_one_ends(tmp_path: Path) -> None:
+    secured = SecuredHub(tmp_path)
+    short = secured.authority.issue("r1", "robot", ends=dt.timedelta(seconds=3))
+    with secured.hub:
+        bus = ZenohBus(Mailbox(), hub=secured.hub.endpoint, credentials=short)
+        bus.wait_connected(DEADLINE_S)
+        secured.authority.issue("r1", "robot")  # the same files
+        pause, end_s, downs = threading.Event(), time.monotonic() + 4.0, 0
+        while time.monotonic() < end_s:
+            downs += not bus.connected()
+            pause.wait(0.01)
+        assert downs, "the link with the old certificate never ended"
+        bus.wait_connected(DEADLINE_S)
+        bus.close()
 
 
 def test_a_certificate_that_expires_ends_its_link(tmp_path: Path) -> None:
