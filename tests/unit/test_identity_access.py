@@ -80,6 +80,15 @@ def test_each_certificate_is_a_subject_and_no_other_is() -> None:
     grants = (Grant("r1.1", "r1", "robot"), Grant("r1.2", "r1", "robot"), Grant("cam.1", "cam", "source"))
     made = rules("test", grants)
     assert made["default_permission"] == "deny"
+    listed = made["rules"]
+    assert isinstance(listed, list)
+    keys = {each["id"]: each["key_exprs"] for each in listed}
+    for name in ("r1.1", "r1.2", "cam.1"):
+        assert keys[f"{name}-subscribe"] == keys[f"{name}-receive"]
+        assert not any("**" in key for rule in ("publish", "receive") for key in keys[f"{name}-{rule}"])
+    assert {each["id"] for each in listed if "put" in each["messages"]} == {
+        f"{name}-{rule}" for name in ("r1.1", "r1.2", "cam.1") for rule in ("publish", "receive")
+    }
     assert made["subjects"] == [{"id": each, "cert_common_names": [each]} for each in ("r1.1", "r1.2", "cam.1")]
 
 
@@ -153,10 +162,10 @@ def test_each_key_is_published_and_received_by_those_who_may_and_no_others(secur
 
 def test_nobody_queries_answers_or_watches_anything_else(secured: SecuredHub) -> None:
     seen: list[str] = []
+    answer = zenoh.handlers.Callback(lambda query: query.reply("test/core/heartbeat/core", b"x"), indirect=False)
     with secured.session("core") as core, secured.session("r1") as robot, secured.session("anna") as anna:
         for session in (core, robot):
-            session.declare_queryable("test/**", zenoh.handlers.Callback(lambda query: query.drop(), indirect=False))
-            session.declare_queryable(ACCESS_KEY, zenoh.handlers.Callback(lambda query: query.drop(), indirect=False))
+            session.declare_queryable("test/**", answer)
             session.liveliness().declare_token("test/core/alive")
         watch = zenoh.handlers.Callback(lambda sample: seen.append(str(sample.key_expr)), indirect=False)
         anna.liveliness().declare_subscriber("**", watch, history=True)
