@@ -12,6 +12,7 @@ file               commands
 ``params.py``      `params get|set|history|watch`
 ``leases.py``      `leases`, `leases hold`
 ``joystick.py``    `joystick`, `joystick list|test|map`
+``audit.py``       `audit show|verify`
 ``console.py``     `console`
 ``robots.py``      `robots find|test|check`, `doctor`, `emulate`
 ``experiment.py``  `experiment run|trial|watch|replay`

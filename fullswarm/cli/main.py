@@ -10,6 +10,7 @@ import typer
 
 from fullswarm import __version__
 from fullswarm.cli import bundle, completion, deploy, estop, flash, request, robots, status, tryout
+from fullswarm.cli.audit import audit_app
 from fullswarm.cli.console import console
 from fullswarm.cli.experiment import experiment_app
 from fullswarm.cli.joystick import joystick_app
@@ -41,6 +42,7 @@ for command in (
     app.command()(command)
 for group, name in (
     (mission_app, "mission"), (params_app, "params"), (leases_app, "leases"), (joystick_app, "joystick"),
+    (audit_app, "audit"),
 ):  # fmt: skip
     app.add_typer(group, name=name)
 for group, name, text in (
@@ -212,13 +214,14 @@ def info(target: Target, as_json: Json = False) -> int:
 @shell_command(logs=True)
 def hub(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="The endpoint to listen on.")] = "tcp/127.0.0.1:7447",
+    swarm: Annotated[str, typer.Option(help="The swarm whose certificates are valid, for tls/.")] = "swarm",
     insecure_network: Insecure = False,
     with_parent: WithParent = False,
 ) -> int:
     """Run the hub that carries the messages."""
     from fullswarm.launch import processes
 
-    return processes.hub(listen, insecure_network, with_parent)
+    return processes.hub(listen, swarm, insecure_network, with_parent)
 
 
 @app.command(rich_help_panel=RUN)
