@@ -276,8 +276,6 @@ class Authority:
         wanted = before.hosts if hosts is None else hosts
         made = self._sign(public, before.name, before.generation, before.role, life, wanted)
         self.folder.write(path, made)
-        if before.role == "hub":
-            self.folder.write_grants(self.folder.grants())  # the hub opens again, with its new certificate
         return certificates.parse_certificate(made)
 
     def _before(self, name: str) -> Certificate | None:

@@ -5,7 +5,6 @@ In: a fleet file. Out: running processes, or a whole swarm in one process.
 ``nodes.py``        builds the nodes of each layer, the same for live processes and lockstep
 ``reload.py``       loads behaviours under development again when their files change
 ``processes.py``    one function per process: hub, core, centralised behaviours, agent, world
-``renewal.py``      renews the certificates of a secured swarm over the bus
 ``on_board.py``     reports of an agent on a robot's computer to systemd and to the health file
 ``world.py``        the node of the simulated world
 ``lockstep.py``     all nodes in one process on a simulated clock

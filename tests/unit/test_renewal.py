@@ -9,14 +9,15 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from fullswarm.bus.certificates import CertificateRenewer, RenewalService
 from fullswarm.bus.local import LocalBus
+from fullswarm.bus.renewal import renewal_node
 from fullswarm.clock import SimClock
 from fullswarm.identity import Credentials
 from fullswarm.identity.authority import Authority, copy_to, revoke
 from fullswarm.identity.certificates import DAY_S, Certificate, make_request, read_certificate
 from fullswarm.identity.folder import KeysFolder
 from fullswarm.keys import Keys
-from fullswarm.launch.renewal import CertificateRenewer, RenewalService, renewal_node
 from fullswarm.messages import CertificateReply, CertificateRequest, Message
 from fullswarm.runtime import Runtime
 

@@ -178,23 +178,3 @@ class RenewalService:
         """Stop renewing."""
         self._timer.cancel()
         self._subscription.close()
-
-
-def renewal_node(
-    bus: Bus, scheduler: Scheduler, keys: Keys, credentials: Credentials, *, first_s: float = SHORTEST_S
-) -> CertificateRenewer | RenewalService | None:
-    """Return what renews the certificate of a secured process; None: nothing here does.
-
-    The core of the base station renews for all, if it can sign: not when the authority's key has a passphrase. Other
-    processes ask it, unless their files are in the folder that it renews.
-    """
-    folder = KeysFolder(credentials.authority.parent, keys.swarm)
-    if not folder.has_authority:
-        return CertificateRenewer(bus, scheduler, keys, credentials, first_s=first_s)
-    if credentials.role != "core":
-        return None
-    try:
-        return RenewalService(bus, scheduler, keys, Authority.open(folder))
-    except ConfigError as error:
-        log.warning("certificates are not renewed by themselves", reason=str(error))
-        return None
