@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fullswarm.agent.node import AgentNode
     from fullswarm.agent.state import Identity
     from fullswarm.core.centralised.node import CentralisedNode
+    from fullswarm.store import Store
 
 
 class Node(Protocol):
@@ -38,9 +39,19 @@ def process_id(name: str) -> str:
 
 
 def core(
-    bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str, wall_s: Callable[[], float] = wall_time_s
+    bus: Bus,
+    scheduler: Scheduler,
+    config: SwarmConfig,
+    process: str,
+    wall_s: Callable[[], float] = wall_time_s,
+    store: Store | None = None,
 ) -> list[Node]:
-    """Build the core: main controller, request handler, database, summarizers, performance node."""
+    """Build the core: main controller, request handler, database, summarizers, performance node.
+
+    Parameters
+    ----------
+    store : the database; None: the one that the fleet file names
+    """
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings
     from fullswarm.perf.performance_node import PerformanceNode
@@ -48,7 +59,7 @@ def core(
     from fullswarm.store import Store
 
     keys = Keys(config.swarm)
-    store = Store(config.core.store, wall_s)
+    store = store or Store(config.core.store, wall_s)
     settings = Settings(store, config)
 
     conditions = lambda: settings.performance  # noqa: E731
