@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fullswarm.bus.base import Bus
+from fullswarm.bus.base import Bus, SenderBus
 from fullswarm.clock import wall_time_s
 from fullswarm.config import RobotConfig, SwarmConfig
 from fullswarm.drivers.base import Fleet
@@ -39,18 +40,31 @@ def process_id(name: str) -> str:
 
 
 def core(
+<<<<<<< HEAD
     bus: Bus,
+=======
+    bus: SenderBus,
+>>>>>>> main
     scheduler: Scheduler,
     config: SwarmConfig,
     process: str,
     wall_s: Callable[[], float] = wall_time_s,
+<<<<<<< HEAD
     store: Store | None = None,
+=======
+    *,
+    audit: Path | None = None,
+>>>>>>> main
 ) -> list[Node]:
     """Build the core: main controller, request handler, database, summarizers, performance node.
 
     Parameters
     ----------
+<<<<<<< HEAD
     store : the database; None: the one that the fleet file names
+=======
+    audit : folder of the audit log; None: there is none, as in lockstep
+>>>>>>> main
     """
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings
@@ -66,7 +80,15 @@ def core(
     extra: list[Node] = [CoverageSummarizer(bus, keys, scheduler, conditions)]
     extra += robot_summarizers(bus, keys, scheduler, conditions, config.robots, config.bounds_m)
     extra.append(PerformanceNode(bus, keys, scheduler, config.core.results))
-    return [store, CoreNode(bus, scheduler, config, store, process, extra=tuple(extra))]
+    if audit is None:
+        return [store, CoreNode(bus, scheduler, config, store, process, tuple(extra), wall_s)]
+    from fullswarm.audit.log import AuditLog
+    from fullswarm.core.audit import AuditRecorder, noted_head
+
+    log = AuditLog(audit, process, scheduler.now_s, wall_s, anchor=noted_head(store))
+    recorder = AuditRecorder(bus, keys, scheduler, log, store, process, lambda name: node.library.expires(name))
+    node = CoreNode(recorder.bus, scheduler, config, store, process, tuple(extra), wall_s)
+    return [store, recorder, node]
 
 
 def centralised(bus: Bus, scheduler: Scheduler, config: SwarmConfig, process: str) -> CentralisedNode:
@@ -83,13 +105,14 @@ def agent(
     fleet: Fleet,
     identity: Identity,
     loop: Callable[[], LoopStats],
+    wall_s: Callable[[], float] = wall_time_s,
 ) -> AgentNode:
     """Build the agent that carries the robots of `fleet`."""
     from fullswarm.agent.node import AgentNode
 
     poses = {each.id: each.pose for each in config.robot}
     start = np.array([poses.get(robot) or (0.0, 0.0, 0.0) for robot in fleet.ids], float)
-    return AgentNode(bus, scheduler, config, fleet, identity, start, loop)
+    return AgentNode(bus, scheduler, config, fleet, identity, start, loop, wall_s=wall_s)
 
 
 def start_poses(

@@ -213,6 +213,7 @@ class ChangeLog:
     _silent: dict[str, bool] = field(default_factory=dict)
     _faults: dict[str, str] = field(default_factory=dict)
     _leases: dict[str, str] = field(default_factory=dict)
+    _processes: dict[tuple[str, str], tuple[str, str, int]] = field(default_factory=dict)  # → phase, end, starts
     _reloads: dict[str, tuple[str, set[str]]] = field(default_factory=dict)  # file → problem, hosts that reported it
 
     def update(self, seen: Snapshot, now_s: float) -> None:
@@ -228,7 +229,18 @@ class ChangeLog:
             if self._core is not None:
                 self.log.add(now_s, "link", "the core is running" if core else "the core is silent")
             self._core = core
+        self._supervised(seen, now_s)
         self._robots(seen, now_s)
+
+    def _supervised(self, seen: Snapshot, now_s: float) -> None:
+        """Log processes that freeze, end, or run again."""
+        for row in seen.processes:
+            state = row.state
+            known, at = (state.phase, state.ended, state.starts), (row.host, state.name)
+            before = self._processes.get(at)
+            self._processes[at] = known
+            if known != before and row.text and (before is not None or state.phase in ("frozen", "ended", "given_up")):
+                self.log.add(now_s, "link", row.text)
 
     def _robots(self, seen: Snapshot, now_s: float) -> None:
         gone: list[str] = []
