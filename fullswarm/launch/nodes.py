@@ -40,31 +40,21 @@ def process_id(name: str) -> str:
 
 
 def core(
-<<<<<<< HEAD
-    bus: Bus,
-=======
     bus: SenderBus,
->>>>>>> main
     scheduler: Scheduler,
     config: SwarmConfig,
     process: str,
     wall_s: Callable[[], float] = wall_time_s,
-<<<<<<< HEAD
-    store: Store | None = None,
-=======
     *,
     audit: Path | None = None,
->>>>>>> main
+    store: Store | None = None,
 ) -> list[Node]:
     """Build the core: main controller, request handler, database, summarizers, performance node.
 
     Parameters
     ----------
-<<<<<<< HEAD
-    store : the database; None: the one that the fleet file names
-=======
     audit : folder of the audit log; None: there is none, as in lockstep
->>>>>>> main
+    store : the database; None: the one that the fleet file names
     """
     from fullswarm.core.node import CoreNode
     from fullswarm.core.settings import Settings

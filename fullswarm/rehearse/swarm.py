@@ -107,7 +107,7 @@ class RehearsedSwarm:
         wall_s = lambda: WALL_S + self.simulation.now_s()  # noqa: E731
         self._store = RehearsedStore(disk, wall_s, self.simulation.now_s)
         bus = self.network.bus_of(process)
-        nodes.core(bus, process.runtime, self.config, process.process_id, wall_s, self._store)
+        nodes.core(bus, process.runtime, self.config, process.process_id, wall_s, store=self._store)
 
     def _build_centralised(self, process: SimProcess) -> None:
         nodes.centralised(self.network.bus_of(process), process.runtime, self.config, process.process_id)
