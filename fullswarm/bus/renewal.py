@@ -52,5 +52,10 @@ def renewal_node(
 
 def renew_later(bus: Bus, scheduler: Scheduler, keys: Keys, credentials: Credentials | None) -> None:
     """Renew the certificate of a command or a program while it runs; None: it needs none."""
-    if credentials is not None:
-        scheduler.after(AFTER_S, lambda: renewal_node(bus, scheduler, keys, credentials, first_s=0.0))
+    if credentials is None:
+        return
+
+    def start() -> None:
+        renewal_node(bus, scheduler, keys, credentials, first_s=0.0)
+
+    scheduler.after(AFTER_S, start)
