@@ -178,14 +178,19 @@ class Leases(Message, frozen=True, kw_only=True):
     sequence: Ordinal = 0
 
 
-class EStop(Message, frozen=True, kw_only=True):
-    """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act."""
+class EStop(Message, frozen=True, kw_only=True, tag="EStop/2"):
+    """Engage or release the latched emergency stop. Idempotent; releasing is a separate, deliberate act.
+
+    A robot is released only if it has not received a newer engaged one of the same clock; to engage always counts.
+    """
 
     id: str
     engaged: bool
     robots: Names = ()  # empty: all
     source: str = ""
     reason: str = ""
+    clock: str = ""  # as in BehaviourRequest; empty: the order is not dated
+    stamp_s: Stamp = 0.0
 
 
 class EStopReceipt(Message, frozen=True, kw_only=True):

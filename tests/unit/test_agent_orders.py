@@ -270,3 +270,21 @@ def make_tasks(count: int) -> Tasks:
     import numpy as np
 
     return Tasks(count, 0.03, 2.0, np.full(count, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"safety_margin_m": -5.0}, "safety_margin_m = -5"),
+        ({"safety_margin_m": -5}, "safety_margin_m = -5"),
+        ({"barrier_gain_per_s": 1e9}, "barrier_gain_per_s = 1e\\+09"),
+        ({"speed_limit_m_s": 50.0}, "no behaviour .* has such a parameter"),
+    ],
+)
+def test_a_robot_checks_the_parameters_itself(parameters: dict[str, Any], why: str) -> None:
+    request = ControlRequest(
+        request_id="q", robot="r1", behaviour="move_to_goal_bc", enable=True, law="move_to_goal", filtered=True,
+        parameters={"goal": [1.0, 1.0], **parameters}, core="c", sequence=1,
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match=why):
+        check(request)
