@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from fullswarm.agent.message_delay import MessageDelay
-from fullswarm.agent.orders.tasks import Task, Tasks
+from fullswarm.agent.orders.tasks import Task, Tasks, check
 from fullswarm.drivers.base import Hazard
+from fullswarm.errors import ConfigError
 from fullswarm.messages import ControlRequest, EStopReceipt, Halt, RobotHealth
 from tests.unit.agent_bench import TICK_S, Bench
 

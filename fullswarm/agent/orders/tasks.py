@@ -434,8 +434,8 @@ def check(request: ControlRequest) -> None:
     Raises
     ------
     ConfigError
-        A parameter has another type than its record says or is out of range or in no record of the law, or the request would never expire; says
-        which and what is wanted.
+        A parameter has another type than its record says, is out of range or in no record of the law, or the request
+        would never expire; says which and what is wanted.
     """
     low_s, high_s = EXPIRES_S
     if not math.isfinite(request.stamp_s):  # or an intent would never expire
